@@ -20,8 +20,8 @@ from cmf_mj.control.law import Gains, Law
 from cmf_mj.core.result import Table
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.studies.case import Case, dof_amplitude, make_case, qualities
-from cmf_mj.studies.mismatch import with_valve_gains
 
 CAB, SEED = "ifd", 1
 

@@ -29,15 +29,15 @@ from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 from cmf_mj.studies.case import Case, dof_amplitude, make_case
-from cmf_mj.studies.mismatch import with_valve_gains
 
 GROUPS = ("nominal", "masses", "poses", "amplitude", "steps")
 

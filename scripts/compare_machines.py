@@ -1,7 +1,7 @@
 """Machines side by side: sizes, envelope, hydraulic modes, bandwidths of their laws, capacity.
 
 Bandwidths are -90 deg and -3 dB of the linearised machine about neutral, small motion; capacity is
-the largest velocity of a sine by the closed forms of `cmf_mj.studies.capacity.asymptotes`. Writes
+the largest velocity of a sine by the closed forms of `cmf_mj.studies.asymptotes`. Writes
 one table a subject and `machines.png` below --out; docs/explanation/two_machines.md shows them for
 the CMF and SIMONA.
 """
@@ -19,7 +19,7 @@ from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.core import units
 from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS, by_kind
-from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
+from cmf_mj.studies.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.machine_check import MachineCheck, check_machine
 
 LINES = np.arange(0.1, 25.0, 0.1)

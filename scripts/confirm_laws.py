@@ -21,6 +21,7 @@ from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -28,7 +29,6 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.signals.single import Chirp
 from cmf_mj.studies.case import REPORT_AMPLITUDES, Case, dof_amplitude, make_case
-from cmf_mj.studies.mismatch import with_valve_gains
 
 HEADER = (
     "law,cab,dof,seed,pose,scale,quick,noise,phase_hz,gain_hz,peak_db,damping_ratio,overshoot,"

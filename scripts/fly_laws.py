@@ -16,12 +16,12 @@ from cmf_mj import Hexapod, Law, load_hydraulics, load_law
 from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import MOST_RATE
-from cmf_mj.studies.mismatch import with_valve_gains
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
 """Largest amplitude of a stream [m, rad]."""

@@ -19,10 +19,9 @@ from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.flight import flight_names, load_flight
-from cmf_mj.pilot.learning import Learning, counted, learn, on_others, rms
+from cmf_mj.pilot.learning import Learning, counted, drawn_machine, learn, on_others, rms
 from cmf_mj.pilot.motion import MOST_RATE, interpolated
 from cmf_mj.show.flight import save_learning
-from cmf_mj.studies.mismatch import drawn_machine
 
 KNOWN, SEED = 6, 0
 """Drawn machines that a learner is made for; of all noise."""

@@ -58,7 +58,6 @@ def make_files(folder: Path, generator: np.random.Generator) -> list[str]:
     gap = "time,surge,sway,heave,roll,pitch,yaw\n"
     gap += "".join(f"{at},0,0,0,0,0,0\n" for at in (0.0, 0.1, 1e9))
     (folder / "gap.csv").write_text(gap)
-    (folder / "poses.csv").write_text("time,heave,pitch\n0,0,0\n0.5,0.3,1\n1,0.6,0\n")
     (folder / "dates.csv").write_text(gap.replace("1000000000.0", "2020-01-01"))
     names = sorted(path.name for path in folder.iterdir())
     for name in names:

@@ -32,7 +32,7 @@ SEAMS = (
     "report_2014.models:measure_loop",
     "signals.peaks:peaks",
     "pilot.airframe:Airframe.__init__",
-    "studies.certificate.run:Family",
+    "studies.certificate:Family",
     "studies.engine:_started",
     "studies.tuning.search:cost",
     "report_2014.calibration.fit:_cost_vector",

@@ -39,10 +39,9 @@ def linearize_command(
     """Linearise a plant: modes, Bode diagrams, a law around it."""
     from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
-    from cmf_mj.studies.linearization import linearization_study
 
     linear = cmf_mj.Linear(make_plant(plant, cab, hydraulics), pose_option(pose))
-    study = linearization_study(linear, law, dofs)
+    study = report.linearization_study(linear, law, dofs)
     paths = report.save_study(study, out)
     show(report.pole_table(study), report.loop_table(study), written(paths, out))
 

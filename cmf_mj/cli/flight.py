@@ -119,9 +119,8 @@ def learn_command(
     """Repeat a flight and learn the demand with which the cab follows it."""
     from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
-    from cmf_mj.pilot.learning import learn, on_others
+    from cmf_mj.pilot.learning import drawn_machine, learn, on_others
     from cmf_mj.show import flight as report
-    from cmf_mj.studies.mismatch import drawn_machine
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
     machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]

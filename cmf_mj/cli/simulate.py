@@ -37,7 +37,7 @@ _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
     "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]"
 )
-_SIGNALS = "studies.capacity.verdict:SIGNALS"
+_SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 
@@ -217,8 +217,8 @@ def capacity_command(
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
     from cmf_mj.show import capacity as report
-    from cmf_mj.studies.capacity import envelope as envelopes
-    from cmf_mj.studies.capacity.verdict import capacity, manoeuvre
+    from cmf_mj.studies import envelope as envelopes
+    from cmf_mj.studies.capacity import capacity, manoeuvre
 
     parameters = cmf_mj.load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI

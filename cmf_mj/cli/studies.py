@@ -133,8 +133,8 @@ def certify_command(
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
-    from cmf_mj.studies.certificate import run
-    from cmf_mj.studies.certificate.box import load_box
+    from cmf_mj.studies import certificate as run
+    from cmf_mj.studies.certificate_family import load_box
     from cmf_mj.studies.engine import libraries
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []

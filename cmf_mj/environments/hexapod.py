@@ -20,11 +20,11 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import NoPoseError, check_name
 from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, ObservedQuantity
 from cmf_mj.facility.session import Session
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.studies.mismatch import Mismatch
 
 ACTIONS = ("pose", "valves", "residual")
 """A pose demand; valve commands; a pose added to the target that the law is given."""
@@ -52,13 +52,13 @@ class HexapodEnv(MachineEnv):
         law: str | Path | Law = "velocity",
         cab: str | Path | Cab = "gfd",
         hydraulics: str = "hardware",
-        mismatch: Mismatch | None = None,
+        unknowns: Unknowns | None = None,
         seconds: float = 4.0,
         render_mode: str | None = None,
     ) -> None:
-        """Choose what an action is; a `mismatch` draws other actuators for each run."""
+        """Choose what an action is; `unknowns` draw another machine for each run."""
         self.action = check_name("action", action, ACTIONS)
-        self._cab, self._oil, self._mismatch = load_cab(cab), load_hydraulics(hydraulics), mismatch
+        self._cab, self._oil, self._unknowns = load_cab(cab), load_hydraulics(hydraulics), unknowns
         loaded = None if action == "valves" else load_law(law)
         plant = Hexapod(self._cab, self._oil)
         super().__init__(plant, loaded, 6, seconds, render_mode)
@@ -70,10 +70,11 @@ class HexapodEnv(MachineEnv):
         super().reset(seed=seed)
         drawn = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
         self.target = self.chosen(options, "target", drawn, self.quantities[3].largest)
-        if self._mismatch is not None:
-            draw, names = int(self.np_random.integers(2**31)), self.plant.actuators
-            oil = self._mismatch.draw_hydraulics(self._oil, names, draw, 0)
-            self.plant = Hexapod(self._cab, oil)
+        if self._unknowns is not None:
+            unknowns = self._unknowns
+            values = unknowns.streams(int(self.np_random.integers(2**31)), 0)
+            cab = unknowns.apply(values, self._cab)
+            self.plant = Hexapod(cab, unknowns.apply(values, self._oil))
         self.begin(np.zeros(6), None)
         self._asked = np.zeros(6)
         return self.observation(), {"target": self.target.copy()}

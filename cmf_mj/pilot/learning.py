@@ -44,12 +44,15 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.run import dcu_of
+from cmf_mj.facility.unknowns import load_unknowns, with_valve_gains
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.fly import RECORD_EVERY, low_passed
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.signals.composite import quintic
 
 SHARE, CORNER, SLOWEST = 0.6, 6.0, 0.9
@@ -273,3 +276,12 @@ def counted(error: Array) -> Array:
     """An error below `BAND` after the lead."""
     sections = signal.butter(4, BAND, fs=MOST_RATE, output="sos")
     return np.asarray(signal.sosfiltfilt(sections, error, axis=0)[round(LEAD * MOST_RATE) :])
+
+
+def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
+    """One of `other_machines`, with valve gains of its own; laws take its cab for the nominal."""
+    generator, others = np.random.default_rng([seed, draw]), load_unknowns("other_machines")
+    (values,) = others.draw("random", 1, generator)
+    oil = others.apply(values, hydraulics)
+    gains = int(generator.integers(2**32))
+    return Hexapod(others.apply(values, cab, f"{cab.name}_{draw}"), with_valve_gains(oil, gains))

@@ -17,9 +17,9 @@ from cmf_mj.machine.geometry import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show import look
 from cmf_mj.show.operation import plot_motion
-from cmf_mj.studies.capacity.asymptotes import Asymptotes
-from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
-from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
+from cmf_mj.studies.asymptotes import Asymptotes
+from cmf_mj.studies.capacity import CapacityResult, relief_flow
+from cmf_mj.studies.envelope import Envelope, EnvelopePoint
 
 _GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
 

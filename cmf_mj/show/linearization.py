@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import control
 import numpy as np
@@ -14,9 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.linear.poles import Mode
-from cmf_mj.analysis.measures import joined
+from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.linear.poles import Mode, dof_model, leg_model, reduced
+from cmf_mj.analysis.measures import are_stable, joined
 from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
@@ -34,7 +36,35 @@ from cmf_mj.show.look import (
     pose_text,
     save_files,
 )
-from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
+
+FREQUENCIES = np.geomspace(0.1, 20.0, 400)
+"""Lines of the responses [Hz]."""
+
+
+class LinearizationStudy(NamedTuple):
+    """A plant linearised in a configuration, with loops of one law."""
+
+    linear: Linear
+    law: str
+    modes: tuple[Mode, ...]
+    responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
+    loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
+    stable: bool  #: The verdict on all of these loops.
+
+
+def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> LinearizationStudy:
+    """Close a law around a linearised plant; `signals` are degrees of freedom or legs."""
+    responses, loops = {}, {name: linear.loop(law, name) for name in signals}
+    for name in signals:
+        if name.startswith("leg_"):
+            moved = reduced(leg_model(linear.system, int(name[4:])), outputs=["leg_position"])
+        else:
+            model = dof_model(linear.system, linear.plant, linear.pose, name)
+            moved = reduced(model, outputs=[name])
+        responses[name] = loop_response(moved, FREQUENCIES)
+    closed = {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()}
+    stable = all(are_stable(loop.poles()) for loop in loops.values())
+    return LinearizationStudy(linear, law, linear.modes(), responses, closed, stable)
 
 
 def save_system(system: control.StateSpace, path: Path, description: Mapping[str, Any]) -> Path:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydantic_core import to_jsonable_python
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
@@ -20,7 +21,7 @@ from cmf_mj.show import look
 from cmf_mj.show.comparison import quality_rows
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
 from cmf_mj.studies.identification import Identified
-from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
+from cmf_mj.studies.measurement import Measurement, RecordingMeasures
 
 _COLUMNS = ("measure", "value", "definition")
 
@@ -142,7 +143,7 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
         f"Frequency response in {measures.dof}", measures.files[0].stem, measures.response
     )
     files = _response_files(measures.response, figure)
-    return save_files(files | {"summary.json": plain(measures.summary())}, folder)
+    return save_files(files | {"summary.json": measures.summary()}, folder)
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
@@ -340,7 +341,7 @@ def _summary(result: Identified) -> dict[str, object]:
 def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
     files = {
-        "model.json": plain(_summary(result)),
+        "model.json": to_jsonable_python(_summary(result), inf_nan_mode="null", fallback=float),
         "fit.png": fit_figure(result),
         "residuals.png": residual_figure(result.residuals, result.model.step),
         "bode.png": bode_figure(result.model, result.response),

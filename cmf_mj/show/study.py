@@ -15,7 +15,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, new_figure, save_files, stack
-from cmf_mj.studies.certificate.run import Certificate
+from cmf_mj.studies.certificate import Certificate
 from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.failure import FailureResult

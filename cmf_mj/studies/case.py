@@ -36,7 +36,7 @@ from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -288,15 +288,11 @@ def swings(record: Record) -> dict[str, Any]:
     size = float(np.abs(reference[-1] - reference[0]).max())
     count = round(_WINDOW * record.rate)
     begin = round((_BEGIN + _FIRST) * record.rate)
-    first, last = (_swing(part) / size for part in (legs[begin : begin + count], legs[-count:]))
+    time, swing = np.linspace(-1.0, 1.0, count), []
+    for part in (legs[begin : begin + count], legs[-count:]):
+        line = np.polynomial.polynomial.polyfit(time, part, 1)
+        about = part - np.polynomial.polynomial.polyval(time, line).T
+        swing.append(float(about.std(axis=0).max()) / size)
+    first, last = swing
     stable = bool(last < _NOTHING or last < min(first, _MOST))
     return {"stable": stable, "first": first, "last": last}
-
-
-def _swing(legs: NDArray[np.float64]) -> float:
-    time = np.linspace(-1.0, 1.0, len(legs))
-    about = (
-        legs
-        - np.polynomial.polynomial.polyval(time, np.polynomial.polynomial.polyfit(time, legs, 1)).T
-    )
-    return float(about.std(axis=0).max())

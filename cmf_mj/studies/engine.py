@@ -293,10 +293,6 @@ def run_study(
     return table
 
 
-def _evaluated(case: StudyCase, shared: dict[str, Any]) -> list[Row]:
-    return [row.columns for row in evaluate(case, shared)]
-
-
 def _machine(case: StudyCase) -> Hashable:
     """The laws of a machine that is linearised run together: it is linearised once."""
     if case.method != "linear":
@@ -304,7 +300,11 @@ def _machine(case: StudyCase) -> Hashable:
     return case.rung, case.case.cab, case.case.pose, case.draw
 
 
-CASES = Work(_evaluated, lambda error: [failed(error).columns], _machine)
+CASES = Work(
+    lambda case, shared: [row.columns for row in evaluate(case, shared)],
+    lambda error: [failed(error).columns],
+    _machine,
+)
 """Work of a study of cases."""
 
 

@@ -28,12 +28,14 @@ from cmf_mj.analysis.response.spectra import welch_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.sensors.channel import load_sensors
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
-from cmf_mj.studies.mismatch import with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, StudyCase, rung_named
 
 MULTISINE_SHARE = 0.25
@@ -84,18 +86,20 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     Raises FloatingPointError where a run leaves its physical bounds.
     """
     rung, case, study = rung_named(study_case.rung), study_case.case, study_case.study
-    plant = rung.build(case.cab or "gfd", case.hydraulics)
-    errors: dict[str, Gains] = {}
+    mismatch, values = Unknowns(study.mismatch), {}
     if study_case.draw != NOMINAL:
-        mismatch, key = study.mismatch, (study.seed, study_case.draw)
-        drawn = mismatch.draw_hydraulics(case.hydraulics, plant.actuators, *key)
-        plant = rung.build(case.cab or "gfd", drawn)
-        errors = mismatch.draw_gain_errors(plant.legs, *key)
+        values = mismatch.streams(study.seed, study_case.draw)
+    cab = mismatch.apply(values, case.cab or load_cab("gfd"))
+    plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
+    case = replace(case, law=mismatch.apply(values, case.law))
+    errors = mismatch.gain_errors(values)
     if study_case.method == "linear":
-        return _linear(study_case, plant, errors, {} if shared is None else shared)
-    noisy = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
-    delay, chain = int("delay" in rung.effects), with_gain_errors(errors) or noisy
-    case = replace(case, electronics=chain, command_delay=delay)
+        return _linear(case, plant, errors, {} if shared is None else shared)
+    chain = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
+    if errors:
+        sensors = mismatch.apply(values, load_sensors("ideal"), "mismatched")
+        chain = ElectronicsSettings(sensors=sensors, converters="off")
+    case = replace(case, electronics=chain, command_delay=int("delay" in rung.effects))
     if study_case.method == "matrix":
         return _matrix(case, plant, study_case.sizes, study.seed)
     sweep, step = case.sweep_and_step(plant)
@@ -128,12 +132,8 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
 
 
 def _linear(
-    study_case: StudyCase,
-    plant: Plant,
-    errors: dict[str, Gains],
-    shared: dict[str, Linear],
+    case: Case, plant: Plant, errors: dict[str, Gains], shared: dict[str, Linear]
 ) -> list[StudyRow]:
-    case = study_case.case
     if "linear" not in shared:
         shared["linear"] = Linear(plant, case.pose)
     linear = shared["linear"].sensed(errors)

@@ -181,7 +181,7 @@ FAILURES = (
 )
 
 
-def measure(
+def measure_failure(
     plant: Hexapod, event: Event, dof: str, protected: bool, record: Record, message: str
 ) -> FailureResult:
     """All measures of a run recorded at every frame.
@@ -298,7 +298,7 @@ AFTER = 26.0
 """Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
 
 
-def manoeuvre(
+def faded_sine(
     dof: str, amplitude: float, frequency: float, *, at: float, after: float = AFTER
 ) -> Command:
     """The sine of a failure run, faded in and out, and two seconds of rest.
@@ -334,7 +334,7 @@ def run_failure(
     machine = Hexapod(chosen.cab, chosen.hydraulics, machine=chosen.on)
     size = by_kind(chosen.dof, *AMPLITUDES) if chosen.amplitude is None else chosen.amplitude
     if command is None:
-        command = manoeuvre(chosen.dof, size, frequency, at=event.at, after=after)
+        command = faded_sine(chosen.dof, size, frequency, at=event.at, after=after)
         check_limits(command, machine=chosen.on)
     frames = command.pose.shape[0]
     if not event.at < (frames - 1) * FRAME:
@@ -348,7 +348,7 @@ def run_failure(
         message = str(left)
         shorter = Command(command.pose[: max(left.frame, 2)], command.signal, command.seed)
         record = simulate(machine, chosen.law, shorter, **options)
-    return measure(machine, event, chosen.dof, protection is not None, record, message)
+    return measure_failure(machine, event, chosen.dof, protection is not None, record, message)
 
 
 def run_failures(

@@ -30,7 +30,7 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.asymptotes import asymptotes, full_speed
 
 POSES = 200
 """Poses of the envelope that are looked at."""

@@ -115,12 +115,7 @@ class Measurement:
                 for driven, row in zip(DOFS, self.crosstalk, strict=True)
             },
         }
-        return cast("dict[str, Any]", plain(results))
-
-
-def plain(value: Any) -> Any:
-    """JSON values of nested results: NumPy numbers become Python's, NaN becomes None."""
-    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda number: number.item())
+        return _plain(results)
 
 
 def dof_accelerations(record: Record) -> NDArray[np.float64]:
@@ -254,7 +249,7 @@ class RecordingMeasures(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Files, settings and measures."""
-        return {
+        results = {
             "files": [str(path) for path in self.files],
             "dof": self.dof,
             "estimator": self.estimator,
@@ -263,6 +258,13 @@ class RecordingMeasures(NamedTuple):
             "coherence_least": float(self.response.coherence.min()),
             "lines_left_out": self.left_out,
         }
+        return _plain(results)
+
+
+def _plain(results: dict[str, Any]) -> dict[str, Any]:
+    """JSON values: NumPy numbers become Python's, NaN becomes None."""
+    numbers: Any = {"inf_nan_mode": "null", "fallback": lambda number: number.item()}
+    return cast("dict[str, Any]", to_jsonable_python(results, **numbers))
 
 
 def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:

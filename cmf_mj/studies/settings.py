@@ -48,6 +48,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
+from cmf_mj.facility.unknowns import Unknown
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import load_machine
@@ -58,7 +59,6 @@ from cmf_mj.plant.parameters.loading import hydraulics_of, load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import Case, dof_amplitude
-from cmf_mj.studies.mismatch import Mismatch
 
 SMALL = 0.01
 """Share of an inertia that is left where there should be none."""
@@ -160,7 +160,7 @@ class StudySettings(Settings):
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
-    """Plants: rungs of the ladder of `variants`, or `machine`."""
+    """Plants: rungs of the ladder, or `machine`."""
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
     """Poses [in, deg], z down, that the motion is about."""
     machine: str = CMF  #: Motion base by name or TOML file.
@@ -172,7 +172,7 @@ class StudySettings(Settings):
     draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, and the nominal one.
     simulate_every: Annotated[int, Field(ge=0)] = 0
     """Of a linear study: one machine in this many is simulated too; 0 for none."""
-    mismatch: Mismatch = Mismatch()
+    mismatch: dict[str, Unknown] = {}  #: What scatters from draw to draw, see `Unknowns`.
 
 
 @dataclass(frozen=True)
@@ -258,22 +258,19 @@ def load_study(
     laws, `changes` replace its fields.
     """
     table, where = study_table(source)
+    table |= changes or {}
     with within(where):
-        return _loaded(table | (changes or {}), where, laws)
-
-
-def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None) -> Study:
-    loaded = None if laws is None else tuple(load_law(law) for law in laws)
-    if loaded is not None:
-        table["laws"] = [law.name for law in loaded]
-    settings = validated(StudySettings, table, where)
-    _check(settings)
-    chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
-    machine = load_machine(settings.machine)
-    cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
-    for field, named in (("laws", chosen), ("cabs", cabs)):
-        check_distinct(field, [one.name for one in named])
-    return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
+        loaded = None if laws is None else tuple(load_law(law) for law in laws)
+        if loaded is not None:
+            table["laws"] = [law.name for law in loaded]
+        settings = validated(StudySettings, table, where)
+        _check(settings)
+        chosen = loaded or tuple(load_law(law) for law in settings.laws)
+        machine = load_machine(settings.machine)
+        cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
+        for field, named in (("laws", chosen), ("cabs", cabs)):
+            check_distinct(field, [one.name for one in named])
+        return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:
@@ -302,8 +299,10 @@ def _check(settings: StudySettings) -> None:
     for pose in settings.poses:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
-    settings.mismatch.check()
-    if settings.draws and not (settings.mismatch.hydraulics or settings.mismatch.sensor_gains):
+    for name, one in settings.mismatch.items():
+        if one.path.startswith("machine."):
+            raise InputError(f"mismatch.{name}: {one.path}: a study varies all but the machine")
+    if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     if settings.simulate_every and settings.method != "linear":
         raise InputError(f"simulate_every: needs method linear, not {settings.method}")

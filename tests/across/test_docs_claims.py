@@ -17,7 +17,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior import tables as posterior
 from cmf_mj.signals.composite import waypoints
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 
 ROOT = Path(__file__).resolve().parents[2]
 ROTATION = ROOT / "docs" / "explanation" / "acceleration_in_rotation.md"

@@ -30,7 +30,7 @@ from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.settings import load_posterior
-from cmf_mj.studies.capacity.verdict import manoeuvre
+from cmf_mj.studies.capacity import manoeuvre
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]
@@ -149,7 +149,7 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("flight.csv", load_flight),
         ("flight.parquet", load_flight),
         ("motion.csv", load_flight),
-        ("poses.csv", lambda path: manoeuvre(str(path), "heave", None, None)),
+        ("stream.csv", lambda path: manoeuvre(str(path), "heave")),
     ):
         yield read, folder / name
 

@@ -20,9 +20,6 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
-from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command
-from cmf_mj.studies.capacity.verdict import read_poses
 
 Cells = list[list[str]]
 Change = Callable[[str], str | bytes]
@@ -60,13 +57,6 @@ def unsigned(text: str) -> str:
     return "".join(line for line in text.splitlines(True) if not line.startswith("# cmf_mj {"))
 
 
-def manoeuvre(path: Path) -> Command:
-    """Poses of a file as `cmf capacity` takes them: within the limits, before it runs them."""
-    command = read_poses(path)
-    check_limits(command)
-    return command
-
-
 LENGTHS = ("surge", "sway", "heave", "dcl2dvs_fdk_leg_pos", "dcl2dvs_dmd_leg_pos")
 
 MISTAKES: dict[str, Change] = {
@@ -99,8 +89,6 @@ MISTAKES: dict[str, Change] = {
 
 UNKNOWABLE = {
     ("stream.csv", "one row"): "a host that sends one frame",
-    ("poses.csv", "a column missing"): "a manoeuvre along other axes",
-    ("poses.csv", "time in milliseconds"): "a slow one, of points minutes apart",
 }
 
 FILES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
@@ -109,7 +97,6 @@ FILES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
         ("measure {file}", "identify {file} {file} --orders 2,1,1", "replay {file} --law velocity"),
     ),
     "stream.csv": (read_stream, ("operate {file}", "host {file} --to 127.0.0.1:9")),
-    "poses.csv": (manoeuvre, ("capacity --signal {file} --no-envelope",)),
     "flight.csv": (load_flight, ("fly {file}", "learn {file}")),
     "motion.csv": (load_flight, ("cue {file}", "cue {file} --share 1")),
 }
@@ -125,8 +112,6 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     told = {"sample_rate": 128.0, "law": "velocity", "plant": "hexapod", "command": {}}
     legs = Record(time, dict.fromkeys(layout, wave), layout, told)
     write_facility_csv(legs, folder / "facility.csv")
-    rows = "".join(f"{t},{np.sin(t)},{0.5 * t}\n" for t in np.arange(80) / 40.0)
-    (folder / "poses.csv").write_text("time,heave,pitch\n" + rows)
     return folder
 
 

@@ -25,12 +25,12 @@ from cmf_mj.control.law import Gains
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.core.units import FRAME, INCH, POUND_FORCE
 from cmf_mj.facility.replay import replay
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.evaluation import evaluate as study_rows
-from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.settings import load_study
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.studies.tuning.search import Requirements

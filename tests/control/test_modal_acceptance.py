@@ -14,11 +14,11 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 from cmf_mj.studies.case import dof_amplitude, make_case
-from cmf_mj.studies.mismatch import with_valve_gains
 
 MACHINE = with_valve_gains(load_hydraulics("hardware"), 1)
 CORNER = (0.25, -0.2, 0.17, 0.075, 0.073, -0.097)

@@ -18,10 +18,10 @@ from cmf_mj.control.inverse import opened
 from cmf_mj.control.plan import actuator_polynomial, response_polynomial
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
+from cmf_mj.facility.unknowns import valve_gains, with_valve_gains
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.models import CABS
-from cmf_mj.studies.mismatch import valve_gains, with_valve_gains
 
 INCH = 0.0254
 POUND_FORCE = 0.45359237 * 9.80665

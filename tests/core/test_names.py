@@ -21,6 +21,7 @@ from cmf_mj.electronics.converter import load_converters
 from cmf_mj.electronics.sensors.channel import load_sensors
 from cmf_mj.facility.scenario.library import scenario_names
 from cmf_mj.facility.scenario.settings import Outputs
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot.washout_settings import load_washout
@@ -28,7 +29,6 @@ from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
 from cmf_mj.report_2014.posterior.run import acceleration_law
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.settings import lumped, ready_studies
 
 BAD = {

@@ -11,17 +11,15 @@ from gymnasium.utils.env_checker import check_env
 
 import cmf_mj.environments
 from cmf_mj import InputError, load_law, pose_to_legs, simulate
-from cmf_mj.core.settings import validated
 from cmf_mj.environments.environment import FRAMES
 from cmf_mj.environments.excavator import ExcavatorEnv
 from cmf_mj.environments.hexapod import HexapodEnv
 from cmf_mj.environments.vector import ThreadVectorEnv, hexapods
 from cmf_mj.facility.session import OutOfBounds, Session
+from cmf_mj.facility.unknowns import load_unknowns
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.mismatch import Mismatch
 
-SPREAD = {"distribution": "uniform", "deviation": 10.0, "status": "assumed", "source": "a test"}
-MISMATCH = validated(Mismatch, {"hydraulics": {"leg_speed": SPREAD}}, "test")
+UNKNOWNS = load_unknowns("valve_gains")
 
 
 @pytest.mark.parametrize(
@@ -29,7 +27,7 @@ MISMATCH = validated(Mismatch, {"hydraulics": {"leg_speed": SPREAD}}, "test")
     [
         ("Hexapod", {}),
         ("Hexapod", {"action": "valves"}),
-        ("Hexapod", {"action": "residual", "mismatch": MISMATCH}),
+        ("Hexapod", {"action": "residual", "unknowns": UNKNOWNS}),
         ("Excavator", {}),
         ("Excavator", {"task": "reach"}),
     ],
@@ -67,7 +65,7 @@ def run(env: Any, seed: int, steps: int = 12) -> list[Any]:
     return told
 
 
-@pytest.mark.parametrize("options", [{}, {"action": "valves"}, {"mismatch": MISMATCH}])
+@pytest.mark.parametrize("options", [{}, {"action": "valves"}, {"unknowns": UNKNOWNS}])
 def test_a_seed_gives_its_bits_again_and_another_seed_others(options: dict[str, Any]) -> None:
     first, again = HexapodEnv(**options), HexapodEnv(**options)
     assert run(first, 3) == run(again, 3) == run(first, 3)
@@ -130,9 +128,9 @@ def test_a_run_that_leaves_the_bounds_of_the_machine_ends(monkeypatch: pytest.Mo
         env.step(np.zeros(6, dtype=np.float32))
 
 
-def test_a_mismatch_draws_another_machine_for_each_run() -> None:
+def test_unknowns_draw_another_machine_for_each_run() -> None:
     """A spread of 10 % in the legs' speeds shows in where the legs go."""
-    env, seen = HexapodEnv("valves", mismatch=MISMATCH), []
+    env, seen = HexapodEnv("valves", unknowns=UNKNOWNS), []
     for seed in (1, 2, 1):
         env.reset(seed=seed, options={"target": np.zeros(6)})
         for _ in range(10):

@@ -21,13 +21,13 @@ from cmf_mj.pilot.learning import (
     SLOWEST,
     Learner,
     Learning,
+    drawn_machine,
     frequencies,
     learn,
     make_learner,
     on_others,
     through,
 )
-from cmf_mj.studies.mismatch import drawn_machine
 
 ROWS, RATE, SHARE = 1600, 80.0, 0.5
 POLE = np.exp(-2.0 * np.pi * 2.0 / RATE)
@@ -160,6 +160,16 @@ def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
     far = learnt._replace(demand=learnt.demand._replace(pose=30.0 * learnt.demand.pose))
     with pytest.raises(InputError, match=r"demand: a leg is .* from neutral; allowed: 0\.9525 m"):
         on_others(far, [Hexapod("gfd")])
+
+
+def test_other_machines_differ_and_come_again() -> None:
+    cab, hydraulics = load_cab("gfd"), load_hydraulics("hardware")
+    one, again, other = (drawn_machine(cab, hydraulics, 0, draw) for draw in (1, 1, 2))
+    assert one.parameters == again.parameters and one.cab_parameters == again.cab_parameters
+    assert one.parameters != other.parameters
+    drawn = other.cab_parameters
+    assert drawn is not None and drawn.known_as == cab
+    assert 0.9 < drawn.mass.si / cab.mass.si < 1.1
 
 
 @pytest.mark.slow

@@ -270,10 +270,13 @@ def test_shipped_studies_are_sound() -> None:
         (
             {
                 "parameters": [
-                    {"name": "leg_speed", "unit": "in/s/%", "low": 2.0, "high": 1.0, "source": "s"}
+                    {
+                        **{"name": "leg_speed", "path": "hydraulics.leg_speed", "effect": "value"},
+                        **{"unit": "in/s/%", "low": 2.0, "high": 1.0, "source": "s"},
+                    }
                 ]
             },
-            "leg_speed: low 2 must be above 0 and below high 1",
+            "2.0 to 1.0 is refused; low must be less than high",
         ),
     ],
 )

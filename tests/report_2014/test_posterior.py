@@ -23,6 +23,7 @@ from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
 
+LEAKS = "hydraulics.actuators.*.leak_rate"
 ROOT = Path(__file__).resolve().parents[2]
 
 SMALL = {
@@ -296,15 +297,23 @@ def test_bad_specifications_are_refused(changes: dict[str, Any], message: str) -
 
 
 def test_bounds_that_cannot_be_are_refused() -> None:
-    one = {"unit": "1", "source": "test"}
+    one = {"unit": "1", "source": "test", "path": "legs.mass"}
+    height = one | {"unit": "m", "path": "cab.centre_of_mass.z", "effect": "offset"}
     for unknowns, message in (
-        ({"luck": {"low": 0.0, "high": 1.0, **one}}, "unknowns: 'luck' is not one of"),
-        ({"leg_mass": {"low": 2.0, "high": 1.0, **one}}, "unknowns.leg_mass: 2 to 1 is refused"),
+        ({"luck": {"low": 0.0, "high": 1.0, **one, "path": "luck"}}, "path: 'luck' is refused"),
         (
-            {"leg_mass": {"low": 0.0, "high": 1.0, "scale": "log", **one}},
-            "unknowns.leg_mass: 0 to 1 is refused",
+            {"leg_mass": {"low": 2.0, "high": 1.0, **one}},
+            "leg_mass: 2.0 to 1.0 is refused",
         ),
-        ({"cab_height": {"low": -9.0, "high": 0.0, **one | {"unit": "m"}}}, "below the floor"),
+        (
+            {"leg_mass": {"low": 0.0, "high": 1.0, "distribution": "loguniform", **one}},
+            "leg_mass: 0.0 to 1.0 is refused",
+        ),
+        (
+            {"legs": one | {"path": "hydraulics.actuators.*.leak_rate", "low": 0.5, "high": 1.0}},
+            "one number",
+        ),
+        ({"cab_height": {"low": -9.0, "high": 0.0, **height}}, "below the floor"),
     ):
         with pytest.raises(ValueError, match=message):
             load_posterior("rotation", changes=SMALL | {"unknowns": unknowns})

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from scipy.optimize import brentq
 from typer.testing import CliRunner
@@ -19,19 +18,19 @@ from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.control.plan import actuator_polynomial
+from cmf_mj.core.files import write_table
 from cmf_mj.facility.run import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
-from cmf_mj.studies.capacity.envelope import largest_sine, performance_envelope
-from cmf_mj.studies.capacity.verdict import (
+from cmf_mj.studies.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.capacity import (
     capacity,
     least_allowed,
     manoeuvre,
     pressure_margin,
-    read_poses,
 )
+from cmf_mj.studies.envelope import largest_sine, performance_envelope
 
 INCH = 0.0254
 PSI = 0.45359237 * 9.80665 / INCH**2
@@ -351,67 +350,14 @@ def test_manoeuvre_refuses(arguments, message):
         manoeuvre(*arguments)
 
 
-def test_poses_of_a_file_pass_through_its_rows_in_either_format(tmp_path):
-    time = np.arange(41) / 40.0
-    heave, yaw = 2.0 * np.sin(np.pi * time) ** 2, 3.0 * time
-    table = pa.table({"time": time, "heave": heave, "yaw": yaw})
-    pq.write_table(table, tmp_path / "poses.parquet")
-    lines = ["time,heave,yaw"] + [
-        f"{t!r},{h!r},{y!r}"
-        for t, h, y in zip(time.tolist(), heave.tolist(), yaw.tolist(), strict=True)
-    ]
-    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
-    for name in ("poses.parquet", "poses.csv"):
-        command = read_poses(tmp_path / name)
-        assert command.pose.shape == (2049, 6)
-        rows = np.round(time * 2048).astype(int)
-        on_frame = np.abs(time * 2048 - rows) < 1e-9
-        np.testing.assert_allclose(
-            command.pose[rows[on_frame], 2], heave[on_frame] * INCH, atol=1e-15
-        )
-        np.testing.assert_allclose(command.pose[:, 5], np.radians(3.0) * np.arange(2049) / 2048)
-        assert command.pose[:, 2].max() <= 2.0 * INCH * (1 + 1e-12)  # no overshoot
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("time,up\n0,1\n1,1\n", "needed: time and at least one of surge"),
-        ("time,heave\n0,1\n0,1\n", "row 2 does not exceed"),
-        ("time,heave\n0,1\n1,nan\n", "heave: row 2 is empty or not a number"),
-        ("time,heave\n0,a\n1,b\n", "heave: is not a column of numbers"),
-        ("time,heave\n0,1\n", "at least 2 are needed"),
-        ("time,heave,roll_deg\n0,1,2\n1,2,3\n", "one of surge, .* alone"),
-    ],
-)
-def test_broken_file_of_poses_is_refused_by_what_is_wrong(tmp_path, text, message):
-    path = tmp_path / "poses.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_poses(path)
-
-
-@pytest.mark.parametrize(
-    "header", ["Time,Heave,Pitch", "time, heave, pitch", " TIME , HEAVE ,PITCH"]
-)
-def test_capitals_and_blanks_in_a_header_name_the_same_columns(header, tmp_path):
-    """A heave that was not read left a supply that holds where it does not."""
-    rows = "\n0, 0.5, 1\n1, 2, 3\n"
-    paths = [tmp_path / name for name in ("plain.csv", "other.csv")]
-    for path, names in zip(paths, ("time,heave,pitch", header), strict=True):
-        path.write_text(names + rows)
-    plain, other = (read_poses(path).pose for path in paths)
-    np.testing.assert_array_equal(plain, other)
-    assert plain[:, 2].max() == pytest.approx(2.0 * INCH)
-
-
-def test_columns_of_parquet_that_are_not_known_are_named(tmp_path):
-    pq.write_table(
-        pa.table({"time": [0.0, 1.0], "heave": [0.0, 1.0], "Pitch": [0.0, 1.0]}),
-        tmp_path / "poses.parquet",
-    )
-    with pytest.raises(ValueError, match="has the columns time, heave, Pitch; needed: time and"):
-        read_poses(tmp_path / "poses.parquet")
+@pytest.mark.parametrize("name", ["frames.csv", "frames.parquet"])
+def test_frames_of_a_file_are_passed_through(tmp_path, name):
+    time = np.arange(41) / 32.0
+    motion = {dof: 0.01 * (i + 1) * np.sin(np.pi * time) ** 2 for i, dof in enumerate(DOFS)}
+    write_table(pa.table({"time": time} | motion), tmp_path / name)
+    command = manoeuvre(tmp_path / name, "heave")
+    assert command.pose.shape == (2561, 6)
+    np.testing.assert_allclose(command.pose[::64].T, list(motion.values()), atol=1e-12)
 
 
 # The command
@@ -440,7 +386,9 @@ def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[
 def test_command_says_no_and_takes_a_file(tmp_path: Path) -> None:
     """A file's manoeuvre with a criterion just under the set pressure."""
     path = tmp_path / "dive.csv"
-    path.write_text("time,heave\n0,0\n1,0\n2,-15\n3,15\n4,0\n5,0\n")
+    time = np.arange(161) / 32.0
+    motion = dict.fromkeys(DOFS, 0.0 * time) | {"heave": 0.38 * np.sin(0.8 * np.pi * time) ** 3}
+    write_table(pa.table({"time": time} | motion), path)
     code, output = run(
         *("--signal", str(path), "--least-pressure", "1490", "--no-envelope"),
         *("--out", str(tmp_path / "out")),
@@ -457,22 +405,3 @@ def test_command_draws_a_constant_supply(tmp_path: Path) -> None:
     )
     assert code == 0, output
     assert "yes" in output and (tmp_path / "supply.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--signal", "square"), "'square'"),
-        (("--dof", "up"), "'up'"),
-        (("--amplitude", "60 in"), "heave"),
-        (("--least-pressure", "1600"), "least_pressure"),
-        (("--law", "fast"), "'fast'"),
-        (("--hydraulics", "water"), "'water'"),
-    ],
-)
-def test_command_refuses_in_one_line_and_writes_nothing(tmp_path, arguments, message):
-    out = tmp_path / "out"
-    code, output = run(*arguments, "--out", str(out))
-    assert code == 2
-    assert message in output and "Traceback" not in output
-    assert not out.exists()

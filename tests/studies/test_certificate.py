@@ -6,19 +6,17 @@ import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian
-from cmf_mj.studies.certificate.box import COUNTS, SIZE, load_box, save_case
-from cmf_mj.studies.certificate.family import SIZES, Family
-from cmf_mj.studies.certificate.run import QUICK, _attack, certify
+from cmf_mj.studies.certificate import QUICK, _attack, certify, save_case
+from cmf_mj.studies.certificate_family import KINDS, SIZE, SIZES, Family, load_box
 
 POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
 BOX = load_box()
@@ -55,18 +53,18 @@ def test_peaks_are_those_of_the_loop_in_frames(name: str, plant: cmf_mj.Hexapod)
     assert found == pytest.approx(highest, abs=0.1)
 
 
-@pytest.mark.parametrize("kind", [*COUNTS, "all"])
+@pytest.mark.parametrize("kind", [*KINDS, "all"])
 def test_machines_are_those_of_their_files(
     kind: str, plant: cmf_mj.Hexapod, tmp_path: Path
 ) -> None:
     """Each number off alone, then all at once; the files name a machine that is linearised anew."""
     point = np.random.default_rng(5).uniform(-1.0, 1.0, (1, SIZE))
-    parts = np.split(np.arange(SIZE), np.cumsum(list(COUNTS.values()))[:-1])
+    parts = Unknowns(BOX.unknowns).split(np.arange(SIZE))
     if kind != "all":
-        point[:, np.delete(np.arange(SIZE), parts[list(COUNTS).index(kind)])] = 0.0
+        point[:, np.delete(np.arange(SIZE), parts[kind])] = 0.0
     changes = BOX.changes(point)
     law = cmf_mj.load_law("velocity")
-    save_case(tmp_path, "drawn", plant, law, POSE, changes)
+    save_case(tmp_path, "drawn", plant, law, POSE, BOX, changes)
     cab = cmf_mj.load_cab(tmp_path / "cab.toml")
     machine = cmf_mj.Hexapod(cab, tmp_path / "hydraulics.toml")
     exact = least_damping(cmf_mj.load_law(tmp_path / "law.toml"), machine, POSE)
@@ -103,13 +101,6 @@ def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> Non
         assert np.isfinite(_attack(family, BOX, 0.1, point, 1, seed, -1.0)[0])
 
 
-def test_a_law_given_twice_is_refused_before_the_work(tmp_path: Path) -> None:
-    line = ["certify", "velocity", "velocity", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, line)
-    assert result.exit_code == 2
-    assert "laws: velocity, velocity must differ in name" in result.output
-
-
 def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
     """Position error rate feedback with the IFD: nothing is proven, the nominal machine rings."""
     plant = cmf_mj.Hexapod("ifd")
@@ -128,7 +119,7 @@ def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
 
 def test_refused_boxes(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
-    text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate/box.toml").read_text()
-    path.write_text(text.replace("value = 15.0", "value = -1.0"))
+    text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate.toml").read_text()
+    path.write_text(text.replace("deviation = 15.0", "deviation = -1.0"))
     with pytest.raises(InputError, match="drive_lag"):
         load_box(path)

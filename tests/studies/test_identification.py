@@ -119,28 +119,6 @@ def test_command_line_identifies_recordings_and_simulations_alike(
     assert saved["closed_loop"]["law"] == "velocity"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((), "not both and not neither"),
-        (("--simulate", "--dof", "up"), "'up'"),
-        (("--simulate", "--orders", "4,3"), "orders: '4,3' is refused"),
-        (("none.csv",), "none.csv"),
-        (("--simulate", "--plant", "boat"), "'boat'"),
-        (("--simulate", "--law", "fast"), "'fast'"),
-    ],
-)
-def test_command_line_refuses_in_one_line(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["identify", *arguments, "--out", str(out)])
-    assert result.exit_code == 2
-    assert message in result.output
-    assert "Traceback" not in result.output
-    assert not out.exists()
-
-
 def test_bad_methods_and_signals_are_named(records: list[Record]) -> None:
     with pytest.raises(ValueError, match="method: 'magic' is not one of arx, iv, oe"):
         identify(records, "heave", method="magic")

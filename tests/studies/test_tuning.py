@@ -11,11 +11,11 @@ from cmf_mj import load_hydraulics, load_law
 from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
-from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
 from cmf_mj.studies.tuning.search import Requirements, save_law, search

@@ -25,7 +25,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import optimize
-from scipy.stats import qmc
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
@@ -235,13 +234,8 @@ def spread(
     """
     if samples < 2:
         raise InputError(f"samples: {samples} must be at least 2")
-    parameters = study.parameters
-    cube = qmc.LatinHypercube(len(parameters), rng=np.random.default_rng(seed)).random(samples)
-    low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
-    runs = []
-    for row in low + cube * (high - low):
-        drawn = dict(zip((p.name for p in parameters), row.tolist(), strict=True))
-        runs.append(trial.linear_results(study, drawn, laws))
+    drawn = study.unknowns.draw("latin_hypercube", samples, seed)
+    runs = [trial.linear_results(study, values, laws) for values in drawn]
     nominal = trial.linear_results(study, values, laws)
     spreads = []
     for law, measure in product(laws, trial.MEASURES):

@@ -27,6 +27,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Name, Settings, read_toml, validated
 from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine
@@ -49,9 +50,6 @@ MEASURES: dict[Measure, str] = {
 }
 """Fields of `Measures` and `Published` by measure."""
 
-HYDRAULIC = ("leg_speed", "leak_rate", "bulk_modulus", "drive_lag", "valve_lag", "supply_pressure")
-"""Parameters that are quantities of a hydraulic set."""
-
 _Measures = Annotated[tuple[Measure, ...], Field(strict=False)]
 
 
@@ -60,25 +58,11 @@ def computed(measures: Measures, measure: Measure) -> float:
     return float(getattr(measures, MEASURES[measure]))
 
 
-class FreeParameter(Settings):
+class FreeParameter(Unknown):
     """A number of the plant or the law, and the range its source allows."""
 
     name: str
-    """One of `HYDRAULIC`, `derivative_pole` of all laws, or `payload`, a factor."""
-    unit: str
-    low: float
-    high: float
     free: bool = False  #: Fitted; otherwise it only enters the uncertainty.
-    source: str = Field(min_length=1)  #: Where the range comes from.
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "FreeParameter":
-        check_name("name", self.name, (*HYDRAULIC, "derivative_pole", "payload"))
-        if not 0.0 < self.low < self.high:
-            raise InputError(
-                f"{self.name}: low {self.low:g} must be above 0 and below high {self.high:g}"
-            )
-        return self
 
 
 class Row(Settings):
@@ -138,6 +122,11 @@ class CalibrationStudy(Settings):
         return self
 
     @property
+    def unknowns(self) -> Unknowns:
+        """The parameters by name."""
+        return Unknowns((parameter.name, parameter) for parameter in self.parameters)
+
+    @property
     def free(self) -> tuple[FreeParameter, ...]:
         """The parameters that are fitted."""
         return tuple(parameter for parameter in self.parameters if parameter.free)
@@ -176,31 +165,22 @@ _FASTEST_HZ = 30.0
 
 def starting_values(study: CalibrationStudy) -> dict[str, float]:
     """Values of all parameters as the set and the laws ship, in the units of the study."""
-    quantities = load_hydraulics(study.hydraulics).quantities()
-    shipped = {"derivative_pole": load_law("position_error_rate").derivative_pole, "payload": 1.0}
-    shipped |= {
-        p.name: float(units.from_si(p.unit, quantities[p.name].si))
-        for p in study.parameters
-        if p.name in HYDRAULIC
-    }
-    return {p.name: shipped[p.name] for p in study.parameters}
+    oil, law = load_hydraulics(study.hydraulics), load_law("position_error_rate")
+    shipped = {"derivative_pole": law.derivative_pole, "payload": 1.0}
+    for one in study.parameters:
+        if one.path.startswith("hydraulics."):
+            shipped[one.name] = float(units.from_si(one.unit, getattr(oil, one.name).si))
+    return {one.name: shipped[one.name] for one in study.parameters}
 
 
 def hydraulics_of(study: CalibrationStudy, values: Values) -> HydraulicParameters:
     """The study's hydraulic set with the values of a trial, checked."""
-    table = load_hydraulics(study.hydraulics).model_dump(exclude_none=True)
-    for parameter in study.parameters:
-        if parameter.name in values and parameter.name in table:
-            table[parameter.name] |= {"value": values[parameter.name], "unit": parameter.unit}
-    return validated(HydraulicParameters, table, f"calibration: {study.name}")
+    return study.unknowns.apply(values, load_hydraulics(study.hydraulics))
 
 
-def law_of(name: str, values: Values) -> Law:
+def law_of(study: CalibrationStudy, name: str, values: Values) -> Law:
     """A law with the derivative pole of a trial."""
-    law = load_law(name)
-    if "derivative_pole" not in values:
-        return law
-    return law.model_copy(update={"derivative_pole": values["derivative_pole"]})
+    return study.unknowns.apply(values, load_law(name))
 
 
 def plant_of(study: CalibrationStudy, values: Values, cab: str = "") -> Plant:
@@ -208,23 +188,15 @@ def plant_of(study: CalibrationStudy, values: Values, cab: str = "") -> Plant:
 
     Parameters left out are as shipped; `cab` stands in for the study's.
     """
-    hydraulics, factor = hydraulics_of(study, values), values.get("payload", 1.0)
+    hydraulics = hydraulics_of(study, values)
     if study.plant == "single_legs":
-        point = design_point(load_machine())
+        point, factor = design_point(load_machine()), values.get("payload", 1.0)
         return SingleLegs(
             hydraulics,
             effective_mass=factor * point.effective_mass,
             static_load=factor * point.static_load,
         )
-    carried = load_cab(cab or study.cab)
-    if factor != 1.0:
-        platform, cabin = (
-            dict[str, Any](mass=factor * part.mass.si, inertia=factor * part.tensor)
-            for part in (carried.platform, carried)
-        )
-        name = f"{carried.name}, payload {factor:g}"
-        carried = carried.changed(name, platform=platform, nominal=carried.known_as, **cabin)
-    return Hexapod(carried, hydraulics)
+    return Hexapod(study.unknowns.apply(values, load_cab(cab or study.cab)), hydraulics)
 
 
 def linear_results(
@@ -238,8 +210,10 @@ def linear_results(
     linear = Linear(plant_of(study, values))
     if study.plant == "single_legs":
         leg = leg_model(linear.system, 1)
-        return {name: _measure(closed_loop(law_of(name, values), leg), damping) for name in laws}
-    return {name: _measure(linear.loop(law_of(name, values), "heave"), damping) for name in laws}
+        loops = {name: closed_loop(law_of(study, name, values), leg) for name in laws}
+    else:
+        loops = {name: linear.loop(law_of(study, name, values), "heave") for name in laws}
+    return {name: _measure(loop, damping) for name, loop in loops.items()}
 
 
 def _measure(loop: control.StateSpace, step: bool) -> Measures:
@@ -259,7 +233,7 @@ def _unjudged(measures: Measures, widths: Bandwidths) -> Measures:
 
 def least_damping(study: CalibrationStudy, values: Values) -> dict[str, float]:
     """Smallest damping ratio of the velocity law's loop, all degrees of freedom, for each cab."""
-    law = law_of("velocity", values)
+    law = law_of(study, "velocity", values)
     loops = {cab: Linear(plant_of(study, values, cab)).leg_loop(law) for cab in study.stable_cabs}
     return {cab: least_damped_mode(loop.poles(), _FASTEST_HZ)[0] for cab, loop in loops.items()}
 
@@ -280,7 +254,7 @@ def simulated_results(
     if values.get("payload", 1.0) != 1.0:
         raise InputError(f"payload: {values['payload']} must be 1 in a simulation")
     machine: Any = ("heave", study.plant, study.cab or "gfd", hydraulics_of(study, values))
-    cases = [make_case(law_of(name, values), *machine, quick=quick) for name in laws]
+    cases = [make_case(law_of(study, name, values), *machine, quick=quick) for name in laws]
     return {
         result.case.law.name: _unjudged(result.measures, bandwidths(result.response))
         if result.response is not None
@@ -302,7 +276,7 @@ def simulated_stability(
     study: CalibrationStudy, values: Values, *, dofs: Sequence[str] = DOFS, jobs: int | None = None
 ) -> list[StepVerdict]:
     """Steps of 1 in or 0.6 deg of the velocity law with every cab of the study."""
-    hydraulics, law = hydraulics_of(study, values), law_of("velocity", values)
+    hydraulics, law = hydraulics_of(study, values), law_of(study, "velocity", values)
 
     def run(cab_and_dof: tuple[str, str]) -> StepVerdict:
         cab, dof = cab_and_dof

@@ -28,7 +28,8 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import dof_model, limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
-from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters
+from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.studies.case import make_case
@@ -53,6 +54,9 @@ _LINES = np.array([1.0, 3.0, 5.0])
 _PAIR_HZ = (4.0, 25.0)
 """Where the leg's pair of poles is looked for."""
 
+_SUPPLY = Unknowns(
+    ratio=Unknown(path="hydraulics.supply", low=0.1, high=10.0, source="section 3.4.2")
+)
 _FARTHEST = 8.0
 """Deviations that count for a quantity a machine does not have, such as a missing overshoot."""
 
@@ -158,11 +162,8 @@ def oscillation_g(
     Simulated on single legs with a hydraulic set, a step of 1 in in heave.
     """
     parameters = load_hydraulics(hydraulics)
-    ratio, update = supply_pressure / parameters.supply_pressure.value, {}
-    for name in ("supply_pressure", *OF_THE_SUPPLY):
-        was = getattr(parameters, name)
-        update[name] = was.model_copy(update={"value": ratio * was.value})
-    changed = parameters.model_copy(update=update)
+    ratio = supply_pressure / parameters.supply_pressure.value
+    changed = _SUPPLY.apply({"ratio": ratio}, parameters)
     case = make_case("force", "heave", "single_legs", hydraulics=changed)
     return limit_cycle(case.run(case.step(), every=1))[2]
 

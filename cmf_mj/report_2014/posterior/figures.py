@@ -45,9 +45,9 @@ def unknown_figure(results: Results) -> Figure:
             values, bins, weights=weights, histtype="step", color=COLOURS[0], label="all evidence"
         )
         axis.set(xlabel=_title(results, name), yticks=[])
-        if one.scale == "log":
+        if one.distribution == "loguniform":
             axis.set_xscale("log")
-            _log_ticks(axis.xaxis, one.low, one.high)
+            _log_ticks(axis.xaxis, *one.at([0.0, 1.0]))
     legend(axes[0])
     for axis in axes[len(unknowns) :]:
         axis.set_visible(False)
@@ -99,7 +99,7 @@ def limits_figure(results: Results) -> Figure:
                     axis.contour(across, up, ratio.T, [0.0], colors=[colour], linewidths=1.6)
             ends = {"xlim": (across[0], across[-1]), "ylim": (up[0], up[-1])}
             axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof, **ends)
-            if results.study.settings.unknowns[y].scale == "log":
+            if results.study.settings.unknowns[y].distribution == "loguniform":
                 axis.set_yscale("log")
                 _log_ticks(axis.yaxis, up[0], up[-1])
     for law, colour in zip(laws, COLOURS, strict=False):

@@ -24,6 +24,7 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.units import FRAME
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import evidence, sampling
@@ -134,7 +135,7 @@ def run_posterior(
         sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
     )
     every -= settings.kept - len(kept)
-    chosen = [({name: drawn[i][name] for name in settings.unknowns}, int(i)) for i in kept]
+    chosen = [(Unknowns(settings.unknowns).of(drawn[i]), int(i)) for i in kept]
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})

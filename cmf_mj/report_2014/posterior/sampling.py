@@ -18,7 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
-from scipy.stats import qmc
+
+from cmf_mj.facility.unknowns import cube
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ _EDGE = 1e-6
 
 def first_round(count: int, size: int, seed: int) -> Array:
     """Points of the prior, (count, size): Sobol's sequence, scrambled."""
-    return _normal(qmc.Sobol(size, rng=np.random.default_rng(seed)).random(count))
+    return _normal(cube("sobol", count, size, seed))
 
 
 def quantiles(points: Array) -> Array:
@@ -59,7 +60,7 @@ class Round:
         """Its points, (count, k)."""
         generator = np.random.default_rng(self._seed)
         size = self._mean.size
-        uniform = qmc.Sobol(size + 1, rng=generator).random(self._count)
+        uniform = cube("sobol", self._count, size + 1, generator)
         points = _normal(uniform[:, :size])
         chi = stats.chi2.ppf(np.clip(uniform[:, size], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
         place, limit, begin = generator.random(self._count), stats.norm.ppf(1.0 - _EDGE), 0.0

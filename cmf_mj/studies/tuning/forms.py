@@ -147,11 +147,6 @@ def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(float(f"{v:.4g}") for v in values)
 
 
-def _plan_reach(at: Values) -> float:
-    """Where the acceleration of the plan's reference ends: w^2 a <= A."""
-    return min(at["acceleration_heavy"], at["acceleration_light"])
-
-
 def _modal(template: Template, **fields: object) -> Law:
     common = {"name": template.name, "title": template.title, "modes": template.modes}
     return Law.model_validate(common | {"coordinates": "hydraulic_modes"} | fields)
@@ -268,7 +263,7 @@ FORMS: Mapping[str, Form] = {
         (14.3, 0.506, 58.0, 1.0, 6.7, 6.18, 6.92, 46.0, 41.0, 6.75, 0.0, 2.88, 0.0),
         _modal_plan,
         spread=0.05,
-        reach=_plan_reach,
+        reach=lambda at: min(at["acceleration_heavy"], at["acceleration_light"]),  # w^2 a <= A
     ),
     "velocity": Form(_OUTER, (25.5, 3.1), _on_velocity),
     "pressure": Form(

@@ -147,26 +147,3 @@ def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
         "response.png",
         "summary.json",
     ]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["measure"], "files: name recordings, or use --simulate"),
-        (["measure", "missing.csv"], "missing.csv"),
-        (["measure", "notes.txt"], "ending '.txt' is not one of .csv, .parquet"),
-        (["measure", "--simulate", "--plant", "boat"], "plant: 'boat'"),
-        (["measure", "a.csv", "--estimator", "h3"], "estimator: 'h3' is not one of h1"),
-        (["measure", "--record", "--dof", "up"], "dof: 'up' is not one of surge"),
-        (["measure", "--record", "--law", "fast"], "law: 'fast'"),
-        (["measure", "--record", "--amplitude", "60 in"], "heave"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused(
-    arguments: list[str], message: str, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, [*arguments, "--out", str(out)])
-    assert result.exit_code == 2, result.output
-    assert message in result.output
-    assert not out.exists()

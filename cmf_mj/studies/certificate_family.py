@@ -1,5 +1,8 @@
 """All machines of a box in one pose under a law, as one loop with parameters.
 
+The box of a scale s holds the machines whose numbers are off by at most s times its values, each on
+its own. A corner of it is a point of +-1.
+
 The machine at rest in the pose, linearised as `linear.assembly` does, changes by factors:
 
     drives, spools    their rows                   oil      rows of both chambers
@@ -20,10 +23,13 @@ gravity's stiffness and the content of the oil change with the cab.
 from collections.abc import Mapping
 from functools import cached_property
 from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
 
 import control
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 from scipy import linalg
 
 from cmf_mj.analysis.linear.binding import bound
@@ -34,12 +40,84 @@ from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.structured import Uncertain
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.certificate.box import COUNTS, Box
 
 Array = NDArray[np.float64]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+KINDS = {
+    "drive_lag": ("hydraulics.actuators.*.drive_lag", 6),
+    "valve_lag": ("hydraulics.actuators.*.valve_lag", 6),
+    "valve_gain": ("hydraulics.actuators.*.valve_gain", 6),
+    "leak_rate": ("hydraulics.actuators.*.leakage", 6),
+    "bulk_modulus": ("hydraulics.bulk_modulus", 1),
+    "supply_pressure": ("hydraulics.supply", 1),
+    "cab_mass": ("cab.mass", 1),
+    "cab_place": ("cab.centre_of_mass", 3),
+    "cab_inertia": ("cab.inertia", 1),
+}
+"""Paths of the unknowns and how many numbers each has, in the order of a point of the box."""
+
+SIZE = sum(count for _, count in KINDS.values())
+
+WIDEST = 0.6
+"""Largest deviation of a factor: at `LARGEST`, numbers stay positive."""
+
+LARGEST = 1.3
+"""Largest scale: numbers stay positive, and closed valves hold every leg."""
+
+
+class Box(Settings):
+    """The unit box: how far a number may be off either way."""
+
+    title: str
+    pose_share: Share  #: Of an axis alone over its operational limit.
+    corner_share: Share  #: Of all axes at once.
+    unknowns: dict[str, Unknown]  #: Those of `KINDS`, each with a deviation.
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Box":
+        paths = [(name, one.path) for name, one in self.unknowns.items()]
+        if paths != [(name, path) for name, (path, _) in KINDS.items()]:
+            allowed = f"allowed: {', '.join(KINDS)}, in this order, with their paths"
+            raise InputError(f"unknowns: {', '.join(self.unknowns)} are refused; {allowed}")
+        for name, one in self.unknowns.items():
+            most = WIDEST if one.effect == "factor" else np.inf
+            if one.distribution != "uniform" or not 0.0 < one.half <= most:
+                allowed = f"a uniform deviation of at most {100.0 * WIDEST:g} %"
+                raise InputError(f"unknowns.{name}: is refused; allowed: {allowed}")
+        return self
+
+    def changes(self, points: Array) -> dict[str, Array]:
+        """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count)."""
+        parts = Unknowns(self.unknowns).split(points)
+        return {name: self.unknowns[name].half * part for name, part in parts.items()}
+
+    def values(self, changes: Mapping[str, Array]) -> dict[str, Any]:
+        """Values of the unknowns in a machine with changes (1, count), in axes of the cab."""
+        found = {name: change + 1.0 for name, change in changes.items()}
+        return Unknowns(self.unknowns).shaped(found | {"cab_place": FLIP * changes["cab_place"]})
+
+    def poses(self, plant: Hexapod) -> Array:
+        """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
+        low, high = load_motion_limits(machine=plant.machine).operational.T
+        ends = np.vstack([np.diag(high), np.diag(low)]) * self.pose_share
+        signs = np.array([(*s, s[1], s[0], s[2]) for s in product((-1.0, 1.0), repeat=3)])
+        corners = self.corner_share * np.where(signs > 0.0, high, low)
+        return np.vstack([np.zeros(6), ends, corners])
+
+
+def load_box(source: str | Path | None = None) -> Box:
+    """The shipped unit box, or one from a TOML file."""
+    path = Path(__file__).with_name("certificate.toml") if source is None else Path(source)
+    return validated(Box, read_toml(path), path.name)
+
 
 _SHARES = np.linspace(0.02, 0.98, 193)
 """Pressures over the supply's at which kappa is tabulated."""
@@ -223,8 +301,9 @@ def _corners(box: Box, scale: float) -> dict[str, Array]:
     signs = np.array(list(product((-1.0, 1.0), repeat=4)))
     cabs = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
     rest = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))  # supply and gains
-    at = dict(zip(COUNTS, np.cumsum([0, *COUNTS.values()]), strict=False))
-    points = np.ones((len(cabs) * len(rest), sum(COUNTS.values())))
+    counts = [count for _, count in KINDS.values()]
+    at = dict(zip(KINDS, np.cumsum([0, *counts]), strict=False))
+    points = np.ones((len(cabs) * len(rest), SIZE))
     points[:, at["cab_mass"] : at["cab_inertia"]] = np.repeat(cabs, len(rest), axis=0)
     high, gains = np.tile(rest, (len(cabs), 1)).T[:, :, None]
     points[:, [at["supply_pressure"]]] = high

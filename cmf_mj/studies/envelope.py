@@ -38,8 +38,8 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.peaks import command_limits
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
-from cmf_mj.studies.capacity.verdict import least_allowed, relief_flow
+from cmf_mj.studies.asymptotes import Asymptotes, asymptotes
+from cmf_mj.studies.capacity import least_allowed, relief_flow
 
 FREQUENCIES = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0, 6.3, 10.0)
 """Frequencies of the envelope [Hz], five a decade (R5 series)."""

@@ -12,21 +12,28 @@ All is linear. The simulation replays the machine that fails first, a little bey
 """
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from scipy import optimize
-from scipy.stats import qmc
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
-from cmf_mj.core.files import in_folder
+from cmf_mj.core.files import in_folder, write_text
+from cmf_mj.facility.scenario.library import load_scenario
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.unknowns import Unknowns, cube
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.certificate.box import LARGEST, SIZE, Box, replayed, save_case
-from cmf_mj.studies.certificate.family import SIZES, Family
+from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
+from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, Box, Family
+from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 
@@ -106,15 +113,15 @@ def certify(
 
     Raises `InputError` as `Family` does.
 
-    >>> from cmf_mj.studies.certificate.box import load_box
-    >>> from cmf_mj.studies.certificate.run import certify
+    >>> from cmf_mj.studies.certificate_family import load_box
+    >>> from cmf_mj.studies.certificate import certify
     >>> plant, law = cmf_mj.Hexapod("ifd"), cmf_mj.load_law("velocity")
     >>> result = certify(plant, law, Path("out/certify"), load_box())
     >>> 0.15 < result.proven < result.broken < 0.25
     True
     """
     poses = [_pose(plant, law, box, pose) for pose in box.poses(plant)[: effort.poses]]
-    points = qmc.LatinHypercube(SIZE, rng=np.random.default_rng(seed)).random(effort.samples)
+    points = cube("latin_hypercube", effort.samples, SIZE, seed)
     drawn, worst, peaks = [], [], []
     for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
         parts = np.array_split(some, len(some) // _CHUNK + 1)
@@ -145,7 +152,7 @@ def certify(
     swing = []
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
         changes = box.changes(factor * min(scale, LARGEST) * point[None])
-        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, changes)
+        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, box, changes)
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
     highest = float(max(peaks)) if every.min() > 0.0 else np.inf
@@ -175,7 +182,7 @@ def _break(
     for start in range(effort.starts):
         pose, point = begins[start % len(begins)]
         if start >= len(begins):
-            point = generator.choice([-1.0, 1.0], SIZE)
+            point = 2.0 * cube("corners", 1, SIZE, generator)[0] - 1.0
         while True:
             damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
             if damping > 0.0:
@@ -216,3 +223,55 @@ def _attack(
         if found.min() < best[0]:
             best = float(found.min()), points[found.argmin()]
     return best
+
+
+def save_case(
+    folder: Path,
+    name: str,
+    plant: Hexapod,
+    law: Law,
+    pose: Array,
+    box: Box,
+    changes: Mapping[str, Array],
+) -> Path:
+    """Write a machine with its law as files, and the scenario that `cmf run` replays it by.
+
+    The law knows the nominal cab. The run begins in the pose and steps all axes by a small step.
+    """
+    cab, oil, tables = plant.cab_parameters, plant.parameters, []
+    assert cab is not None
+    for part in (oil, cab):
+        changed = Unknowns(box.unknowns).apply(box.values(changes), part, name)
+        before, after = (
+            one.model_dump(mode="json", exclude_none=True, exclude={"nominal", "name"})
+            for one in (part, changed)
+        )
+        tables.append({field: value for field, value in after.items() if value != before[field]})
+    modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
+    known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
+    save_law(known_law, in_folder(folder, "law.toml"))
+    steps = [
+        {"kind": "step", "dof": dof, "amplitude": [float(SMALL * size), unit], "at": 0.5}
+        for dof, size, unit in zip(DOFS, REPORT_AMPLITUDES, 3 * ("m",) + 3 * ("rad",), strict=True)
+    ]
+    stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
+    files: dict[str, dict[str, Any]] = {
+        "hydraulics.toml": {"base": oil.name, name: tables[0]},
+        "cab.toml": {"base": cab.name, name: tables[1]},
+        "scenario.toml": {
+            "title": f"{law.title}: the machine of its certificate that breaks it",
+            **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},
+            **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
+        },
+    }
+    for file, table in files.items():
+        write_text(folder / file, tomlkit.dumps(table))
+    return folder / "scenario.toml"
+
+
+def replayed(path: Path) -> float:
+    """Swing of the legs left at the end of a case over its largest leg step, in the simulation."""
+    try:
+        return float(swings(run_scenario(load_scenario(path)))["last"])
+    except FloatingPointError:  # it left the bounds of the model
+        return float("inf")

@@ -8,11 +8,8 @@ pressure. A leg that carries the load F moves at a speed in proportion to the ro
 across its ports. At 0.8 of 1500 psi and 7200 lbf the root, and the loop gain, has fallen by 13 %,
 as far as the report's fits to its hardware differ (Eqs 4.4, 4.12, 4.15, 4.18).
 
-Manoeuvres by name or from a file of poses, in the field's units at this edge.
-
-A file has a column `time` [s] and one for each degree of freedom that moves, `surge`, `sway`,
-`heave` [in], `roll`, `pitch`, `yaw` [deg], z down. Rows are joined by a monotone cubic (PCHIP),
-which neither overshoots nor jumps in velocity, and sampled at 2048 Hz.
+Manoeuvres go by name, or come from a file of a host's frames: time and six poses in SI, joined by
+quintics.
 """
 
 from pathlib import Path
@@ -20,24 +17,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 
 from cmf_mj import signals
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
-from cmf_mj.core.files import read_column, read_table
-from cmf_mj.core.units import RATE
+from cmf_mj.core.settings import validated
 from cmf_mj.facility.run import simulate
+from cmf_mj.facility.scenario.signal import HostFile
 from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.geometry import DOFS, dof_index, dof_unit
+from cmf_mj.machine.geometry import dof_unit
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command, Other
+from cmf_mj.signals.signal import Command
 from cmf_mj.studies.failure import Peak, extreme
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
@@ -58,7 +54,7 @@ def manoeuvre(
 ) -> Command:
     """A manoeuvre by name or file.
 
-    `name` is one of `SIGNALS`, or a CSV or Parquet file of poses. `amplitude` [m or rad] and
+    `name` is one of `SIGNALS`, or a CSV or Parquet file of frames. `amplitude` [m or rad] and
     `frequency` [Hz], the highest of a chirp, of noise and of a multisine, are for named signals.
     """
     kind = str(name)
@@ -66,7 +62,9 @@ def manoeuvre(
         for field, value in (("amplitude", amplitude), ("frequency", frequency)):
             if value is not None:
                 raise InputError(f"{field}: {value:g} is not allowed; a file of poses has its own")
-        return read_poses(name)
+        if Path(kind).suffix not in (".csv", ".parquet"):
+            raise unknown_name("signal", kind, SIGNALS, " nor a .csv or .parquet file")
+        return validated(HostFile, {"kind": "host", "file": kind}, "signal").command()
     size = units.to_si(dof_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
     if kind == "step":
         if frequency is not None:
@@ -82,39 +80,6 @@ def manoeuvre(
         options["fade"] = 1.0 if kind == "chirp" else 2.0
     command: Command = getattr(signals, kind)(dof, size, **options)
     return command
-
-
-def read_poses(path: str | Path) -> Command:
-    """Read a command from a CSV or Parquet file of poses."""
-    source = Path(path)
-    if source.suffix not in (".csv", ".parquet"):
-        raise unknown_name("signal", str(path), SIGNALS, " nor a .csv or .parquet file")
-    table = read_table(source)
-    moved = [name for name in DOFS if name in table.column_names]
-    odd = set(table.column_names) - {"time", *DOFS}
-    if "time" not in table.column_names or not moved or odd:
-        raise InputError(
-            f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
-            f"least one of {', '.join(DOFS)} alone"
-        )
-    columns = {name: read_column(source, table, name) for name in ("time", *moved)}
-    for name, values in columns.items():
-        for row in np.flatnonzero(~np.isfinite(values)):
-            raise InputError(f"{source}: {name}: row {row + 1} is not a finite number")
-    time = columns["time"]
-    if time.size < 2:
-        raise InputError(f"{source}: has {time.size} rows; at least 2 are needed")
-    for row in np.flatnonzero(np.diff(time) <= 0.0):
-        raise InputError(
-            f"{source}: time: {time[row + 1]:g} s in row {row + 2} does not exceed "
-            f"{time[row]:g} s before it"
-        )
-    frames = time[0] + np.arange(int(np.floor((time[-1] - time[0]) * RATE + 1e-6)) + 1) / RATE
-    pose = np.zeros((frames.size, 6))
-    for name in moved:
-        history = units.to_si(dof_unit(name), columns[name])
-        pose[:, dof_index(name)] = PchipInterpolator(time, history)(np.minimum(frames, time[-1]))
-    return Command(pose, Other(kind="file", file=source.name, moved=moved))
 
 
 LEAST_PRESSURE = 0.8

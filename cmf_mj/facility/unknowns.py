@@ -1,0 +1,399 @@
+"""Unknowns: numbers of a machine that nobody knows exactly, by path, with what is known of each.
+
+    path                                       the number
+    hydraulics.leg_speed                       of a hydraulic set: of all actuators, oil or supply
+    hydraulics.supply                          its pressure and the pressures in proportion to it
+    hydraulics.actuators.leg_3.leg_speed       of one actuator; with * one of each
+    hydraulics.actuators.*.valve_1.null_bias   of one valve; with valve_* one of each
+    hydraulics.actuators.*.valve_gain          speed over the root of the supply pressure
+    hydraulics.actuators.*.leakage             leak rate over the bulk modulus
+    cab.mass, platform.mass, legs.mass         with the inertia, where that is no unknown too
+    cab.inertia, cab.density                   the inertia alone; mass and inertia together
+    cab.centre_of_mass.z                       z up; without an axis all three
+    payload.density                            mass and inertia of platform and cab
+    law.derivative_pole                        any number of a law; machine.legs.half_stroke, any of
+    electronics.leg_position.gain_errors.*     a machine; of each sensor of a channel
+
+An unknown lies between bounds, or deviates from what is nominal. With u from 0 to 1, z normal and
+cut off at `LIMIT` deviations, s the deviation,
+
+    uniform     low + u (high - low)     or  x = s (2 u - 1)        normal     x = s z
+    loguniform  low (high / low)^u                                  lognormal  1 + x = exp(s z)
+
+It is the number itself (`value`), a `factor` on the nominal one, for a deviation 1 + x, or an
+`offset` to it. Points of the unit cube come from a sampler, `cube`, or for each name a stream of
+its own, `streams`, so that an unknown added later leaves the others as they were.
+"""
+
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, cast
+
+import numpy as np
+import tomlkit
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+from scipy import stats
+from scipy.stats import qmc
+
+from cmf_mj.control.law import Law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.files import write_text
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Settings, read_toml, user_file, validated
+from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings
+from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.parameters.hydraulics import (
+    ACTUATOR_FIELDS,
+    OF_THE_SUPPLY,
+    VALVE_FIELDS,
+    VALVES,
+    HydraulicParameters,
+)
+
+Array = NDArray[np.float64]
+Part = TypeVar("Part", bound=Settings)
+
+LIMIT = 2.0
+"""Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
+
+LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
+
+_DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
+"""What goes with another number too, and the number of the set that it changes."""
+
+_FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
+
+
+_NO_NUMBERS = {"name", "supply", "actuators"}
+_PATH = re.compile(
+    rf"hydraulics\.({'|'.join(HydraulicParameters.model_fields.keys() - _NO_NUMBERS)}|supply)"
+    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.({'|'.join([*ACTUATOR_FIELDS, *_DERIVED])})"
+    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
+    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)"
+    r"|legs\.mass|payload\.density"
+    rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
+    rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6])"
+    r"|electronics\.(leg_\w+|cap_pressure|rod_pressure)\.gain_errors\.\*"
+)
+
+
+class Unknown(Settings):
+    """A number, or one of each leg or valve, and what is known of it."""
+
+    path: str  #: As the head of this module lists them.
+    distribution: Literal["uniform", "loguniform", "normal", "lognormal"] = "uniform"
+    low: float | None = None  #: Lower bound, in `unit`.
+    high: float | None = None  #: Upper bound.
+    deviation: Annotated[float, Field(gt=0.0)] | None = None
+    """In the stead of bounds: half width of a uniform distribution, standard deviation of a normal
+    one before it is cut off, that of the logarithm; in `unit`."""
+    unit: str = "%"  #: As in the files; 1 for a factor between bounds.
+    effect: Literal["value", "factor", "offset"] = "factor"
+    status: Literal["stated", "derived", "calibrated", "assumed"] = "assumed"
+    """How the range is known."""
+    source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Unknown":
+        units.factor(self.unit)
+        if not _PATH.fullmatch(self.path):
+            raise InputError(
+                f"path: {self.path!r} is refused; allowed: hydraulics.FIELD, "
+                "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
+                "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
+            )
+        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
+            raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
+        log, low, high = self.distribution == "loguniform", self.low, self.high
+        if self.deviation is None and "normal" not in self.distribution:
+            if low is None or high is None or not low < high or (log and low <= 0.0):
+                raise InputError(
+                    f"{low} to {high} is refused; low must be less than high, and greater than 0 "
+                    "on a log scale"
+                )
+        elif self.deviation is None or log or self.effect == "value" or (low, high) != (None, None):
+            raise InputError(
+                "deviation: goes with uniform, normal or lognormal and the effects factor or "
+                "offset, without low and high"
+            )
+        elif self.effect == "factor" and self.half >= 1.0:
+            raise InputError(f"deviation: {self.deviation:g} {self.unit} must be less than 1")
+        return self
+
+    @property
+    def half(self) -> float:
+        """The deviation in SI."""
+        return units.to_si(self.unit, self.deviation or 0.0)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of its values on a machine."""
+        legs = (len(LEGS),) if "*" in self.path.split(".") else ()
+        valves = (len(VALVES),) if ".valve_*." in self.path else ()
+        return legs + valves + ((3,) if self.path.endswith(".centre_of_mass") else ())
+
+    def at(self, quantile: ArrayLike) -> Array:
+        """The value below which a share of them lies: in `unit`, a factor, an offset in SI."""
+        share = np.asarray(quantile)
+        if self.low is not None and self.high is not None:
+            if self.distribution == "loguniform":
+                value = self.low * (self.high / self.low) ** share
+            else:
+                value = self.low + (self.high - self.low) * share
+            return units.to_si(self.unit, value) if self.effect == "offset" else np.asarray(value)
+        if self.distribution == "uniform":
+            off = self.half * (2.0 * share - 1.0)
+        else:
+            off = self.half * stats.truncnorm.ppf(share, -LIMIT, LIMIT)
+        off = np.expm1(off) if self.distribution == "lognormal" else off
+        return np.asarray(1.0 + off if self.effect == "factor" else off)
+
+    def number(self, nominal: Any, value: Any) -> Any:
+        """A number in SI with a value of the unknown."""
+        if self.effect == "value":
+            return units.to_si(self.unit, value)
+        return nominal * value if self.effect == "factor" else nominal + value
+
+    def changed(self, nominal: Quantity, value: float) -> dict[str, Any]:
+        """A quantity with a value of the unknown, as files state it."""
+        unit = nominal.unit
+        match self.effect:
+            case "value":
+                unit = self.unit
+            case "offset":
+                value = nominal.value + value * (1.0 / units.factor(unit))
+            case _:
+                value = nominal.value * value
+        return {"value": value, "unit": unit, "status": self.status, "source": self.source}
+
+
+Values = Mapping[str, Any]
+"""Values of unknowns by name: numbers, or arrays where each leg or valve has its own."""
+
+SAMPLERS = ("random", "sobol", "latin_hypercube", "corners")
+
+
+def cube(sampler: str, count: int, size: int, seed: Any) -> Array:
+    """Points of the unit cube, (count, size).
+
+    Of the corners all in their order where there are no more than `count`, else random ones.
+
+    >>> cube("corners", 4, 2, seed=0).tolist()
+    [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
+    """
+    generator = np.random.default_rng(seed)
+    match check_name("sampler", sampler, SAMPLERS):
+        case "sobol":
+            return np.asarray(qmc.Sobol(size, rng=generator).random(count))
+        case "latin_hypercube":
+            return np.asarray(qmc.LatinHypercube(size, rng=generator).random(count))
+        case "corners" if count >= 2**size:
+            return np.array(list(product((0.0, 1.0), repeat=size)))
+        case "corners":
+            return generator.choice([0.0, 1.0], (count, size))
+    return generator.random((count, size))
+
+
+class Unknowns(dict[str, Unknown]):
+    """Unknowns by name, drawn together and applied to what a machine is made of.
+
+    >>> gains = load_unknowns("valve_gains")
+    >>> values = gains.draw("random", 1, seed=1)[0]
+    >>> machine = gains.apply(values, cmf_mj.load_hydraulics("hardware"), "mine")
+    >>> round(machine.actuator("leg_1")["leg_speed"].value / machine.leg_speed.value, 3)
+    1.002
+    """
+
+    def split(self, points: Array) -> dict[str, Array]:
+        """Coordinates of points (..., n) by name, (..., numbers of it)."""
+        sizes = [int(np.prod(one.shape)) for one in self.values()]
+        parts = np.split(points, np.cumsum(sizes)[:-1], axis=-1)
+        return dict(zip(self, parts, strict=True))
+
+    def at(self, point: Array) -> dict[str, Any]:
+        """Values at a point of the unit cube, (n,)."""
+        parts = self.split(point).items()
+        return self.shaped({name: self[name].at(part) for name, part in parts})
+
+    def shaped(self, parts: Mapping[str, Array]) -> dict[str, Any]:
+        """Values of one machine in the shapes that `apply` takes."""
+        shapes = {name: one.shape for name, one in self.items()}
+        return {k: v.reshape(shapes[k]) if shapes[k] else v.item() for k, v in parts.items()}
+
+    def draw(self, sampler: str, count: int, seed: Any) -> list[dict[str, Any]]:
+        """Values of so many machines; see `cube`."""
+        size = sum(int(np.prod(one.shape)) for one in self.values())
+        return [self.at(point) for point in cube(sampler, count, size, seed)]
+
+    def streams(self, seed: int, draw: int) -> dict[str, Any]:
+        """Values of a machine, each name from a stream keyed by seed, draw and name."""
+        values = {}
+        for name, one in self.items():
+            key = np.random.SeedSequence(seed, spawn_key=(draw, zlib.crc32(name.encode())))
+            values[name] = one.at(np.random.default_rng(key).random(one.shape))
+        return values
+
+    def of(self, row: Values) -> dict[str, Any]:
+        """Values that are given, such as a row of a posterior's."""
+        for name in self:
+            check_name("row", name, row)
+        return {name: row[name] for name in self}
+
+    def gain_errors(self, values: Values) -> dict[str, Array]:
+        """Gain errors of sensors, (n,) by channel."""
+        end = ".gain_errors.*"
+        asked = {one.path: known for known, one in self.items() if known in values}
+        return {p.split(".")[1]: values[known] for p, known in asked.items() if p.endswith(end)}
+
+    def apply(self, values: Values, part: Part, name: str | None = None) -> Part:
+        """A cab, hydraulic set, law, machine or set of sensors with these values.
+
+        What `values` leave out changes nothing. Laws take a changed cab for the nominal one. `name`
+        is that of the new part. Raises `InputError` for a number that the part cannot have.
+        """
+        roots = next(roots for kind, roots in _ROOTS.items() if isinstance(part, kind))
+        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
+        given = {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
+        if all(one.effect == "factor" and np.all(x == 1.0) for one, x in given.values()):
+            return part
+        match part:
+            case HydraulicParameters():
+                made: Any = _hydraulics(given, part, name or part.name)
+            case Cab():
+                made = _cab(given, part, name or f"{part.name}_drawn")
+            case _:
+                made = part if name is None else part.model_copy(update={"name": name})
+                for path, (one, value) in given.items():
+                    made = _replaced(made, path.split(".")[1:], one, value)
+                made = validated(type(part), dict(made), f"{made.name} with unknowns")
+        return cast("Part", made)
+
+    def save(self, path: Path) -> Path:
+        """Write a file that `load_unknowns` reads."""
+        tables = {k: one.model_dump(mode="json", exclude_defaults=True) for k, one in self.items()}
+        return write_text(path, tomlkit.dumps({"unknowns": tables}))
+
+
+_ROOTS: dict[type[Settings], tuple[str, ...]] = {
+    Cab: ("cab", "platform", "legs", "payload"),
+    HydraulicParameters: ("hydraulics",),
+    Law: ("law",),
+    Machine: ("machine",),
+    SensorSettings: ("electronics",),
+}
+_Given = Mapping[str, tuple[Unknown, Any]]
+
+
+def _hydraulics(given: _Given, base: HydraulicParameters, name: str) -> HydraulicParameters:
+    """A hydraulic set: first what all have in common, then what actuators have of their own."""
+    table = base.model_dump(exclude_none=True)
+    ratio = {"supply_pressure": 1.0, "bulk_modulus": 1.0}
+    own = {path: entry for path, entry in given.items() if ".actuators." in path}
+    for path, (one, value) in given.items():
+        if path not in own:
+            asked = path.split(".")[1]
+            field = "supply_pressure" if asked == "supply" else asked
+            before: Quantity = getattr(base, field)
+            table[field] = one.changed(before, float(value))
+            factor = one.effect == "factor"
+            ratio[field] = value if factor else Quantity(**table[field]).si / before.si
+            for other in OF_THE_SUPPLY if asked == "supply" else ():
+                table[other] |= {"value": float(table[other]["value"] * ratio[field])}
+    scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}
+    for path, (one, value) in own.items():
+        _, _, who, *valve, asked = path.split(".")
+        names, valves = LEGS if who == "*" else (who,), VALVES if "valve_*" in valve else valve
+        rows = np.reshape(value, (len(names), max(1, len(valves)))) * scale.get(asked, 1.0)
+        field = _DERIVED.get(asked, asked)
+        for actuator, row in zip(names, rows, strict=True):
+            changes = table["actuators"].setdefault(actuator, {})
+            for which, x in zip(valves or [""], row, strict=True):
+                before = base.actuator(actuator, VALVES.index(which) if which else None)[field]
+                at = changes.setdefault(which, {}) if which else changes
+                at[field] = one.changed(before, float(x))
+    return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
+
+
+def _cab(given: _Given, base: Cab, name: str) -> Cab:
+    bodies: dict[str, dict[str, Any]] = {}
+    for body, part in (("cab", base), ("platform", base.platform)):
+        factor = {path: value for path, (_, value) in given.items()}
+        dense = factor.get(f"{body}.density", 1.0) * factor.get("payload.density", 1.0)
+        inertia = dense * factor.get(f"{body}.inertia", 1.0)
+        own = {f"{body}.inertia", f"{body}.density", "payload.density"} & given.keys()
+        table = {"inertia": inertia * part.tensor} if own else {}
+        mass, place = dense * part.mass.si, np.array(part.centre_of_mass.si)
+        for path, (one, value) in given.items():
+            if path == f"{body}.mass":
+                mass = one.number(mass, value)
+            elif path.startswith(f"{body}.centre_of_mass"):
+                at = slice(None) if path.endswith("mass") else "xyz".index(path[-1])
+                place[at] = one.number(place[at], value)
+                table["centre_of_mass"] = place
+        if mass != part.mass.si:
+            table["mass"] = mass
+        bodies[body] = table
+    legs = given["legs.mass"][1] if "legs.mass" in given else 1.0
+    cab, platform = bodies.values()
+    return base.changed(name, platform=platform, leg_mass=legs, nominal=base.known_as, **cab)
+
+
+def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
+    """Settings with the number at a path changed."""
+    name, *rest = path
+    field = getattr(part, name, None)
+    if rest and isinstance(field, list):
+        chosen = dict(enumerate(value)) if rest == ["*"] else {int(rest[0]) - 1: value}
+        exact = Quantity(value=0.0, unit="1", status="assumed", source="ideal")
+        every = list(field) or [exact] * (len(chosen) if rest == ["*"] else len(LEGS))
+        for index, x in chosen.items():
+            every[index] = Quantity(**one.changed(every[index], float(x)))
+        return part.model_copy(update={name: every})
+    if rest:
+        return part.model_copy(update={name: _replaced(field, rest, one, value)})
+    if isinstance(field, Quantity):
+        new: Any = Quantity(**one.changed(field, float(value)))
+    elif isinstance(field, float):
+        new = one.number(field, value) if one.effect != "value" else float(value)
+    else:
+        raise InputError(f"{one.path}: is not a number that is given")
+    return part.model_copy(update={name: new})
+
+
+def _checked(tables: Mapping[str, Any], where: str) -> Unknowns:
+    return Unknowns({key: validated(Unknown, tables[key], f"{where}: {key}") for key in tables})
+
+
+@cache
+def _shipped() -> dict[str, Unknowns]:
+    tables = read_toml(Path(__file__).with_suffix(".toml"))
+    return {name: _checked(table, name) for name, table in tables.items()}
+
+
+def load_unknowns(source: str | Path) -> Unknowns:
+    """Shipped ones by name, `valve_gains` or `other_machines`, or `[unknowns]` of a TOML file."""
+    if str(source) in _shipped():
+        return _shipped()[str(source)]
+    path = user_file("unknowns", tuple(_shipped()), source)
+    return _checked(read_toml(path).get("unknowns", {}), path.name)
+
+
+def valve_gains(seed: int | None) -> Array:
+    """Valve gains of six actuators over the nominal; 1 for None."""
+    if seed is None:
+        return np.ones(len(LEGS))
+    return np.asarray(load_unknowns("valve_gains").draw("random", 1, seed)[0]["leg_speed"])
+
+
+def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
+    """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`; for None itself."""
+    name, values = f"{parameters.name}, gains {seed}", {"leg_speed": valve_gains(seed)}
+    return load_unknowns("valve_gains").apply(values, parameters, name)
