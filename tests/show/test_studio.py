@@ -18,24 +18,31 @@ from hostile import random_change
 from lengths import examples
 
 from cmf_mj import InputError, RunError
-from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
 from cmf_mj.facility.scenario.library import scenario_of, scenario_toml
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
+from cmf_mj.facility.scenario.settings import Scenario, change_of
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.choices import knobs, marks_of
+from cmf_mj.show.studio import desk
 from cmf_mj.show.studio.controls import lamp
-from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
+from cmf_mj.show.studio.live import (
+    KEPT_ROWS,
+    LARGEST,
+    LONGEST,
+    PLOT_RATE,
+    Clock,
+    LiveSession,
+    View,
+    marks_of,
+)
 from cmf_mj.show.studio.plots import Plots, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
 
 def heave(**settings: object) -> Scenario:
-    signal = choices.signal_table("sine", "heave", 2.0, frequency=2.0)
+    signal = desk.signal_table("sine", "heave", 2.0, frequency=2.0)
     return scenario_of({"signal": signal, **SHORT, **settings}, "test")
 
 
@@ -106,41 +113,17 @@ def test_pace_is_simulated_over_wall_and_over_busy_time() -> None:
 # What the controls mean.
 
 
-@pytest.mark.parametrize("name", law_names())
-def test_knobs_are_the_numbers_of_the_law_and_turn_it(name: str) -> None:
-    law = load_law(name)
-    offered = knobs(law)
-    gains = law.direct_gain.model_dump()
-    expected = {("direct_gain", key) for key, value in gains.items() if value != 0.0}
-    assert expected <= {knob.path for knob in offered}
-    for knob in offered:
-        assert knob.low <= knob.value <= knob.high
-        same = overlaid_law(law, knob.table(knob.value))
-        assert _value(same, knob.path) == pytest.approx(_value(law, knob.path), rel=1e-12)
-        for end in (knob.low, knob.high):
-            turned = overlaid_law(law, knob.table(end))
-            assert _value(turned, knob.path) == pytest.approx(end * knob.scale)
-        assert knob.high - knob.low >= 0.05 * abs(knob.value)
-
-
-def _value(law: Law, path: tuple[str, ...]) -> float:
-    value = law.model_dump()
-    for part in path:
-        value = value[part]
-    return float(value)
-
-
 @pytest.mark.parametrize("dof", DOFS)
-@pytest.mark.parametrize("kind", ["rest", *choices.SIGNALS])
+@pytest.mark.parametrize("kind", ["rest", *desk.SIGNALS])
 def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
-    offered = choices.signal_settings(kind)
+    offered = desk.signal_settings(kind)
     for frequency in (0.05, 10.0):
         edges = {"frequency": frequency, "start": 0.5 * frequency, "stop": frequency}
         settings = {name: edges.get(name, begun) for name, begun in offered.items()}
         if kind == "multisine":
             settings["start"] = 0.05  # the lowest line of its period
-        largest = choices.largest_amplitude(dof)
-        change = change_of({"signal": choices.signal_table(kind, dof, largest, **settings)})
+        largest = desk.largest_amplitude(dof)
+        change = change_of({"signal": desk.signal_table(kind, dof, largest, **settings)})
         assert change.signal is not None
         assert len(change.signal) == (0 if kind == "rest" else 1)
         for signal in change.signal:
@@ -151,19 +134,19 @@ def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
 
 
 def test_the_page_offers_the_settings_of_the_signals() -> None:
-    assert list(choices.SIGNALS) == [
+    assert list(desk.SIGNALS) == [
         *("step", "pulse", "sine", "chirp", "noise", "multisine", "seven_sines")
     ]
-    assert choices.signal_settings("rest") == {}
-    assert choices.signal_settings("sine") == {"frequency": 0.5, "fade": 1.0, "rest": 0.0}
-    assert choices.signal_settings("noise")["scale"] == "peak"
-    (table,) = choices.signal_table("pulse", "roll", 3.0, width=2.0)
+    assert desk.signal_settings("rest") == {}
+    assert desk.signal_settings("sine") == {"frequency": 0.5, "fade": 1.0, "rest": 0.0}
+    assert desk.signal_settings("noise")["scale"] == "peak"
+    (table,) = desk.signal_table("pulse", "roll", 3.0, width=2.0)
     expected = {"kind": "pulse", "dof": "roll", "amplitude": [3.0, "deg"], "at": 1.0, "width": 2.0}
     assert table == expected
 
 
 def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
-    step = choices.signal_table("step", "yaw", 1.0)
+    step = desk.signal_table("step", "yaw", 1.0)
     scenario = heave(
         change=[
             {"at": 0.1, "law": "force", "gains": {"direct_gain": {"force": -0.02}}},
@@ -172,7 +155,7 @@ def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
             {"at": 0.4, "failure": [{"kind": "pump_lost"}]},
         ]
     )
-    begun = choices.settled(scenario)
+    begun = desk.settled(scenario)
     assert begun.law == "force"
     assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
     assert [signal.kind for signal in begun.signal] == ["step"]
@@ -187,7 +170,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     session.start()
     screen.wait_for_time(0.5)
     session.apply(change_of({"law": "position_error_rate"})).result()
-    session.apply(change_of({"signal": choices.signal_table("step", "roll", 1.0)})).result()
+    session.apply(change_of({"signal": desk.signal_table("step", "roll", 1.0)})).result()
     session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
     screen.wait_for_time(1.5)
     session.apply(change_of({"gains": {"direct_gain": {"velocity": -0.5}}})).result()
@@ -455,7 +438,7 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
 
 
 def test_first_scenario_is_a_file_too() -> None:
-    begun = choices.first_scenario()
+    begun = desk.first_scenario()
     assert scenario_of(parsed_toml(scenario_toml(begun), "again"), "again") == begun
 
 

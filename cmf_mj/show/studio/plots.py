@@ -15,8 +15,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
-from cmf_mj.show.studio.choices import Mark
-from cmf_mj.show.studio.live import PLOT_RATE, View
+from cmf_mj.show.studio.live import PLOT_RATE, Mark, View
 
 _DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
 
