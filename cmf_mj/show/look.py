@@ -136,6 +136,21 @@ def plot_bode(
     return style["color"]
 
 
+def bode_figure(
+    title: str,
+    curves: Mapping[str, FrequencyResponse],
+    *,
+    stable: bool = True,
+    limits: bool = False,
+) -> tuple[Figure, Axes, Axes]:
+    """A Bode plot of responses by name, and its axes."""
+    figure, gain, phase = bode_axes(title, limits=limits)
+    for name, response in curves.items():
+        plot_bode(gain, phase, response, label=name, stable=stable)
+    legend(gain)
+    return figure, gain, phase
+
+
 def plot_band(
     gain: Axes,
     phase: Axes,
@@ -180,8 +195,8 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
 def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
     """Write to each name in a folder what it stands for.
 
-    That is a figure, (header, rows, digits) for CSV, 9 digits by default, a mapping for JSON, or a
-    function that writes it.
+    That is a figure; a mapping, for JSON its content and for CSV its columns; a list of rows by
+    name for CSV; what saves itself to a path, such as a table or a record; or a function that does.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -189,17 +204,17 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
         path = in_folder(folder, name)
         if isinstance(content, Figure):
             save_figure(content, path, dpi)
+        elif isinstance(content, list):
+            write_csv(path, content[0], (row.values() for row in content))
+        elif isinstance(content, Mapping) and path.suffix == ".csv":
+            write_csv(path, content, zip(*content.values(), strict=True))
         elif isinstance(content, Mapping):
             write_json(path, content)
-        elif isinstance(content, tuple):
-            write_csv(path, *content)
         else:
-            content(path)
+            getattr(content, "save", content)(path)
         paths.append(path)
     return paths
 
-
-"""Of demands and references."""
 
 Dash = Literal["solid", "dash", "dot"]
 
