@@ -71,7 +71,7 @@ def modes_command(
     from cmf_mj.machine.geometry import DOFS
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import linearization as report
-    from cmf_mj.show.film.film import FilmSettings, swing_film
+    from cmf_mj.show.film import FilmSettings, swing_film
 
     plants = [Hexapod(name, hydraulics) for name in cabs]
     here = pose_option(pose)

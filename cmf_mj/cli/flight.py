@@ -60,7 +60,7 @@ def fly_command(
     from cmf_mj.pilot.telemetry.formats import fly_live
     from cmf_mj.plant.hexapod import hexapod_model
     from cmf_mj.show import flight as report
-    from cmf_mj.show.film.film import FilmSettings, check_film, film
+    from cmf_mj.show.film import FilmSettings, check_film, film
     from cmf_mj.show.operation import save_operation
 
     loaded = [load_law(name) for name in laws]

@@ -23,11 +23,16 @@ SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; defa
 @machines.command("list")
 def list_command() -> None:
     """List the shipped machines."""
+    from cmf_mj.control.law import load_law
+    from cmf_mj.core.result import Table
     from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import machine_names
-    from cmf_mj.show.listing import machine_table
 
-    show(machine_table([load_machine(name) for name in machine_names()]))
+    rows = [
+        (one.name, one.title, ", ".join(one.cab_names), load_law(one.law).name)
+        for one in map(load_machine, machine_names())
+    ]
+    show(Table("machines", ("name", "title", "cabs", "law"), rows))
 
 
 @machines.command("new")
@@ -55,11 +60,10 @@ def new_command(
 def check_command(machine: Machine) -> None:
     """Tell whether the numbers of a machine fit together; status 1 if they do not."""
     from cmf_mj.machine.machine import load_machine
-    from cmf_mj.show import listing as report
-    from cmf_mj.studies.machine_check import check_machine
+    from cmf_mj.studies.machine_check import check_machine, check_parts
 
     check = check_machine(load_machine(machine))
-    show(report.envelope_table(check), report.cab_table(check), *report.check_text(check))
+    show(*check_parts(check))
     if check.faults:
         raise typer.Exit(1)
 
@@ -74,7 +78,7 @@ def show_command(
 ) -> None:
     """Draw a machine with a cab at neutral."""
     from cmf_mj.machine.machine import load_machine
-    from cmf_mj.show.listing import save_picture
+    from cmf_mj.show.stage import save_picture
 
     drawn = save_picture(load_machine(machine), cab, file, (width, height))
     show(f"written: {drawn}")

@@ -83,18 +83,20 @@ def linear_command(
 def laws_command() -> None:
     """List the shipped control laws with their sources."""
     from cmf_mj.control.law import law_names, load_law
-    from cmf_mj.show.listing import law_table
+    from cmf_mj.core.result import Field, Result
 
-    show(law_table([load_law(name) for name in law_names("all")]))
+    fields = [*map(Field, ("name", "title", "source"))]
+    show(Result([load_law(name) for name in law_names("all")], fields, "control laws"))
 
 
 @listing("parameters")
 def parameters_command(hydraulics: options.HydraulicSet = "hardware") -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
+    from cmf_mj.core.quantity import quantity_table
     from cmf_mj.plant.parameters.loading import load_hydraulics
-    from cmf_mj.show.listing import parameter_table
 
-    show(parameter_table(load_hydraulics(hydraulics)))
+    chosen = load_hydraulics(hydraulics)
+    show(quantity_table(f"hydraulics: {chosen.name}", chosen.quantities()))
 
 
 @listing("sensors")
@@ -104,10 +106,11 @@ def sensors_command(
     seed: options.Seed = 0,
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
+    from cmf_mj.core.quantity import quantity_table
     from cmf_mj.electronics.sensors.channel import load_sensors
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
-    from cmf_mj.show.listing import sensor_table
 
     settings = load_sensors(sensors)
     effect = filter_effect(settings, law, seed=seed)
-    show(sensor_table(settings), effect_table(effect))
+    title = f"sensors: {settings.name}, gravity {'on' if settings.gravity else 'off'}"
+    show(quantity_table(title, settings.quantities()), effect_table(effect))

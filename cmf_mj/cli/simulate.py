@@ -53,7 +53,7 @@ def run_command(
     from cmf_mj.facility.scenario.library import load_scenario, scenario_names
     from cmf_mj.facility.scenario.run import run_scenario
     from cmf_mj.facility.scenario.settings import Scenario
-    from cmf_mj.show.film.film import save_run
+    from cmf_mj.show.film import save_run
 
     if schema:
         print(json.dumps(Scenario.model_json_schema(), indent=2))

@@ -48,7 +48,7 @@ def video_command(
     from cmf_mj.facility.scenario.library import load_scenario
     from cmf_mj.facility.scenario.run import run_scenario
     from cmf_mj.record.record import Record
-    from cmf_mj.show.film.film import FilmSettings, film
+    from cmf_mj.show.film import FilmSettings, film
 
     sources = scenario or ["heave_sine"]
     if len(sources) > 1 and laws:

@@ -18,8 +18,8 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
-from cmf_mj.show.film.stage import Panels
 from cmf_mj.show.look import Curve, Panel
+from cmf_mj.show.stage import Panels
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 

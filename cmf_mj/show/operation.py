@@ -14,6 +14,7 @@ from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
+from cmf_mj.facility.replay import Replay
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
@@ -189,3 +190,29 @@ def save_operation(
         files["timing.csv"] = (("percentile", "computing_s", "lateness_s"), lines)
         files["timing.png"] = timing_figure(timing)
     return look.save_files(files, folder)
+
+
+def replay_figure(replayed: Replay) -> Figure:
+    """Recorded and replayed compensator output of all legs, and their difference."""
+    output, recorded = 100.0 * replayed.output, replayed.recorded
+    names = [f"leg {leg + 1} [%]" for leg in range(output.shape[1])]
+    figure, (*legs, apart) = look.stack(9.0, 8.0, *names, "largest\ndifference [%]")
+    if recorded is not None:
+        for axis, values in zip(legs, 100.0 * recorded.T, strict=True):
+            axis.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
+        difference = np.abs(output - 100.0 * recorded).max(axis=1)
+        apart.plot(replayed.time, difference, color=look.ORANGE, linewidth=0.8)
+    for axis, values in zip(legs, output.T, strict=True):
+        axis.plot(replayed.time, values, color=look.BLUE, linewidth=0.8)
+    legs[0].set_title(f"compensator output: recorded (grey) and {replayed.law} replayed (blue)")
+    return figure
+
+
+def replay_summary(replayed: Replay) -> str:
+    """The largest difference in one sentence."""
+    if replayed.recorded is None:
+        return f"{replayed.law}: nothing to compare with; the record has no compensator output"
+    if replayed.identical:
+        return f"{replayed.law}: identical, bit for bit, over {replayed.time.size} frames"
+    note = ", interpolated to 2048 Hz" if replayed.interpolated else ""
+    return f"{replayed.law}: largest difference {100.0 * replayed.difference:.3g} %{note}"

@@ -15,7 +15,7 @@ from cmf_mj.machine.cab import load_cab, recorded_cab
 from cmf_mj.pilot.motion import pilot_station
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.film.film import model_of
+from cmf_mj.show.film import model_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cab_of_your_own.toml"
 

@@ -18,10 +18,10 @@ from cmf_mj.core.errors import MissingExtraError
 from cmf_mj.facility.scenario import library as scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.show.film import stage
-from cmf_mj.show.film.film import FilmSettings, check_film, film
-from cmf_mj.show.film.stage import FilmStage, Strip, choose_backend, traces_of
+from cmf_mj.show import stage
+from cmf_mj.show.film import FilmSettings, check_film, film
 from cmf_mj.show.look import Curve, Panel
+from cmf_mj.show.stage import FilmStage, Strip, choose_backend, traces_of
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 

@@ -17,8 +17,8 @@ from cmf_mj.analysis.modes import largest_stroke, reserve, swinging
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.show.film import film
-from cmf_mj.show.film.film import FilmSettings, caption_of, swing_film
+from cmf_mj.show import film
+from cmf_mj.show.film import FilmSettings, caption_of, swing_film
 
 LEANING = np.array([0.05, -0.3, -0.5, -0.04, 0.11, -0.05])
 """A pose with a leg far out."""

@@ -24,10 +24,10 @@ from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
 from cmf_mj.record.record import Record
-from cmf_mj.show.film.stage import FilmStage, Panels, Strip, traces_of
 from cmf_mj.show.linearization import title_of
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.operation import overview_figure
+from cmf_mj.show.stage import FilmStage, Panels, Strip, traces_of
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
