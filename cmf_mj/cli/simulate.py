@@ -90,8 +90,8 @@ def run_comparison(
     tables, beside = [report.comparison_table(comparison)], ""
     if more:
         found = rated(comparison, options.get("jobs"))
-        tables.append(report.qualities_table(comparison, found))
-        beside = f", {tables[1].save(out / 'measures.md').name}"
+        tables.append(found.table)
+        beside = f", {found.save(out / 'measures.md').name}"
     gap = max(result.gimbal_error for result in comparison)
     show(
         *tables,
@@ -214,7 +214,7 @@ def capacity_command(
     demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency)
     result = capacity(demand, law, cab, parameters, least_pressure=least)
     paths = report.save_capacity(result, parameters, out)
-    show(report.capacity_table(result))
+    show(report.capacity_result(result).turned)
     if envelope:
         frequencies = envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES
         limits: dict[str, Any] = {"least_pressure": least, "frequencies": frequencies}

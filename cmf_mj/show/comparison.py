@@ -14,7 +14,7 @@ from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.core.result import Cell, Column, Result, Table, number
-from cmf_mj.machine.geometry import by_kind, dof_unit
+from cmf_mj.machine.geometry import dof_unit
 from cmf_mj.show.look import (
     COLOURS,
     DARK,
@@ -27,7 +27,7 @@ from cmf_mj.show.look import (
     stack,
 )
 from cmf_mj.signals.single import Step
-from cmf_mj.studies.case import CaseResult, Qualities
+from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED
 
 AGREEMENT = 0.1
@@ -87,41 +87,6 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     return Table(title, [*columns, ("\nof", "")], cells, _LEGEND, grouped=True)
 
 
-_QUALITIES = (
-    ("-90 over\ndrive lag", ".2f", "corner of the servo drive's lag"),
-    ("-90 over\noil mode", ".2f", "lowest hydraulic mode, valves shut"),
-    ("-90 over\nsaturation", ".2f", "where unit gain opens a valve fully or stalls a leg"),
-    ("stiffness\nat rest", ".0f", "klbf/in or klbf ft/deg; inf: a force leaves no motion"),
-    ("stiffness\n0.5 to 5 Hz", ".1f", "the least, linearised"),
-    ("rejection\nto", ".2f Hz", "3 dB off what a force moves with the valves shut, linearised"),
-    ("rejection\npeak", ".1f dB", "the most that the law adds to it"),
-    ("noise\nto valve", ".2f %", "rms of the busiest at rest, noisy electronics"),
-)
-"""Title, format and definition of `Qualities` by field."""
-
-
-def quality_rows(dof: str, found: Qualities) -> list[tuple[str, str, str]]:
-    """Title, value in the field's units and definition of each."""
-    unit = 1000.0 * units.POUND_FORCE / by_kind(dof, units.INCH, units.DEGREE / units.FOOT)
-    stiffness = [value / unit for value in found[3:5]]
-    values = (*found[:3], *stiffness, *found[5:7], 100.0 * found.valve_noise)
-    return [
-        (title.replace("\n", " "), number(value, form), definition)
-        for (title, form, definition), value in zip(_QUALITIES, values, strict=True)
-    ]
-
-
-def qualities_table(results: Sequence[CaseResult], found: Sequence[Qualities]) -> Table:
-    """What compares laws: a row per law, degree of freedom and plant."""
-    rows = []
-    for case, one in zip((result.case for result in results), found, strict=True):
-        values = [value for _, value, _ in quality_rows(case.dof, one)]
-        rows.append((case.law.name, case.dof, _TITLES[case.plant], *values))
-    legend = "; ".join(f"{title}: {text}" for title, _, text in _QUALITIES).replace("\n", " ")
-    columns = ("law", "dof", "plant", *((title, "") for title, *_ in _QUALITIES))
-    return Table("", columns, rows, legend, grouped=True)
-
-
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
     laws = dict.fromkeys(result.case.law.name for result in results)
     return {law: COLOURS[i % len(COLOURS)] for i, law in enumerate(laws)}
@@ -165,7 +130,7 @@ def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) 
     return f"{of}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")
 
 
-def bode_figure(results: Sequence[CaseResult]) -> Figure:
+def responses_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
     first, colours, circles = results[0].case, _colours(results), False
     title = _title("Frequency response", first.dof, first.size, results)
@@ -218,9 +183,9 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
 def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md`, and `bode_<dof>.png` and `step_<dof>.png`."""
     table = comparison_table(comparison)
-    files: dict[str, Any] = {"comparison.csv": comparison.save, "comparison.md": table.save}
+    files: dict[str, Any] = {"comparison.csv": comparison, "comparison.md": table}
     for dof in dict.fromkeys(result.case.dof for result in comparison):
         chosen = [result for result in comparison if result.case.dof == dof]
-        files[f"bode_{dof}.png"] = bode_figure(chosen)
+        files[f"bode_{dof}.png"] = responses_figure(chosen)
         files[f"step_{dof}.png"] = step_figure(chosen)
     return save_files(files, folder)

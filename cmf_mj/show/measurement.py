@@ -14,11 +14,11 @@ from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
-from cmf_mj.core.result import Field, Result, Table, number
+from cmf_mj.core.result import Field, Result, Table, lines, number
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.show import look
-from cmf_mj.show.comparison import quality_rows
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
+from cmf_mj.studies.case import QUALITIES
 from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
 
@@ -83,7 +83,7 @@ def measurement_table(measured: Measurement) -> Table:
     rows += [
         ("delay", f"{1e3 * measured.transport_delay:.1f} ms", "cross-correlation of the sweep"),
         ("hysteresis", _share(measured.hysteresis), "loop width at 0.01 Hz, over peak-to-peak"),
-        *quality_rows(dof, measured.qualities),
+        *lines(measured.qualities, QUALITIES),
     ]
     for at in measured.describing_function:
         size = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
@@ -271,7 +271,7 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
     return figure
 
 
-def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
+def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response."""
     figure, gain, phase = look.bode_axes(
         f"Frequency response, {model.input_names[0]} to {model.output_names[0]}"
@@ -343,6 +343,6 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
         "model.json": plain(_summary(result)),
         "fit.png": fit_figure(result),
         "residuals.png": residual_figure(result.residuals, result.model.step),
-        "bode.png": bode_figure(result.model, result.response),
+        "bode.png": model_figure(result.model, result.response),
     }
     return look.save_files(files, folder)

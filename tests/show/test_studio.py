@@ -145,7 +145,7 @@ def test_the_page_offers_the_settings_of_the_signals() -> None:
     assert table == expected
 
 
-def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
+def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
     step = desk.signal_table("step", "yaw", 1.0)
     scenario = heave(
         change=[
@@ -155,7 +155,7 @@ def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
             {"at": 0.4, "failure": [{"kind": "pump_lost"}]},
         ]
     )
-    begun = desk.settled(scenario)
+    begun = desk.from_rest(scenario)
     assert begun.law == "force"
     assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
     assert [signal.kind for signal in begun.signal] == ["step"]

@@ -92,7 +92,7 @@ def first_scenario() -> Scenario:
     return scenario_of(table, "studio")
 
 
-def settled(scenario: Scenario) -> Scenario:
+def from_rest(scenario: Scenario) -> Scenario:
     """The same machine with the law and the signal in force at the end, from rest.
 
     Failures, pushes and requests are left out: what begins again is whole.
@@ -155,7 +155,7 @@ class Desk:
 
     def again(self, **settings: Any) -> None:
         """Begin again with the present law and signal and some settings changed."""
-        present = settled(self.live.scenario().result())
+        present = from_rest(self.live.scenario().result())
         self.begin(present.model_copy(update=settings))
 
     def tell(self, error: Exception) -> None:
