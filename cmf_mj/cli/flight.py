@@ -89,7 +89,7 @@ def fly_command(
         folder = in_folder(out, ride.law)
         paths += save_operation(ride.operation, folder)
         paths += report.save_ride(ride, folder)
-    paths += report.save_comparison(rides, out)
+    paths += report.save_flights(rides, out)
     if video is not None:
         with progress_bar("drawing") as update:
             records = [ride.operation.record for ride in rides]
@@ -98,7 +98,7 @@ def fly_command(
             film(records, pictures, look, titles=titles, traces=traces, progress=update)
         paths.append(pictures)
     title = flown.origin.title if flown else f"{form} at port {flight}"
-    show(title, report.comparison_table(rides), unfolded=True)
+    show(title, report.flight_table(rides), unfolded=True)
     if delay:
         of_machine = {name: machine[name] for name in ("cab", "hydraulics", "electronics")}
         show(report.delay_table(transport_delay(loaded[0], dof=dof, **of_machine)))

@@ -1,6 +1,5 @@
 """Tables, figures and files of cueing: flights at the station, the objective motion cueing test."""
 
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -181,12 +180,11 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
     `host.csv`, `simulator.csv`, `error.csv` (SI), `motion.png`, `senses.png`.
     """
     error = flown.error
-    columns = (QUANTITIES, error.threshold, error.peak, error.rms, error.share_above)
-    header = ("sensed", "threshold_si", "peak_si", "rms_si", "share_above")
+    sizes = {"threshold_si": error.threshold, "peak_si": error.peak, "rms_si": error.rms}
     files = {
         "host.csv": partial(write_stream, flown.stream),
-        "simulator.csv": flown.simulator.save,
-        "error.csv": (header, zip(*columns, strict=True)),
+        "simulator.csv": flown.simulator,
+        "error.csv": {"sensed": QUANTITIES, **sizes, "share_above": error.share_above},
         "motion.png": motion_figure(flown),
         "senses.png": perceived_figure(error, "sensed in flight", "in the simulator"),
     }
@@ -324,25 +322,25 @@ def omct_figure(result: Omct) -> Figure:
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
-    header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg", "remainder"]
-    files = {
-        "omct.csv": ([*header, "share_modulus", "share_phase_deg"], _rows(result)),
-        "omct.md": omct_table(result).save,
-        "share.md": share_table(result).save,
-        "omct.png": omct_figure(result),
-    }
-    return save_files(files, folder, 70)
-
-
-def _rows(result: Omct) -> Iterator[list[str]]:
+    rows = []
     for place, (driven, output) in enumerate(TESTS):
         for stage, responses in result.responses.items():
             share, response = result.share(stage)[place], responses[place]
-            columns = (
-                *(np.abs(response), phase(response), result.remainder[stage][place]),
-                *(np.abs(share), phase(share)),
-            )
-            for frequency, values in zip(result.frequency, zip(*columns, strict=True), strict=True):
-                if np.isfinite(values[0]):
-                    where = [f"{driven}>{output}", title(stage), f"{frequency:.6g}"]
-                    yield [*where, *(f"{value:.6g}" for value in values)]
+            columns = {
+                "frequency_rad_s": result.frequency,
+                "modulus_si": np.abs(response),
+                "phase_deg": phase(response),
+                "remainder": result.remainder[stage][place],
+                "share_modulus": np.abs(share),
+                "share_phase_deg": phase(share),
+            }
+            of = {"test": f"{driven}>{output}", "stage": title(stage)}
+            for at in np.flatnonzero(np.isfinite(response)):
+                rows.append(of | {name: values[at] for name, values in columns.items()})
+    files = {
+        "omct.csv": rows,
+        "omct.md": omct_table(result),
+        "share.md": share_table(result),
+        "omct.png": omct_figure(result),
+    }
+    return save_files(files, folder, 70)

@@ -44,7 +44,7 @@ def flight_traces(ride: FlightResult) -> Panels:
     return panels
 
 
-def motion_figure(ride: FlightResult) -> Figure:
+def flight_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
     figure, _ = motion_axes(*_motions(ride))
     figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
@@ -106,7 +106,7 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
         look.legend(axes, fontsize=7, loc="upper right")
 
 
-def comparison_table(rides: Sequence[FlightResult]) -> Table:
+def flight_table(rides: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
@@ -146,17 +146,14 @@ def delay_table(delay: TransportDelay) -> Table:
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png` and `perceived.png`."""
-    files = {
-        "motion.png": motion_figure(ride),
-        "perceived.png": sensed_figure(ride),
-    }
-    return look.save_files(files, folder)
+    figures = {"motion.png": flight_figure(ride), "perceived.png": sensed_figure(ride)}
+    return look.save_files(figures, folder)
 
 
-def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
+def save_flights(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
-    save = comparison_table(rides).save
-    files = {"comparison.csv": save, "comparison.md": save}
+    table = flight_table(rides)
+    files = {"comparison.csv": table, "comparison.md": table}
     return look.save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)
 
 
@@ -215,11 +212,11 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
 
 def save_learning(learnt: Learning, others: Array, folder: Path) -> list[Path]:
     """Write the learnt demand `demand.csv`, `trials.csv`, `machines.csv` and `learning.png`."""
-    header = ("machine", "without_m", "with_m")
+    machines = {"machine": range(len(others)), "without_m": others[:, 0], "with_m": others[:, 1]}
     files = {
         "demand.csv": lambda path: write_stream(learnt.demand, path),
-        "trials.csv": trial_table(learnt).save,
-        "machines.csv": (header, ([i, *map(float, row)] for i, row in enumerate(others))),
+        "trials.csv": trial_table(learnt),
+        "machines.csv": machines,
         "learning.png": learning_figure(learnt, others),
     }
     return look.save_files(files, folder)

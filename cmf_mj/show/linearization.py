@@ -20,7 +20,7 @@ from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS, dof_unit, pose_text
 from cmf_mj.plant.hexapod import HydraulicModes
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import (
@@ -28,7 +28,6 @@ from cmf_mj.show.look import (
     DARK,
     bode_figure,
     new_figure,
-    pose_text,
     save_files,
 )
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy

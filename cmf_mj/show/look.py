@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
-from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
-from cmf_mj.machine.geometry import DOFS, dof_unit
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
@@ -29,20 +27,6 @@ FAINT = 0.3
 
 DARK, GREY, PALE = "0.2", "0.6", "0.9"
 """Of what is measured against, of references, and of grids."""
-
-
-def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
-    """A pose in in and deg, zeros left out; `neutral` if all are.
-
-    >>> pose_text(np.array([0.0254, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    'surge 1 in'
-    """
-    parts = []
-    for dof, value in zip(DOFS, pose, strict=True):
-        size = format(units.from_si(dof_unit(dof), float(value)), form)
-        if float(size) != 0.0:
-            parts.append(f"{dof} {size} {dof_unit(dof)}")
-    return ", ".join(parts) or "neutral"
 
 
 class _Figure(Figure):
@@ -192,6 +176,24 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     return path
 
 
+def plain_data(value: Any) -> Any:
+    """JSON values: tuples with names as tables, complex numbers as pairs, None for NaN.
+
+    >>> plain_data({"poles": np.array([1j]), "misfit": np.nan})
+    {'poles': [[0.0, 1.0]], 'misfit': None}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, complex):
+        value = [value.real, value.imag]
+    if isinstance(value, Mapping) or hasattr(value, "_asdict"):
+        table = value if isinstance(value, Mapping) else value._asdict()
+        return {str(name): plain_data(each) for name, each in table.items()}
+    if isinstance(value, list | tuple):
+        return [plain_data(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
     """Write to each name in a folder what it stands for.
 
@@ -209,7 +211,7 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
         elif isinstance(content, Mapping) and path.suffix == ".csv":
             write_csv(path, content, zip(*content.values(), strict=True))
         elif isinstance(content, Mapping):
-            write_json(path, content)
+            write_json(path, plain_data(content))
         else:
             getattr(content, "save", content)(path)
         paths.append(path)

@@ -20,7 +20,7 @@ from cmf_mj.show import look
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
 from cmf_mj.studies.case import QUALITIES
 from cmf_mj.studies.identification import Identified
-from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
+from cmf_mj.studies.measurement import Measurement, RecordingMeasures
 
 _COLUMNS = ("measure", "value", "definition")
 
@@ -130,10 +130,14 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
 
 def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, Any]:
     """`response.csv`, with the radius of the 95 % circle, and `response.png`."""
-    curves = (response.frequency, response.gain_db, response.phase_deg)
-    columns = (*curves, response.coherence, response.bound)
-    header = ("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95")
-    return {"response.csv": (header, zip(*columns, strict=True)), "response.png": figure}
+    columns = {
+        "frequency_hz": response.frequency,
+        "gain_db": response.gain_db,
+        "phase_deg": response.phase_deg,
+        "coherence": response.coherence,
+        "radius_95": response.bound,
+    }
+    return {"response.csv": columns, "response.png": figure}
 
 
 def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
@@ -142,7 +146,7 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
         f"Frequency response in {measures.dof}", measures.files[0].stem, measures.response
     )
     files = _response_files(measures.response, figure)
-    return save_files(files | {"summary.json": plain(measures.summary())}, folder)
+    return save_files(files | {"summary.json": measures.summary()}, folder)
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
@@ -303,46 +307,28 @@ def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> 
     return figure
 
 
-def _summary(result: Identified) -> dict[str, object]:
-    """What `model.json` holds."""
-    model, rational, loop = result.model, result.continuous.rational, result.loop
-    return {
-        "axis": result.axis,
-        "method": model.method,
-        "orders": model.orders._asdict(),
-        "step": model.step,
-        "converged": model.converged,
-        "denominator": model.denominators[0].tolist(),
-        "numerator": model.numerators[0, 0].tolist(),
-        "standard_errors": model.standard_errors().tolist(),
-        "noise_variance": float(model.noise_variance[0]),
-        "input": [model.input_names[0], model.input_units[0]],
-        "output": [model.output_names[0], model.output_units[0]],
-        "unstable_poles": [[p.real, p.imag] for p in model.unstable_poles],
-        "estimation_fit": result.estimation_fit,
-        "validation_fit": result.validation_fit,
-        "continuous": {
-            "numerator": rational.num[0][0].tolist(),
-            "denominator": rational.den[0][0].tolist(),
-            "misfit": result.continuous.misfit,
-        },
-        "closed_loop": loop
-        and {
-            "law": result.law,
-            "model": loop.model._asdict(),
-            "measured": loop.measured._asdict(),
-            "phase_error": loop.phase_error,
-            "gain_error": loop.gain_error,
-        },
-    }
-
-
 def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
+    model, rational, loop = result.model, result.continuous.rational, result.loop
+    errors = loop and {"phase_error": loop.phase_error, "gain_error": loop.gain_error}
     files = {
-        "model.json": plain(_summary(result)),
+        "model.json": {
+            "axis": result.axis,
+            "law": result.law,
+            "estimation_fit": result.estimation_fit,
+            "validation_fit": result.validation_fit,
+            **vars(model),
+            "standard_errors": model.standard_errors(),
+            "unstable_poles": model.unstable_poles,
+            "continuous": {
+                "numerator": rational.num[0][0],
+                "denominator": rational.den[0][0],
+                "misfit": result.continuous.misfit,
+            },
+            "closed_loop": loop and loop._asdict() | errors,
+        },
         "fit.png": fit_figure(result),
-        "residuals.png": residual_figure(result.residuals, result.model.step),
-        "bode.png": model_figure(result.model, result.response),
+        "residuals.png": residual_figure(result.residuals, model.step),
+        "bode.png": model_figure(model, result.response),
     }
     return look.save_files(files, folder)

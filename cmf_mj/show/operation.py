@@ -175,20 +175,17 @@ def save_operation(
     """
     counts = account(operation, received, datagrams)
     files: dict[str, Any] = {
-        "record.parquet": operation.record.save,
-        "host.parquet": operation.session.save,
-        "account.csv": (("name", "count"), counts.items()),
+        "record.parquet": operation.record,
+        "host.parquet": operation.session,
+        "account.csv": {"name": counts.keys(), "count": counts.values()},
         "operation.png": overview_figure(operation.record),
     }
     timing = operation.timing
     if timing is not None:
         shares = np.linspace(0.0, 100.0, 1001)
-        columns = (np.percentile(values, shares) for values in (timing.busy, timing.late))
-        lines = (
-            (f"{s:.1f}", f"{b:.9f}", f"{a:.9f}") for s, b, a in zip(shares, *columns, strict=True)
-        )
-        files["timing.csv"] = (("percentile", "computing_s", "lateness_s"), lines)
-        files["timing.png"] = timing_figure(timing)
+        computing, late = (np.percentile(values, shares) for values in (timing.busy, timing.late))
+        columns = {"percentile": shares, "computing_s": computing, "lateness_s": late}
+        files |= {"timing.csv": columns, "timing.png": timing_figure(timing)}
     return look.save_files(files, folder)
 
 

@@ -137,9 +137,7 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
 def save_report(table: pa.Table, folder: Path) -> list[Path]:
     """Write every table as Markdown and CSV, of a ladder `ladder.png`, of shares `rates.png`."""
     files: dict[str, Any] = {
-        f"{name}.{kind}": each.save
-        for name, each in tables_of(table).items()
-        for kind in ("md", "csv")
+        f"{name}.{kind}": each for name, each in tables_of(table).items() for kind in ("md", "csv")
     }
     if "effects.md" in files:
         files["ladder.png"] = ladder_figure(table)
@@ -161,7 +159,7 @@ def summary_table(table: pa.Table) -> Table:
 
 def save_failures(results: Result[FailureResult], folder: Path) -> list[Path]:
     """Write `failures.csv`, `failures.md` and a figure an event."""
-    files = {"failures.csv": results.save, "failures.md": results.save}
+    files = {"failures.csv": results, "failures.md": results}
     figures = {f"{result.label}.png": failure_figure(result) for result in results}
     return save_files(files | figures, folder)
 
@@ -199,31 +197,6 @@ def failure_figure(result: FailureResult) -> Figure:
             axis.axvline(at, color=PURPLE, linestyle=":", linewidth=1.4, label="detected")
     legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
     return figure
-
-
-def certificate_table(certificates: Sequence[Certificate]) -> Table:
-    """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
-    kept = ("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at")
-    drawn = (("stable", ".1f %"), ("least zeta", ".3f"), ("peak [dB]", ".1f"), ("highest", ".1f"))
-    rows = []
-    for one in certificates:
-        where, swings = look.pose_text(one.pose, ".2g"), (100.0 * one.beyond, 100.0 * one.within)
-        scales = one.law, one.cab, one.nominal, _down(one.proven), one.broken, where
-        rows.append((*scales, 100.0 * one.share, one.least, one.peak, one.highest, *swings))
-    return Table("", (*kept, *drawn, ("beyond", ".0f %"), ("within", ".1f %")), rows)
-
-
-def _down(scale: float) -> float:
-    """A scale to two digits, never more than it is."""
-    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
-    return float(np.floor(scale / digit) * digit)
-
-
-def proof_table(certificates: Sequence[Certificate]) -> Table:
-    """One row a damping ratio: the box in which it is proven, and the least found there."""
-    numbers = ((name, ".3f") for name in ("zeta", "proven box", "least zeta found"))
-    rows = [(one.law, one.cab, *proof) for one in certificates for proof in one.proofs]
-    return Table("", ("law", "cab", *numbers), rows)
 
 
 def certificate_figure(certificates: Sequence[Certificate]) -> Figure:

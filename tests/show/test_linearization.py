@@ -13,8 +13,8 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.cli.common import app, pose_option
 from cmf_mj.core import units
+from cmf_mj.machine.geometry import pose_text
 from cmf_mj.show.linearization import pole_table
-from cmf_mj.show.look import pose_text
 from cmf_mj.studies.linearization import linearization_study
 
 

@@ -24,6 +24,8 @@ from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder
+from cmf_mj.core.result import Field
+from cmf_mj.machine.geometry import DOFS, pose_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.certificate.box import LARGEST, SIZE, Box, replayed, save_case
 from cmf_mj.studies.certificate.family import SIZES, Family
@@ -91,6 +93,34 @@ class Certificate(NamedTuple):
     def proven(self) -> float:
         """Scale within which all machines are stable."""
         return self.proofs[0].proven if self.proofs else 0.0
+
+
+def _down(scale: float) -> str:
+    """A scale to two digits, never more than it is."""
+    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
+    return f"{np.floor(scale / digit) * digit:.2g}"
+
+
+CERTIFICATES = (
+    *map(Field, ("law", "cab")),
+    Field("nominal", "zeta", ".3f"),
+    Field("proven", form=_down),
+    Field("broken", form=".2g"),
+    *(Field(f"pose_{d}", of=lambda c, i=i: c.pose[i], printed=False) for i, d in enumerate(DOFS)),
+    Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="pose"),
+    Field("share", "stable", ".1f %", "%"),
+    Field("least", "least zeta", ".3f"),
+    Field("peak", "peak [dB]", ".1f"),
+    Field("highest", form=".1f"),
+    Field("beyond", form=".0f %", unit="%"),
+    Field("within", form=".1f %", unit="%"),
+)
+PROOFS = (
+    *map(Field, ("law", "cab")),
+    Field("ratio", "zeta", ".3f"),
+    Field("proven", "proven box", ".3f"),
+    Field("attacked", "least zeta found", ".3f"),
+)
 
 
 def certify(
