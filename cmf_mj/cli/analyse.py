@@ -96,7 +96,7 @@ def modes_command(
     # The envelope has neutral in it.
     paths += report.save_modes(ranges, sweeps, maps, at_pose if here.any() else [], out)
     for modes in at_pose:
-        show(report.mass_table(modes), report.mode_table(modes))
+        show(report.mode_table(modes))
     for one in ranges:
         show(report.mode_table(one.worst, "worst pose"))
     show(report.range_table(ranges), written(paths, out))

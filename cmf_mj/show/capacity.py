@@ -156,7 +156,7 @@ def envelope_figure(envelope: Envelope) -> Figure:
         Line2D([], [], color=colour, linestyle=line, linewidth=1.0, label=f"closed form: {title}")
         for title, line, colour in _CLOSED.values()
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8)
+    look.legend(figure, handles=handles, ncols=columns)
     figure.suptitle(
         f"{envelope.law}, {envelope.cab.upper()}, {envelope.hydraulics} hydraulics: "
         f"largest sustained sine with the manifold above {_psi(envelope.allowed_pressure)}"

@@ -15,17 +15,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.core.result import Cell, Column, Result, Table, number
 from cmf_mj.machine.geometry import dof_unit
-from cmf_mj.show.look import (
-    COLOURS,
-    DARK,
-    FAINT,
-    GREY,
-    bode_axes,
-    legend,
-    plot_bode,
-    save_files,
-    stack,
-)
+from cmf_mj.show import look
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED
@@ -89,7 +79,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
 
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
     laws = dict.fromkeys(result.case.law.name for result in results)
-    return {law: COLOURS[i % len(COLOURS)] for i, law in enumerate(laws)}
+    return {law: look.COLOURS[i % len(look.COLOURS)] for i, law in enumerate(laws)}
 
 
 def _legend(
@@ -102,19 +92,21 @@ def _legend(
         {"color": colour, "label": titles[law]} for law, colour in colours.items()
     ]
     entries += [
-        {"color": DARK, "linestyle": _LINES[plant], "label": _TITLES[plant]}
+        {"color": look.DARK, "linestyle": _LINES[plant], "label": _TITLES[plant]}
         for plant in dict.fromkeys(result.case.plant for result in results)
     ]
     for case in (result.case for result in results if not result.measures.stable):
         label = f"unstable: {case.law.title}, {_TITLES[case.plant]}"
         style = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
-        entries.append({**style, "label": label, "alpha": FAINT if bode else 1.0})
+        entries.append({**style, "label": label, "alpha": look.FAINT if bode else 1.0})
     if bode and any(_unclear(result) for result in results):
-        entries.append({"color": DARK, "alpha": FAINT, "label": f"coherence below {CLEAR:g}"})
+        entries.append(
+            {"color": look.DARK, "alpha": look.FAINT, "label": f"coherence below {CLEAR:g}"}
+        )
     if circles:
         circle = {"marker": "o", "fillstyle": "none", "linestyle": ""}
-        entries.append({"color": DARK, "label": "published", **circle})
-    legend(axis, handles=[Line2D([], [], **entry) for entry in entries], loc=place)
+        entries.append({"color": look.DARK, "label": "published", **circle})
+    look.legend(axis, handles=[Line2D([], [], **entry) for entry in entries], loc=place)
 
 
 def _unclear(result: CaseResult) -> bool:
@@ -134,12 +126,12 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
     first, colours, circles = results[0].case, _colours(results), False
     title = _title("Frequency response", first.dof, first.size, results)
-    figure, gain, phase = bode_axes(title, limits=True)
+    figure, gain, phase = look.bode_axes(title, limits=True)
     for result in results:
         case, colour = result.case, colours[result.case.law.name]
         if result.response is not None:
             style = {"color": colour, "linestyle": _LINES[case.plant]}
-            plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
+            look.plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
         printed = result.published
         for axis, value, level in (
             (phase, printed and printed.phase_bandwidth_hz, -90.0),
@@ -159,11 +151,11 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     dof = results[0].case.dof
     unit, colours = dof_unit(dof), _colours(results)
     labels, under = (f"{dof} [{unit}]", "valve 1 [%]"), "time after the step [s]"
-    figure, (response, command) = stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
+    figure, (response, command) = look.stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
     reference = results[0].step
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
     begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
-    response.plot(reference.time - begin, demanded, color=GREY, linewidth=1.0)
+    response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
     for result in results:
         case, record = result.case, result.step
         style: dict[str, Any] = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
@@ -188,4 +180,4 @@ def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
         chosen = [result for result in comparison if result.case.dof == dof]
         files[f"bode_{dof}.png"] = responses_figure(chosen)
         files[f"step_{dof}.png"] = step_figure(chosen)
-    return save_files(files, folder)
+    return look.save_files(files, folder)

@@ -18,17 +18,7 @@ from cmf_mj.pilot.cueing.flight import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError
-from cmf_mj.show.look import (
-    BLUE,
-    COLOURS,
-    GREY,
-    ORANGE,
-    grid,
-    legend,
-    new_figure,
-    save_files,
-    shade,
-)
+from cmf_mj.show import look
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
 """Plotted units in SI."""
@@ -57,7 +47,7 @@ def six(motion: Any) -> NDArray[np.float64]:
 
 def motion_axes(*motions: DrawnMotion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
     """Draw forces at the left and rates at the right; further rows of the axes are left empty."""
-    figure = new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
+    figure = look.new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
     panels = axes[:3].T.ravel()
     for motion, label, colour, width in motions:
@@ -76,13 +66,13 @@ def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
     figure, axes = motion_axes()
     panels = axes.T.ravel()
     time, limits, apart = error.aircraft.time, error.threshold / SCALE, error.error / SCALE
-    sensed = ((six(error.aircraft), first, GREY), (six(error.simulator), second, BLUE))
+    sensed = ((six(error.aircraft), first, look.GREY), (six(error.simulator), second, look.BLUE))
     for i, axis in enumerate(panels):
         axis.axhspan(-limits[i], limits[i], color="0.92", label="threshold of the error")
         for values, label, colour in sensed:
             start = values[0, i] if i == 2 else 0.0  # less the weight
             axis.plot(time, values[:, i] - start, color=colour, linewidth=1.2, label=label)
-        axis.plot(time, apart[:, i], color=ORANGE, linewidth=0.8, label="error")
+        axis.plot(time, apart[:, i], color=look.ORANGE, linewidth=0.8, label="error")
     panels[2].set_ylabel(f"{_TITLES[2]}\nless the start")
     _finish(figure, panels)
     figure.suptitle("Specific force and angular rate as sensed")
@@ -98,7 +88,7 @@ def _finish(figure: Figure, panels: NDArray[Any]) -> None:
             axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
     handles, labels = panels[0].get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        look.legend(figure, handles=handles, ncols=len(labels))
 
 
 _LEGEND = (
@@ -149,8 +139,8 @@ def tuned_table(tuned: Tuned, before: NDArray[np.float64]) -> Table:
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
     figure, axes = motion_axes(
-        DrawnMotion(flown.aircraft, "aircraft", GREY, 1.2),
-        DrawnMotion(flown.simulator, "simulator", BLUE, 1.2),
+        DrawnMotion(flown.aircraft, "aircraft", look.GREY, 1.2),
+        DrawnMotion(flown.simulator, "simulator", look.BLUE, 1.2),
         rows=5,
     )
     time, pose = flown.aircraft.time, flown.stream.pose
@@ -162,11 +152,11 @@ def motion_figure(flown: Cue) -> Figure:
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
-    legend(*axes[3:].flat, ncols=3)
+    look.legend(*axes[3:].flat, ncols=3)
     if flown.limited.any():
         for axis in axes[3:].flat:
-            shade(axis, time, flown.limited)
-        axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
+            look.shade(axis, time, flown.limited)
+        axes[3, 0].set_title("shaded: held back by the limits")
     figure.suptitle(
         "Specific force and angular rate of both pilots, pose and legs: "
         f"washout {flown.settings.name}"
@@ -188,7 +178,7 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
         "motion.png": motion_figure(flown),
         "senses.png": perceived_figure(error, "sensed in flight", "in the simulator"),
     }
-    return save_files(files, folder, 90)
+    return look.save_files(files, folder, 90)
 
 
 _OMCT_LEGEND = (
@@ -283,9 +273,9 @@ def _text(value: float, digits: int) -> str:
 
 def omct_figure(result: Omct) -> Figure:
     """Modulus and phase of all tests over frequency."""
-    figure = new_figure(13.0, 15.0)
+    figure = look.new_figure(13.0, 15.0)
     axes = figure.subplots(5, 4, sharex=True)
-    colours = ("#999999", "#000000", *(colour for colour in COLOURS if colour != "#000000"))
+    colours = ("#999999", "#000000", *(colour for colour in look.COLOURS if colour != "#000000"))
     for place, (driven, output) in enumerate(TESTS):
         row, side = divmod(place, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
@@ -302,17 +292,17 @@ def omct_figure(result: Omct) -> Figure:
             modulus.yaxis.set_major_formatter(plain)
             modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if driven != output and driven in _ROTATIONS:
-            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=GREY, linestyle=":", linewidth=1.0)
-        modulus.set_title(f"{driven} > {output}", fontsize=10)
-        modulus.set_ylabel(f"modulus [{name}]" if name else "modulus", fontsize=9)
-        angle.set_ylabel("phase [deg]", fontsize=9)
-    grid(*axes.flat, which="both")
+            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=look.GREY, linestyle=":")
+        ylabel = f"modulus [{name}]" if name else "modulus"
+        modulus.set(title=f"{driven} > {output}", ylabel=ylabel)
+        angle.set_ylabel("phase [deg]")
     for axis in axes.flat:
-        axis.tick_params(which="both", labelsize=8)
+        axis.grid(True, which="both")
+        axis.tick_params(which="minor", labelsize=8)
     for axis in axes[-1]:
-        axis.set_xlabel("frequency [rad/s]", fontsize=9)
+        axis.set_xlabel("frequency [rad/s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
+    look.legend(figure, handles=handles, ncols=len(labels))
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "
         f"washout {result.washout}, cab {result.cab}, {result.hydraulics} hydraulics"
@@ -343,4 +333,4 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
         "share.md": share_table(result),
         "omct.png": omct_figure(result),
     }
-    return save_files(files, folder, 70)
+    return look.save_files(files, folder, 70)

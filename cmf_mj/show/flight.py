@@ -18,7 +18,6 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
-from cmf_mj.show.look import Curve, Panel
 from cmf_mj.show.stage import Panels
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
@@ -39,8 +38,10 @@ def flight_traces(ride: FlightResult) -> Panels:
     time = ride.asked.time - ride.asked.time[0]
     panels = []
     for index, name in enumerate(_NAMES):
-        curves = (Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines)
-        panels.append(Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
+        curves = (
+            look.Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines
+        )
+        panels.append(look.Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
     return panels
 
 
@@ -77,7 +78,7 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
             axis.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axis in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
-        axis.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
+        axis.set_title(f"error of {_NAMES[index]} [{unit}]")
         axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
     look.legend(panels[0], loc="lower left")
     colours = list(zip(rides, look.COLOURS, strict=False))
@@ -99,7 +100,7 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
     axes.set_xticks(range(6), _NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
-    axes.set_title(f"perceived error {title}", fontsize=10)
+    axes.set_title(f"perceived error {title}")
     if bars:
         least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
         axes.set_ylim(bottom=0.5 * max(least, 1e-4))

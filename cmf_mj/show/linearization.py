@@ -22,14 +22,8 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS, dof_unit, pose_text
 from cmf_mj.plant.hexapod import HydraulicModes
+from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import (
-    COLOURS,
-    DARK,
-    bode_figure,
-    new_figure,
-    save_files,
-)
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
 
 
@@ -138,12 +132,12 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         ],
     }
     title = f"Position per command, all legs by J\n{_title(study)}"
-    figure, gain, _ = bode_figure(title, study.responses)
+    figure, gain, _ = look.bode_figure(title, study.responses)
     gain.set(ylabel="gain [dB of m]")
     unstable = "" if study.stable else ", unstable"
     title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
-    loops = bode_figure(title, study.loops, stable=study.stable, limits=True)[0]
-    return save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
+    loops = look.bode_figure(title, study.loops, stable=study.stable, limits=True)[0]
+    return look.save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
 
 
 def named(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[str, float]:
@@ -176,14 +170,6 @@ def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     return Table(title_of(modes, name), (*numbers, "share of the kinetic energy"), rows)
 
 
-def mass_table(modes: HydraulicModes) -> Table:
-    """The reflected mass, leg by leg."""
-    masses = units.from_si("lbm", modes.reflected_mass)
-    columns = (("leg", ""), *((str(leg), ".0f") for leg in _SIX))
-    rows = [(str(leg), *row) for leg, row in zip(_SIX, masses, strict=True)]
-    return Table(f"reflected mass in lbm, {modes.cab.upper()}", columns, rows)
-
-
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
     """The frequencies over the envelope, a row a cab and mode."""
     rows = []
@@ -198,12 +184,12 @@ def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
 
 def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figure:
     """Six modes along each degree of freedom; a line style a cab."""
-    figure = new_figure(10.0, 6.8)
+    figure = look.new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
     for style, of_cab in zip(cycle(_STYLES), sweeps, strict=False):
         for axis, one in zip(panels.flat, of_cab, strict=True):
             along = units.from_si(dof_unit(one.dof), one.excursion)
-            for mode, colour in zip(one.frequency_hz.T, COLOURS, strict=False):
+            for mode, colour in zip(one.frequency_hz.T, look.COLOURS, strict=False):
                 axis.semilogy(along, mode, style, color=colour)
             axis.set_xlabel(_axis_text(one.dof))
     for axis in panels.flat:
@@ -211,12 +197,12 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
         axis.minorticks_off()
     for axis in panels[:, 0]:
         axis.set_ylabel("frequency [Hz]")
-    entries = [Line2D([], [], color=COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
+    entries = [Line2D([], [], color=look.COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
     entries += [
-        Line2D([], [], color=DARK, linestyle=style, label=cab.upper())
+        Line2D([], [], color=look.DARK, linestyle=style, label=cab.upper())
         for cab, style in zip(cabs, cycle(_STYLES), strict=False)
     ]
-    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), fontsize=8)
+    look.legend(figure, handles=entries, ncols=len(entries))
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
     return figure
 
@@ -227,7 +213,7 @@ def _axis_text(dof: str) -> str:
 
 def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figure:
     """Lowest mode over planes of the envelope, a row a cab, a scale a plane; white outside."""
-    figure = new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
+    figure = look.new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
     panels = figure.subplots(len(cabs), len(maps[0]), squeeze=False, sharex="col", sharey="col")
     for column, planes in zip(panels.T, zip(*maps, strict=True), strict=True):
         lowest = [one.frequency_hz[..., 0] for one in planes]
@@ -240,8 +226,7 @@ def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figur
             drawn = axis.contourf(first, second, values, levels=levels, cmap="viridis")
             axis.contour(first, second, values, levels=levels, colors="white", linewidths=0.4)
             axis.plot(0.0, 0.0, "w+")
-            axis.set_title(cab.upper(), fontsize=10)
-            axis.set_ylabel(_axis_text(one.dofs[1]))
+            axis.set(title=cab.upper(), ylabel=_axis_text(one.dofs[1]))
         column[-1].set_xlabel(_axis_text(planes[0].dofs[0]))
         figure.colorbar(drawn, ax=list(column), location="bottom", label="frequency [Hz]")
     figure.suptitle("Lowest hydraulic mode, all other degrees of freedom at neutral")
@@ -287,7 +272,7 @@ def save_modes(
         "reflected_mass.csv": masses,
         "mode_shapes.csv": shapes,
     }
-    return save_files(files, folder, 100)
+    return look.save_files(files, folder, 100)
 
 
 def _pose_of(modes: HydraulicModes) -> dict[str, Any]:

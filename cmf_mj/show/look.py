@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -29,23 +30,34 @@ DARK, GREY, PALE = "0.2", "0.6", "0.9"
 """Of what is measured against, of references, and of grids."""
 
 
-class _Figure(Figure):
-    """A figure whose axes draw in the palette, on a grid."""
+STYLE: dict[str, Any] = {
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "grid.color": PALE,
+    "grid.linewidth": 0.6,
+}
+"""Of all axes."""
 
-    gridded = True
+
+class _Figure(Figure):
+    """A figure whose axes have a style."""
+
+    style = STYLE
 
     def add_subplot(self, *args: Any, **options: Any) -> Axes:
-        axes = super().add_subplot(*args, **options)
-        axes.set_prop_cycle(color=COLOURS)
-        if self.gridded:
-            grid(axes)
-        return axes
+        with rc_context(self.style):
+            return super().add_subplot(*args, **options)
 
 
 def new_figure(width: float, height: float, *, gridded: bool = True) -> Figure:
     """An empty figure [in] whose axes and labels do not overlap; `gridded` but for images."""
     figure = _Figure(figsize=(width, height), layout="constrained")
-    figure.gridded = gridded
+    figure.style = STYLE | {"axes.grid": gridded}
     return figure
 
 
@@ -65,13 +77,6 @@ def stack(
     return figure, axes
 
 
-def grid(*axes: Axes, which: str = "major") -> None:
-    """A pale grid behind the curves; `both` also at the minor ticks."""
-    for axis in axes:
-        axis.grid(True, which=which, color=PALE, linewidth=0.6)  # type: ignore[arg-type]
-        axis.set_axisbelow(True)
-
-
 def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
     """Shade the stretches of time where something holds."""
     over_all = axis.get_xaxis_transform()
@@ -79,10 +84,11 @@ def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> No
     axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
-def legend(*axes: Axes, **options: Any) -> None:
-    """A small legend in each of the axes."""
-    for axis in axes:
-        axis.legend(**{"fontsize": 8, **options})
+def legend(*where: Axes | Figure, **options: Any) -> None:
+    """A small legend in each of the axes, or below all axes of a figure."""
+    for each in where:
+        below = {"loc": "outside lower center"} if isinstance(each, Figure) else {}
+        each.legend(**{"fontsize": 8, **below, **options})
 
 
 def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
@@ -90,7 +96,8 @@ def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False
     gain.set(ylabel="gain [dB]", title=title)
     phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xscale="log")
     phase.yaxis.set_major_locator(MultipleLocator(45.0))
-    grid(gain, phase, which="both")
+    for axis in (gain, phase):
+        axis.grid(True, which="both")
     if limits:
         gain.axhline(-3.0, color=GREY, linewidth=0.8)
         phase.axhline(-90.0, color=GREY, linewidth=0.8)

@@ -1,6 +1,7 @@
 """Tables, figures and files of a run of the facility: overview, account of host frames, timing."""
 
 from collections.abc import Iterable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,8 @@ def overview_figure(
     )
     supply.set_ylim(bottom=0.0)
     times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
-    for axis in axes:
-        axis.tick_params(labelsize=8)
-        axis.yaxis.label.set_fontsize(9)
-        for at, colour, line in times:
-            axis.axvline(at, color=colour, ls=line, lw=0.9)
+    for axis, (at, colour, line) in product(axes, times):
+        axis.axvline(at, color=colour, ls=line, lw=0.9)
     style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
     look.legend(motion, error, supply, fontsize=7, **style)
     figure.align_ylabels(axes)
@@ -74,7 +72,7 @@ def _operating(axis: Axes, record: Record) -> None:
     if "host_stale" in record.channels:
         troubled = np.maximum(record["host_stale"], record["host_late"]) > 0.5
         look.shade(axis, record.time, troubled)
-        axis.set_title("operating state; shaded: host silent or late", fontsize=9)
+        axis.set_title("operating state; shaded: host silent or late")
 
 
 def plot_motion(axis: Axes, record: Record) -> None:
@@ -87,14 +85,14 @@ def plot_motion(axis: Axes, record: Record) -> None:
         axis.set_prop_cycle(color=look.COLOURS)
         reached = record["leg_extension"] / units.INCH
         axis.plot(time, reached, lw=0.9, label=[f"leg {n + 1}" for n in range(reached.shape[1])])
-        axis.set_ylabel("legs [in]", fontsize=9)
+        axis.set_ylabel("legs [in]")
         return
     for index in moved if moved.size else range(6):
         unit = dof_unit(int(index))
         demanded, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
         axis.plot(time, demanded, color="0.7", lw=2.0)
         axis.plot(time, reached, color=look.COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
-    axis.set_ylabel("demand (grey), response", fontsize=9)
+    axis.set_ylabel("demand (grey), response")
 
 
 _MEANINGS = {

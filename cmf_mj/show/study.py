@@ -14,7 +14,6 @@ from cmf_mj.core.result import Result, Table, column, groups, number, where
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, new_figure, save_files, stack
 from cmf_mj.studies.certificate.run import Certificate
 from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
@@ -32,7 +31,7 @@ _MEASURES = (
 def rate_figure(found: Result[Rate]) -> Figure:
     """Shares of stable and of damped machines [%], laws down, a panel a cab."""
     cabs, laws = (found.frame[name].unique().to_pylist() for name in ("cab", "law"))
-    figure = new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
+    figure = look.new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
     axes = figure.subplots(1, len(cabs), sharey=True, squeeze=False)[0]
     by_case = {(r.cab, r.law): [100.0 * one.value for one in r.shares.values()] for r in found}
     for cab, axis in zip(cabs, axes, strict=True):
@@ -42,8 +41,8 @@ def rate_figure(found: Result[Rate]) -> Figure:
             colour = "white" if share < 50.0 else "black"
             middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
             axis.text(place, row, number(share, ".0f"), color=colour, **middle)
-        axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45, fontsize=8)
-        axis.set_yticks(range(len(laws)), laws, fontsize=8)
+        axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45)
+        axis.set_yticks(range(len(laws)), laws)
         axis.set(title=cab.upper(), xlabel="stable; damped in")
     figure.suptitle("Share of machines that a law leaves stable, and damped by 0.3 or more [%]")
     return figure
@@ -87,7 +86,7 @@ def ladder_figure(table: pa.Table) -> Figure:
     """
     done = finished(table)
     rungs, laws, dofs = (done[name].unique().to_pylist() for name in ("rung", "law", "dof"))
-    figure = new_figure(2.6 * len(dofs) + 0.6, 10.5)
+    figure = look.new_figure(2.6 * len(dofs) + 0.6, 10.5)
     axes = figure.subplots(len(_MEASURES), len(dofs), sharex=True, sharey="row", squeeze=False)
     for (name, title), line in zip(_MEASURES, axes, strict=True):
         for dof, axis in zip(dofs, line, strict=True):
@@ -98,8 +97,8 @@ def ladder_figure(table: pa.Table) -> Figure:
                 mixed = name == "crosstalk"
                 values[at] = largest_crosstalk(cases, dof) if mixed else column(cases, name)
                 style: dict[str, Any] = {
-                    "color": COLOURS[i % len(COLOURS)],
-                    "linestyle": "-" if i < len(COLOURS) else "--",
+                    "color": look.COLOURS[i % len(look.COLOURS)],
+                    "linestyle": "-" if i < len(look.COLOURS) else "--",
                 }
                 axis.plot(values, marker="o", markersize=3.0, linewidth=1.0, label=law, **style)
                 unstable = np.array(at)[~np.array(cases["stable"])]
@@ -109,12 +108,11 @@ def ladder_figure(table: pa.Table) -> Figure:
                 axis.plot(unstable, np.full(len(unstable), 0.03), **style)
             if name == "crosstalk":
                 axis.set_yscale("log")
-                axis.set_xticks(range(len(rungs)), rungs, rotation=90, fontsize=8)
+                axis.set_xticks(range(len(rungs)), rungs, rotation=90)
         line[0].set_ylabel(title)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    look.legend(figure, handles=axes[0, 0].get_legend_handles_labels()[0], ncols=5)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
@@ -143,7 +141,7 @@ def save_report(table: pa.Table, folder: Path) -> list[Path]:
         files["ladder.png"] = ladder_figure(table)
     if "rates.md" in files:
         files["rates.png"] = rate_figure(rates(table))
-    return save_files(files, folder, 80)
+    return look.save_files(files, folder, 80)
 
 
 def summary_table(table: pa.Table) -> Table:
@@ -161,7 +159,7 @@ def save_failures(results: Result[FailureResult], folder: Path) -> list[Path]:
     """Write `failures.csv`, `failures.md` and a figure an event."""
     files = {"failures.csv": results, "failures.md": results}
     figures = {f"{result.label}.png": failure_figure(result) for result in results}
-    return save_files(files | figures, folder)
+    return look.save_files(files | figures, folder)
 
 
 def failure_figure(result: FailureResult) -> Figure:
@@ -169,16 +167,16 @@ def failure_figure(result: FailureResult) -> Figure:
     record = result.record
     time = record.time - result.event.at
     labels = ("extension [in]", "axial leg load [kN]", "crew acceleration [g]", "pressure [psi]")
-    figure, axes = stack(9.0, 11.0, *labels, x="time after the event [s]")
+    figure, axes = look.stack(9.0, 11.0, *labels, x="time after the event [s]")
     legs, loads, crew, pressures = axes
     legs.plot(time, record["leg_reference"] / units.INCH, linewidth=0.6, alpha=0.5)
     numbers = [f"leg {leg}" for leg in range(1, 7)]
-    legs.set_prop_cycle(color=COLOURS)
+    legs.set_prop_cycle(color=look.COLOURS)
     legs.plot(time, record["leg_extension"] / units.INCH, label=numbers)
     loads.plot(time, 1e-3 * record["axial_load"])
     felt = record["crew_acceleration"] / units.STANDARD_GRAVITY
     crew.plot(time, felt, linewidth=0.8, label=["x", "y", "z"])
-    crew.plot(time, np.linalg.norm(felt, axis=1), color=DARK, linewidth=0.8, label="size")
+    crew.plot(time, np.linalg.norm(felt, axis=1), color=look.DARK, linewidth=0.8, label="size")
     for side in ("cap", "rod"):
         values = record[f"{side}_pressure"] / units.PSI
         for name, extreme in (("largest", values.max(axis=1)), ("least", values.min(axis=1))):
@@ -192,10 +190,10 @@ def failure_figure(result: FailureResult) -> Figure:
         xlim=(max(time[0], -4.0), time[-1]),
     )
     for axis in axes:
-        axis.axvline(0.0, color=ORANGE, linestyle="--", linewidth=1.0, label="event")
+        axis.axvline(0.0, color=look.ORANGE, linestyle="--", linewidth=1.0, label="event")
         if (at := result.detection_time) is not None:
-            axis.axvline(at, color=PURPLE, linestyle=":", linewidth=1.4, label="detected")
-    legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
+            axis.axvline(at, color=look.PURPLE, linestyle=":", linewidth=1.4, label="detected")
+    look.legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
     return figure
 
 
