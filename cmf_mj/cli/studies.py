@@ -151,7 +151,8 @@ def certify_command(
                     rows.append(run.certify(plant, law, folder, unit, effort, seed=seed))
                 update(len(rows), len(plants) * len(chosen))
     proofs = [{"law": c.law, "cab": c.cab} | p._asdict() for c in rows for p in c.proofs]
-    tables = {"certificates": Result(rows, run.CERTIFICATES), "proofs": Result(proofs, run.PROOFS)}
+    tables: dict[str, Result[Any]] = {"certificates": Result(rows, run.CERTIFICATES)}
+    tables["proofs"] = Result(proofs, run.PROOFS)
     files = {f"{name}.{end}": one for name, one in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(rows)}
     show(*tables.values(), written(save_files(files | figure, out), out))

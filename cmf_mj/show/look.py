@@ -50,7 +50,7 @@ class _Figure(Figure):
     style = STYLE
 
     def add_subplot(self, *args: Any, **options: Any) -> Axes:
-        with rc_context(self.style):
+        with rc_context(self.style):  # type: ignore[arg-type]
             return super().add_subplot(*args, **options)
 
 

@@ -314,7 +314,7 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
                 "denominator": rational.den[0][0],
                 "misfit": result.continuous.misfit,
             },
-            "closed_loop": loop and loop._asdict() | errors,
+            "closed_loop": loop and loop._asdict() | (errors or {}),
         },
         "fit.png": fit_figure(result),
         "residuals.png": residual_figure(result.residuals, model.step),

@@ -12,6 +12,7 @@ All is linear. The simulation replays the machine that fails first, a little bey
 """
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -101,12 +102,16 @@ def _down(scale: float) -> str:
     return f"{np.floor(scale / digit) * digit:.2g}"
 
 
+def _along(index: int) -> Callable[[Certificate], float]:
+    return lambda one: float(one.pose[index])
+
+
 CERTIFICATES = (
     *map(Field, ("law", "cab")),
     Field("nominal", "zeta", ".3f"),
     Field("proven", form=_down),
     Field("broken", form=".2g"),
-    *(Field(f"pose_{d}", of=lambda c, i=i: c.pose[i], printed=False) for i, d in enumerate(DOFS)),
+    *(Field(f"pose_{dof}", of=_along(i), printed=False) for i, dof in enumerate(DOFS)),
     Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="pose"),
     Field("share", "stable", ".1f %", "%"),
     Field("least", "least zeta", ".3f"),
