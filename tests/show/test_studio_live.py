@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 import urllib.request
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from signal import SIGINT, SIGTERM, Signals
@@ -16,8 +17,10 @@ import numpy as np
 import pytest
 from hostile import random_change
 from lengths import examples
+from typer.testing import CliRunner
 
 from cmf_mj import InputError, RunError
+from cmf_mj.cli.common import app
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
 from cmf_mj.facility.scenario.library import scenario_of, scenario_toml
@@ -64,16 +67,26 @@ class Screen:
             self.errors.append(error)
             self.reached.notify_all()
 
-    def wait_for_time(self, seconds: float) -> None:
+    def wait(self, condition: Callable[[], object]) -> None:
         with self.reached:
-            assert self.reached.wait_for(
-                lambda: self.views and self.views[-1].live.time >= seconds, timeout=60.0
-            )
+            assert self.reached.wait_for(condition, timeout=60.0)
+
+    def wait_for_time(self, seconds: float) -> None:
+        self.wait(lambda: self.views and self.views[-1].live.time >= seconds)
+
+    def session(self, scenario: Scenario) -> LiveSession:
+        """A session that goes on until the test ends."""
+        self.opened = LiveSession(scenario, self.show, self.tell)
+        self.opened.start()
+        return self.opened
 
 
 @pytest.fixture
-def screen() -> Screen:
-    return Screen()
+def screen() -> Iterator[Screen]:
+    screen = Screen()
+    yield screen
+    if hasattr(screen, "opened"):
+        screen.opened.close()
 
 
 # Real time.
@@ -166,8 +179,7 @@ def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None
 
 
 def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     screen.wait_for_time(0.5)
     session.apply(change_of({"law": "position_error_rate"})).result()
     session.apply(change_of({"signal": desk.signal_table("step", "roll", 1.0)})).result()
@@ -196,8 +208,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
 
 def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
     """With the first one's law its numbers are the first one's; with another they are not."""
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     for beside, same in (("velocity", True), ("force", False)):
         session.begin(heave(), beside).result()
         session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
@@ -244,12 +255,8 @@ def test_all_that_happens_is_marked() -> None:
 
 def test_lamp_tells_what_failed_and_what_tripped(screen: Screen) -> None:
     guarded = heave(protection="default", change=[{"at": 0.1, "failure": [{"kind": "pump_lost"}]}])
-    session = LiveSession(guarded, screen.show, screen.tell)
-    session.start()
-    with screen.reached:
-        assert screen.reached.wait_for(
-            lambda: screen.views and screen.views[-1].live.fault is not None, timeout=60.0
-        )
+    session = screen.session(guarded)
+    screen.wait(lambda: screen.views and screen.views[-1].live.fault is not None)
     session.close()
     lamps = [lamp(view) for view in screen.views]
     words = [
@@ -289,34 +296,25 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:
     crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -1e7]}}])
-    session = LiveSession(crushed, screen.show, screen.tell)
-    session.start()
-    with screen.reached:
-        assert screen.reached.wait_for(lambda: screen.errors, timeout=60.0)
+    session = screen.session(crushed)
+    screen.wait(lambda: screen.errors)
     assert "leg_" in str(screen.errors[0])
     session.begin(heave()).result()
     ended = len(screen.views)
-    with screen.reached:
-        assert screen.reached.wait_for(
-            lambda: len(screen.views) > ended + 3 and screen.views[-1].live.time > 0.1, timeout=60.0
-        )
-    session.close()
+    screen.wait(lambda: len(screen.views) > ended + 3 and screen.views[-1].live.time > 0.1)
 
 
 def test_session_refuses_and_goes_on(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     with pytest.raises(ValueError, match="plant: 'single_legs'"):
         session.begin(heave(plant="single_legs")).result()
     with pytest.raises(ValueError, match="body: 'roof' is not one of"):
         session.apply(change_of({"push": {"body": "roof"}})).result()
     screen.wait_for_time(0.2)
-    session.close()
 
 
 def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     screen.wait_for_time(0.05)
     session.close()
     with pytest.raises(CancelledError):
@@ -356,8 +354,7 @@ def test_session_answers_whoever_asks_whatever_is_asked(seed: int, screen: Scree
     """Random changes, good and bad, at random moments: each is done or refused, in time."""
     draw, asked = np.random.default_rng(seed), list[Future[Any]]()
     chain = heave(operation={"begin": "settled"}, protection="default")
-    session = LiveSession(chain, screen.show, screen.tell)
-    session.start()
+    session = screen.session(chain)
     session.set_speed(4.0)
     for _ in range(60):
         time.sleep(float(draw.uniform(0.0, 0.03)))
@@ -419,10 +416,9 @@ def test_command_serves_on_this_machine_alone_and_ends_when_told(
 def test_command_refuses_a_bad_scenario_by_its_key(tmp_path: Path) -> None:
     scenario = tmp_path / "bad.toml"
     scenario.write_text('cabin = "gfd"\n')
-    command = [sys.executable, "-m", "cmf_mj", "studio", str(scenario), "--no-open"]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=120.0)
-    assert result.returncode == 2
-    assert "cabin: is not a known field" in result.stderr
+    result = CliRunner().invoke(app, ["studio", str(scenario), "--no-open"])
+    assert result.exit_code == 2
+    assert "cabin: is not a known field" in result.output
 
 
 def test_command_names_the_extra_where_viser_is_missing() -> None:

@@ -113,14 +113,8 @@ def test_the_film_shows_each_mode_with_its_own_period(
     Watched.seen = []
     modes, chosen = plant.hydraulic_modes(), SMALL._replace(fps=20, speed=0.2)
     reported: list[tuple[int, int]] = []
-    path = swing_film(
-        plant,
-        modes,
-        tmp_path / "m.gif",
-        chosen,
-        periods=2.0,
-        progress=lambda *done: reported.append(done),
-    )
+    how: dict[str, Any] = {"periods": 2.0, "progress": lambda *done: reported.append(done)}
+    path = swing_film(plant, modes, tmp_path / "m.gif", chosen, **how)
     count = round(2.0 / (modes.frequency_hz[0] * 0.2) * 20)
     assert reported == [(number, count) for number in range(1, count + 1)]
     assert len(Watched.seen) == 6 * count
@@ -165,8 +159,6 @@ def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) 
     [
         ({"width": 63}, "width: 63 pixels must be even"),
         ({"height": 4000}, "height: 4000 pixels must be between 16 and 1080"),
-        ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
-        ({"speed": -1.0}, "speed, fps: -1.0, 6 must be greater than 0"),
         ({"speed": 0.5}, "speed: 0.5 with 6 frames a second leaves mode 6 at 14.1 Hz"),
         ({"periods": 0.0}, "periods: 0.0 of the lowest mode must be greater than 0"),
         ({"stroke": -0.1}, "stroke: -0.1000 m must be greater than 0"),
