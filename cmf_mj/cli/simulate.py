@@ -79,7 +79,7 @@ def run_comparison(
     `options` are others of `compare`; records are kept unless `records` is False, with `measures`
     what compares laws stands in a table more.
     """
-    from cmf_mj.show import comparison as report
+    from cmf_mj.show import study as report
     from cmf_mj.studies.comparison import compare, rated
 
     kept, more = options.pop("records", True), options.pop("measures", False)
