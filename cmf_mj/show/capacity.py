@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
@@ -145,18 +144,7 @@ def envelope_figure(envelope: Envelope) -> Figure:
     for place, closed in enumerate(envelope.asymptotes, start=1):
         axis = figure.add_subplot(rows, columns, place)
         _envelope_panel(axis, envelope.of(closed.dof), closed)
-    bindings = {point.binding for point in envelope.points}
-    handles = [Line2D([], [], color=look.DARK, linewidth=1.8, label="largest sine that holds")]
-    handles += [
-        Line2D([], [], color=colour, marker=marker, linestyle="", label=f"bound by {title}")
-        for name, (title, marker, colour) in _BINDING.items()
-        if name in bindings
-    ]
-    handles += [
-        Line2D([], [], color=colour, linestyle=line, linewidth=1.0, label=f"closed form: {title}")
-        for title, line, colour in _CLOSED.values()
-    ]
-    look.legend(figure, handles=handles, ncols=columns)
+    look.legend(figure, ncols=columns)
     figure.suptitle(
         f"{envelope.law}, {envelope.cab.upper()}, {envelope.hydraulics} hydraulics: "
         f"largest sustained sine with the manifold above {_psi(envelope.allowed_pressure)}"
@@ -185,14 +173,17 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
     for size, label in ((v / rate, unit), (v * rate * length / turn, per)):
         lines = axis.contour(f, v, size, levels, colors="0.82", linewidths=0.7, zorder=0)
         axis.clabel(lines, fmt=f"%g {label}", fontsize=6.5, colors="0.45")
-    for name, (_, line, colour) in _CLOSED.items():
+    style: dict[str, Any] = {"color": look.DARK, "label": "largest sine that holds"}
+    axis.plot([point.frequency for point in reached], speeds, linewidth=1.8, **style)
+    for point, speed in zip(reached, speeds, strict=True):
+        title, marker, colour = _BINDING[point.binding]
+        style = {"color": colour, "linestyle": "", "label": f"bound by {title}"}
+        axis.plot(point.frequency, speed, marker=marker, markersize=6, zorder=4, **style)
+    for name, (title, line, colour) in _CLOSED.items():
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
-            axis.plot(frequency, values, linestyle=line, color=colour, linewidth=1.0)
-    axis.plot([point.frequency for point in reached], speeds, color=look.DARK, linewidth=1.8)
-    for point, speed in zip(reached, speeds, strict=True):
-        _, marker, colour = _BINDING[point.binding]
-        axis.plot(point.frequency, speed, marker, color=colour, markersize=6, zorder=4)
+            style = {"color": colour, "linestyle": line, "label": f"closed form: {title}"}
+            axis.plot(frequency, values, linewidth=1.0, **style)
     axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
     for ticks in (axis.xaxis, axis.yaxis):
         ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -86,9 +86,8 @@ def _finish(figure: Figure, panels: NDArray[Any]) -> None:
         if high - low < _LEAST_SPAN and axis.has_data():
             middle = 0.5 * (low + high)
             axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
-    handles, labels = panels[0].get_legend_handles_labels()
-    if handles:
-        look.legend(figure, handles=handles, ncols=len(labels))
+    if panels[0].has_data():
+        look.legend(figure)
 
 
 _LEGEND = (
@@ -301,8 +300,7 @@ def omct_figure(result: Omct) -> Figure:
         axis.tick_params(which="minor", labelsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    look.legend(figure, handles=handles, ncols=len(labels))
+    look.legend(figure)
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "
         f"washout {result.washout}, cab {result.cab}, {result.hydraulics} hydraulics"

@@ -33,16 +33,15 @@ def save_system(system: control.StateSpace, path: Path, description: Mapping[str
     `A` to `D`, `sampling_time` and the labels make a `control.ss` of it again; `description` are
     plain JSON values kept with it, such as plant and pose.
     """
-    content: dict[str, Any] = {
+    content = {
         "name": system.name,
         "sampling_time": system.dt,
         "units": "SI; commands as fractions; angles in rad",
-        "description": dict(description),
+        "description": description,
     }
-    labels = ("input_labels", "output_labels", "state_labels")
-    content |= {name: list(getattr(system, name)) for name in labels}
-    content |= {name: np.asarray(getattr(system, name)).tolist() for name in "ABCD"}
-    return write_text(path, json.dumps(content, allow_nan=False) + "\n")
+    names = ("input_labels", "output_labels", "state_labels", *"ABCD")
+    content |= {name: getattr(system, name) for name in names}
+    return write_text(path, json.dumps(look.plain_data(content), allow_nan=False) + "\n")
 
 
 _NAMED = 0.1
@@ -108,18 +107,9 @@ def loop_table(study: LinearizationStudy) -> Table:
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes as CSV, all figures as PNG."""
-    point, plant = study.linear.point, study.linear.plant
-    description = {
-        **{k: v for k, v in plant.describe().items() if k != "hydraulic_parameters"},
-        "pose": np.asarray(study.linear.pose, dtype=float).tolist(),
-        "leg_position": point.mechanics.extension.tolist(),
-        "static_load": point.mechanics.load.tolist(),
-        "command": point.command.tolist(),
-        "chamber_pressure": point.pressure.tolist(),
-        "supply_pressure": point.supply_pressure,
-        "return_pressure": point.return_pressure,
-        "outward_share": point.outward.tolist(),
-    }
+    known = study.linear.plant.describe().items()
+    description = {name: value for name, value in known if name != "hydraulic_parameters"}
+    description |= {"pose": study.linear.pose, "operating_point": study.linear.point}
     files: dict[str, Any] = {
         "state_space.json": partial(save_system, study.linear.system, description=description),
         "modes.csv": [

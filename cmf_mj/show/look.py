@@ -85,9 +85,14 @@ def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> No
 
 
 def legend(*where: Axes | Figure, **options: Any) -> None:
-    """A small legend in each of the axes, or below all axes of a figure."""
+    """A small legend in each of the axes; or below all axes of a figure, a name once."""
     for each in where:
-        below = {"loc": "outside lower center"} if isinstance(each, Figure) else {}
+        below: dict[str, Any] = {}
+        if isinstance(each, Figure):
+            every = [axes.get_legend_handles_labels() for axes in each.axes]
+            named = {name: line for one in every for line, name in zip(*one, strict=True)}
+            below = {"loc": "outside lower center", "handles": list(named.values())}
+            below["ncols"] = max(len(named), 1)
         each.legend(**{"fontsize": 8, **below, **options})
 
 

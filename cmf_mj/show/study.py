@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
@@ -30,7 +28,6 @@ AGREEMENT = 0.1
 """Distance of two readings of -90 deg from which on a table shows both [Hz]."""
 
 _LINES = {"hexapod": "-", "single_legs": "--"}
-_TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
 
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
@@ -62,8 +59,8 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
     cab = next((result.case.cab_name for result in results if result.case.cab), "")
     columns: list[Column] = ["law", "dof"]
-    for name in [*(_TITLES[plant] for plant in plants), "published"]:
-        columns += [(f"{name}\n-90", ".2f"), ("\n-3 dB", ".2f")]
+    for name in [*plants, "published"]:
+        columns += [(f"{name.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
         columns += [] if name == "published" else [("\npeak", ".1f")]
         columns += [("\nzeta", ".2f")]
     by_case = {(r.case.law.name, r.case.dof, r.case.plant): r for r in results}
@@ -88,37 +85,11 @@ def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
     return {law: look.COLOURS[i % len(look.COLOURS)] for i, law in enumerate(laws)}
 
 
-def _legend(
-    axis: Axes, results: Sequence[CaseResult], place: str, *, circles: bool = False
-) -> None:
-    """Laws by colour, plants by line, each case that is unstable, and what pale curves are."""
-    titles = {result.case.law.name: result.case.law.title for result in results}
-    colours, bode = _colours(results), axis.get_xscale() == "log"
-    entries: list[dict[str, Any]] = [
-        {"color": colour, "label": titles[law]} for law, colour in colours.items()
-    ]
-    entries += [
-        {"color": look.DARK, "linestyle": _LINES[plant], "label": _TITLES[plant]}
-        for plant in dict.fromkeys(result.case.plant for result in results)
-    ]
-    for case in (result.case for result in results if not result.measures.stable):
-        label = f"unstable: {case.law.title}, {_TITLES[case.plant]}"
-        style = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
-        entries.append({**style, "label": label, "alpha": look.FAINT if bode else 1.0})
-    if bode and any(_unclear(result) for result in results):
-        entries.append(
-            {"color": look.DARK, "alpha": look.FAINT, "label": f"coherence below {CLEAR:g}"}
-        )
-    if circles:
-        circle = {"marker": "o", "fillstyle": "none", "linestyle": ""}
-        entries.append({"color": look.DARK, "label": "published", **circle})
-    look.legend(axis, handles=[Line2D([], [], **entry) for entry in entries], loc=place)
-
-
-def _unclear(result: CaseResult) -> bool:
-    """Whether the coherence of a stable case is low somewhere."""
-    found = result.response
-    return found is not None and result.measures.stable and bool((found.coherence < CLEAR).any())
+def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
+    """Laws by colour, plants by line."""
+    case, stable = result.case, result.measures.stable
+    label = f"{case.law.title}, {case.plant.replace('_', ' ')}{'' if stable else ', unstable'}"
+    return {"color": colours[case.law.name], "linestyle": _LINES[case.plant], "label": label}
 
 
 def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
@@ -130,25 +101,22 @@ def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) 
 
 def responses_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
-    first, colours, circles = results[0].case, _colours(results), False
+    first, colours = results[0].case, _colours(results)
     title = _title("Frequency response", first.dof, first.size, results)
     figure, gain, phase = look.bode_axes(title, limits=True)
     for result in results:
-        case, colour = result.case, colours[result.case.law.name]
+        style, printed = _style(result, colours), result.published
         if result.response is not None:
-            style = {"color": colour, "linestyle": _LINES[case.plant]}
             look.plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
-        printed = result.published
-        for axis, value, level in (
-            (phase, printed and printed.phase_bandwidth_hz, -90.0),
-            (gain, printed and printed.gain_bandwidth_hz, -3.0),
-        ):
-            if value:
-                axis.plot(value, level, "o", color=colour, fillstyle="none")
-                circles = True
+        circle: dict[str, Any] = {"color": style["color"], "marker": "o", "fillstyle": "none"}
+        if printed and printed.phase_bandwidth_hz:
+            phase.plot(printed.phase_bandwidth_hz, -90.0, **circle)
+        if printed and printed.gain_bandwidth_hz:
+            gain.plot(printed.gain_bandwidth_hz, -3.0, **circle)
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
-    _legend(gain, results, "lower left", circles=circles)
+    note = f"circles: published; pale: coherence below {CLEAR:g}, or unstable"
+    look.legend(gain, loc="lower left", title=note, title_fontsize=7)
     return figure
 
 
@@ -163,8 +131,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
     response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
     for result in results:
-        case, record = result.case, result.step
-        style: dict[str, Any] = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
+        record, style = result.step, _style(result, colours)
         try:
             history = dof_history(record, "leg_position", dof)
         except NoPoseError:
@@ -174,7 +141,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     size = float(demanded[-1])
     response.set(title=_title("Step response", dof, step, results), ylim=(-0.5 * size, 2.0 * size))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    _legend(response, results, "lower right")
+    look.legend(response, loc="lower right")
     return figure
 
 
@@ -281,7 +248,7 @@ def ladder_figure(table: pa.Table) -> Figure:
         line[0].set_ylabel(title)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
-    look.legend(figure, handles=axes[0, 0].get_legend_handles_labels()[0], ncols=5)
+    look.legend(figure, ncols=5)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
