@@ -25,7 +25,6 @@ from cmf_mj.show.studio.desk import (
     by_hand,
     largest_amplitude,
     pick,
-    push_of,
     signal_settings,
     signal_table,
 )
@@ -248,8 +247,8 @@ def disturbance_controls(desk: Desk) -> None:
     fail = gui.add_button("fail now", color="red", hint="let it fail in the next frame")
 
     def push() -> None:
-        force = push_of(direction.value, size.value) if on.value else Push()
-        desk.apply(Change(push=force))
+        x, y, z = (units.to_si("kN", size.value) * part for part in DIRECTIONS[direction.value])
+        desk.apply(Change(push=Push(force=(x, y, z)) if on.value else Push()))
 
     def moved(handle: Any) -> None:
         if on.value or handle is on:

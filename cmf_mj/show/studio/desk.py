@@ -14,7 +14,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
 from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.settings import Change, Push, Scenario
+from cmf_mj.facility.scenario.settings import Change, Scenario
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
@@ -45,9 +45,6 @@ DIRECTIONS = {
 LARGEST_PUSH = 100.0
 """Largest push of the page [kN]: three quarters of the weight with the lightest cab."""
 
-RECORD_EVERY = 16
-"""Control frames between rows of a session's record: 128 Hz, the facility's recorder."""
-
 
 def largest_amplitude(dof: str, machine: str = CMF) -> float:
     """Operational excursion of a degree of freedom that both ends have, in in or deg."""
@@ -74,20 +71,13 @@ def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list
     return [basic | signal_settings(kind) | settings]
 
 
-def push_of(direction: str, size: float) -> Push:
-    """A push of the platform in one of `DIRECTIONS`; size in kN."""
-    newtons = units.to_si("kN", size)
-    forward, left, up = (newtons * share for share in DIRECTIONS[direction])
-    return Push(force=(forward, left, up))
-
-
 def first_scenario() -> Scenario:
     """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
     table = {
         "title": "studio session",
         "signal": signal_table("sine", "heave", 2.0),
         "duration": "open",
-        "record_every": RECORD_EVERY,
+        "record_every": 16,  # 128 Hz, the facility's recorder
     }
     return scenario_of(table, "studio")
 
