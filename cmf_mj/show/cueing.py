@@ -23,10 +23,9 @@ from cmf_mj.show import look
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
 """Plotted units in SI."""
 
-_TITLES = (
-    *(f"specific force {axis} [m/s²]" for axis in "xyz"),
-    *("roll rate p [deg/s]", "pitch rate q [deg/s]", "yaw rate r [deg/s]"),
-)
+NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
+"""Of specific force and angular rate."""
+
 _LEAST_SPAN = 0.1
 """Of an axis, in its unit, so that round-off shows as the nothing it is."""
 
@@ -45,16 +44,26 @@ def six(motion: Any) -> NDArray[np.float64]:
     return np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
 
 
+def motion_panels(*motions: DrawnMotion) -> list[look.Panel]:
+    """Specific force and angular rate of motions from their start."""
+    drawn = [(m.time - m.time[0], six(m), *style) for m, *style in motions]
+    panels = []
+    for index, name in enumerate(NAMES):
+        curves = (
+            look.Curve(label, time, values[:, index], colour, width=width)
+            for time, values, label, colour, width in drawn
+        )
+        panels.append(look.Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
+    return panels
+
+
 def motion_axes(*motions: DrawnMotion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
     """Draw forces at the left and rates at the right; further rows of the axes are left empty."""
     figure = look.new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
     panels = axes[:3].T.ravel()
-    for motion, label, colour, width in motions:
-        for axis, values in zip(panels, six(motion).T, strict=True):
-            axis.plot(motion.time, values, color=colour, linewidth=width, label=label)
-    for axis, title in zip(panels, _TITLES, strict=True):
-        axis.set_ylabel(title)
+    for axis, panel in zip(panels, motion_panels(*motions), strict=True):
+        look.plot_panel(axis, panel)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     _finish(figure, panels)
@@ -73,7 +82,7 @@ def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
             start = values[0, i] if i == 2 else 0.0  # less the weight
             axis.plot(time, values[:, i] - start, color=colour, linewidth=1.2, label=label)
         axis.plot(time, apart[:, i], color=look.ORANGE, linewidth=0.8, label="error")
-    panels[2].set_ylabel(f"{_TITLES[2]}\nless the start")
+    panels[2].set_ylabel("f_z [m/s²]\nless the start")
     _finish(figure, panels)
     figure.suptitle("Specific force and angular rate as sensed")
     return figure

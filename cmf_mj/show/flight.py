@@ -17,32 +17,29 @@ from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
-from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
+from cmf_mj.show.cueing import (
+    NAMES,
+    SCALE,
+    DrawnMotion,
+    motion_axes,
+    motion_panels,
+    perceived_figure,
+)
 from cmf_mj.show.stage import Panels
-
-_NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 
 
 def _motions(ride: FlightResult) -> list[DrawnMotion]:
     """Motions at the pilot's station: aircraft, asked, cab."""
-    aircraft = (
-        [] if ride.aircraft is None else [DrawnMotion(ride.aircraft, "aircraft", look.BLUE, 1.2)]
-    )
     asked = DrawnMotion(ride.asked, "asked of the platform", look.DARK, 0.9)
-    return [*aircraft, asked, DrawnMotion(ride.simulator, "cab", look.ORANGE, 0.9)]
+    drawn = [asked, DrawnMotion(ride.simulator, "cab", look.ORANGE, 0.9)]
+    if ride.aircraft is not None:
+        drawn.insert(0, DrawnMotion(ride.aircraft, "aircraft", look.BLUE, 1.2))
+    return drawn
 
 
 def flight_traces(ride: FlightResult) -> Panels:
     """Specific force and angular rate at the pilot's station as traces of a film."""
-    lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
-    time = ride.asked.time - ride.asked.time[0]
-    panels = []
-    for index, name in enumerate(_NAMES):
-        curves = (
-            look.Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines
-        )
-        panels.append(look.Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
-    return panels
+    return motion_panels(*_motions(ride))
 
 
 def flight_figure(ride: FlightResult) -> Figure:
@@ -78,7 +75,7 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
             axis.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axis in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
-        axis.set_title(f"error of {_NAMES[index]} [{unit}]")
+        axis.set_title(f"error of {NAMES[index]} [{unit}]")
         axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
     look.legend(panels[0], loc="lower left")
     colours = list(zip(rides, look.COLOURS, strict=False))
@@ -98,7 +95,7 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
         at = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
         axes.bar(at, error.rms / error.threshold, 0.75 / len(bars), color=colour, label=label)
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
-    axes.set_xticks(range(6), _NAMES)
+    axes.set_xticks(range(6), NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}")
     if bars:
@@ -111,7 +108,7 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
-        for i, name in enumerate(_NAMES)
+        for i, name in enumerate(NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
 

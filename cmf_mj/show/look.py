@@ -261,3 +261,11 @@ class Panel(NamedTuple):
     x_log: bool = False
     height: float = 1.0  #: Relative.
     from_zero: bool = False  #: Whether the y axis of a film has zero at its lower end.
+
+
+def plot_panel(axes: Axes, panel: Panel) -> None:
+    """Draw the lines of a panel, and name its y axis."""
+    for curve in panel.curves:
+        style = {"color": curve.colour, "linewidth": curve.width, "label": curve.name}
+        axes.plot(curve.x, curve.y, **style)
+    axes.set_ylabel(panel.y_title)
