@@ -96,88 +96,78 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
     return show
 
 
-class SignalControls:
-    """The demand: degree of freedom, kind, amplitude and the settings of its kind."""
+def signal_controls(desk: Desk) -> Callable[[], str]:
+    """The demand: its kind with settings and amplitude; gives the degree of freedom chosen."""
+    gui = desk.client.gui
+    dof = gui.add_dropdown(
+        "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
+    )
+    kind = gui.add_dropdown(
+        "signal",
+        ("rest", *SIGNALS),
+        initial_value="sine",
+        hint="demand of the platform; takes over within 1 s",
+    )
+    amplitude = gui.add_slider(
+        "amplitude", 0.05, 41.0, 0.05, 2.0, hint="up to the operational excursion"
+    )
+    folder = gui.add_folder("settings")
+    settings: dict[str, Any] = {}
+    machine = models.CMF
 
-    def __init__(self, desk: Desk) -> None:
-        """Add them to the container in force."""
-        gui = desk.client.gui
-        self._desk, self._machine = desk, models.CMF
-        self._dof = gui.add_dropdown(
-            "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
-        )
-        self._kind = gui.add_dropdown(
-            "signal",
-            ("rest", *SIGNALS),
-            initial_value="sine",
-            hint="demand of the platform; takes over within 1 s",
-        )
-        self._amplitude = gui.add_slider(
-            "amplitude", 0.05, 41.0, 0.05, 2.0, hint="up to the operational excursion"
-        )
-        self._folder = gui.add_folder("settings")
-        self._settings: dict[str, Any] = {}
-        by_hand(self._moved, self._dof, self._kind, self._amplitude)
-        again = gui.add_button("send again", hint="step, pulse and chirp once more")
-        again.on_click(lambda _: desk.later("signal", self._send))
-        desk.follow(self._follow)
+    def send() -> None:
+        chosen = {name: handle.value for name, handle in settings.items()}
+        table = signal_table(kind.value, dof.value, amplitude.value, **chosen)
+        desk.apply(change_of({"signal": table}, "signal"))
 
-    @property
-    def dof(self) -> str:
-        """Degree of freedom chosen."""
-        return self._dof.value
+    def limit() -> None:
+        amplitude.label = f"amplitude [{dof_unit(dof.value)}]"
+        amplitude.max = largest_amplitude(dof.value, machine)
+        amplitude.value = min(amplitude.value, amplitude.max)
 
-    def _send(self) -> None:
-        settings = {name: handle.value for name, handle in self._settings.items()}
-        table = signal_table(self._kind.value, self.dof, self._amplitude.value, **settings)
-        self._desk.apply(change_of({"signal": table}, "signal"))
+    def moved(handle: Any) -> None:
+        if handle is dof:
+            limit()
+        if handle is kind:
+            show_settings({})
+        desk.later("signal", send)
 
-    def _follow(self, scenario: Scenario) -> None:
+    def follow(scenario: Scenario) -> None:
         """Show the signal of a scenario, where the page has such a one."""
-        self._machine = scenario.machine
-        signals = scenario.signal
-        if not signals:
-            self._kind.value = "rest"
-        settings: dict[str, Any] = {}
-        if len(signals) == 1 and isinstance(signals[0], SingleSignal):
-            signal = signals[0]
-            self._kind.value, self._dof.value = signal.kind, signal.dof
-            self._amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
-            settings = signal.model_dump()
-        self._limit()
-        self._show_settings(settings)
+        nonlocal machine
+        machine, chosen = scenario.machine, dict[str, Any]()
+        if not scenario.signal:
+            kind.value = "rest"
+        if len(scenario.signal) == 1 and isinstance(signal := scenario.signal[0], SingleSignal):
+            kind.value, dof.value = signal.kind, signal.dof
+            amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
+            chosen = signal.model_dump()
+        limit()
+        show_settings(chosen)
 
-    def _moved(self, handle: Any) -> None:
-        if handle is self._dof:
-            self._limit()
-        if handle is self._kind:
-            self._show_settings({})
-        self._desk.later("signal", self._send)
-
-    def _limit(self) -> None:
-        """Scale the amplitude to the degree of freedom."""
-        self._amplitude.label = f"amplitude [{dof_unit(self.dof)}]"
-        self._amplitude.max = largest_amplitude(self.dof, self._machine)
-        self._amplitude.value = min(self._amplitude.value, self._amplitude.max)
-
-    def _show_settings(self, chosen: dict[str, Any]) -> None:
+    def show_settings(chosen: dict[str, Any]) -> None:
         """One control for each setting of the kind, by its type."""
-        gui, kind = self._desk.client.gui, self._kind.value
-        for handle in self._settings.values():
+        for handle in settings.values():
             handle.remove()
-        self._settings.clear()
-        for name, begun in signal_settings(kind).items():
+        settings.clear()
+        for name, begun in signal_settings(kind.value).items():
             value = chosen.get(name, begun)
-            with self._folder:
+            with folder:
                 if isinstance(value, str):
-                    options = get_args(SIGNALS[kind].model_fields[name].annotation)
-                    self._settings[name] = gui.add_dropdown(name, options, initial_value=value)
+                    options = get_args(SIGNALS[kind.value].model_fields[name].annotation)
+                    settings[name] = gui.add_dropdown(name, options, initial_value=value)
                     continue
                 unit = "Hz" if name in _HERTZ else "s"
                 whole = isinstance(value, int)
                 label, step = (name, 1) if whole else (f"{name} [{unit}]", 0.05)
-                self._settings[name] = gui.add_number(label, value, step=step)
-        by_hand(self._moved, *self._settings.values())
+                settings[name] = gui.add_number(label, value, step=step)
+        by_hand(moved, *settings.values())
+
+    by_hand(moved, dof, kind, amplitude)
+    again = gui.add_button("send again", hint="step, pulse and chirp once more")
+    again.on_click(lambda _: desk.later("signal", send))
+    desk.follow(follow)
+    return lambda: dof.value
 
 
 def law_controls(desk: Desk) -> None:
