@@ -115,9 +115,9 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         "modes.csv": [
             {"real": m.pole.real, "imaginary": m.pole.imag, "frequency": m.frequency}
             | {"damping_ratio": m.damping_ratio}
-            | named("share_{}", m.shares, m.shares.values())
-            | named("share_{}", DOFS, m.dof_shares)
-            | named("leg_{}", count(1), np.abs(m.leg_shape))
+            | entries("share_{}", m.shares, m.shares.values())
+            | entries("share_{}", DOFS, m.dof_shares)
+            | entries("leg_{}", count(1), np.abs(m.leg_shape))
             for m in study.modes
         ],
     }
@@ -130,7 +130,7 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     return look.save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
 
 
-def named(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[str, float]:
+def entries(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[str, float]:
     """Numbers of a row, by names put into a form."""
     return {form.format(name): value for name, value in zip(names, values, strict=False)}
 
@@ -240,7 +240,7 @@ def save_modes(
     cabs = [each.worst.cab for each in ranges]
     looked_at = [modes for each in ranges for modes in (*each.modes, each.worst)]
     masses = [
-        _pose_of(modes) | {"leg": leg} | named("leg_{}_kg", _SIX, row)
+        _pose_of(modes) | {"leg": leg} | entries("leg_{}_kg", _SIX, row)
         for modes in (*more, *looked_at)
         for leg, row in zip(_SIX, modes.reflected_mass, strict=True)
     ]
@@ -251,13 +251,13 @@ def save_modes(
         moved = modes.pose_shape / largest
         for i, (share, legs) in enumerate(columns):
             row = {"mode": i + 1, "frequency_hz": modes.frequency_hz[i]}
-            row |= {"leg_mass_kg": modes.leg_mass[i]} | named("share_{}", DOFS, share)
-            row |= named("leg_{}", _SIX, legs) | named("{}_per_leg", DOFS, moved[:, i])
+            row |= {"leg_mass_kg": modes.leg_mass[i]} | entries("share_{}", DOFS, share)
+            row |= entries("leg_{}", _SIX, legs) | entries("{}_per_leg", DOFS, moved[:, i])
             shapes.append(_pose_of(modes) | row)
     files = {
         "modes_sweep.png": sweep_figure(cabs, sweeps),
         "modes_map.png": map_figure(cabs, maps),
-        "modes.csv": [_pose_of(m) | named("mode_{}_hz", _SIX, m.frequency_hz) for m in looked_at],
+        "modes.csv": [_pose_of(m) | entries("mode_{}_hz", _SIX, m.frequency_hz) for m in looked_at],
         "modes.md": range_table(ranges),
         "reflected_mass.csv": masses,
         "mode_shapes.csv": shapes,
@@ -266,4 +266,4 @@ def save_modes(
 
 
 def _pose_of(modes: HydraulicModes) -> dict[str, Any]:
-    return {"cab": modes.cab} | named("{}", DOFS, modes.pose)
+    return {"cab": modes.cab} | entries("{}", DOFS, modes.pose)
