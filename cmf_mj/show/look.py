@@ -266,6 +266,6 @@ class Panel(NamedTuple):
 def plot_panel(axes: Axes, panel: Panel) -> None:
     """Draw the lines of a panel, and name its y axis."""
     for curve in panel.curves:
-        style = {"color": curve.colour, "linewidth": curve.width, "label": curve.name}
-        axes.plot(curve.x, curve.y, **style)
+        style: dict[str, Any] = {"color": curve.colour, "linewidth": curve.width}
+        axes.plot(curve.x, curve.y, label=curve.name, **style)
     axes.set_ylabel(panel.y_title)
