@@ -13,8 +13,8 @@ from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.show.film.film import FilmSettings, film
-from cmf_mj.show.film.stage import FilmStage
+from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.stage import FilmStage
 
 _MOTION = FilmSettings(fps=10, width=400, height=270, strip=150)
 """Small enough for a README."""

@@ -21,9 +21,9 @@ from typer.main import get_command
 import cmf_mj.cli  # noqa: F401, registers every command with `app`
 from cmf_mj import load_hydraulics
 from cmf_mj.cli.common import app
+from cmf_mj.core.quantity import quantity_table
 from cmf_mj.core.result import Table
 from cmf_mj.report_2014.ledger import LedgerEntry, figures_text, load_ledger
-from cmf_mj.show.listing import parameter_table
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = (
@@ -84,7 +84,7 @@ GALLERY = ("machine", "step_six_axes")
 
 def parameters(name: str) -> str:
     """A hydraulic set as a Markdown table."""
-    return parameter_table(load_hydraulics(name)).markdown()
+    return quantity_table("", load_hydraulics(name).quantities()).markdown()
 
 
 def ledger() -> str:

@@ -73,13 +73,10 @@ def modes_command(
             over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
             for plant in plants
         ]
-    paths = report.save_envelope(ranges, sweeps, maps, out)
     # The envelope has neutral in it.
-    off_neutral = at_pose if here.any() else []
-    each = [*off_neutral, *(modes for one in ranges for modes in (*one.modes, one.worst))]
-    paths += report.save_modes(each, out)
+    paths = report.save_modes(ranges, sweeps, maps, at_pose if here.any() else [], out)
     for modes in at_pose:
-        show(report.mass_table(modes), report.mode_table(modes))
+        show(report.mode_table(modes))
     for one in ranges:
         show(report.mode_table(one.worst, "worst pose"))
     show(report.range_table(ranges), written(paths, out))

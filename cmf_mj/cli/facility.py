@@ -217,12 +217,13 @@ def replay_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.replay import law_of, replay
     from cmf_mj.record.reader import read_recording
-    from cmf_mj.show import listing as report
+    from cmf_mj.show import operation as report
+    from cmf_mj.show.look import save_figure
 
     record = read_recording(recording)
     replayed = replay(record, law or law_of(record))
     name = f"{recording.stem}_{replayed.law}.png"
-    path = report.save_replay(replayed, in_folder(out, name))
+    path = save_figure(report.replay_figure(replayed), in_folder(out, name))
     show(report.replay_summary(replayed), f"written: {path}")
 
 

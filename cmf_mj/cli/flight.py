@@ -85,9 +85,9 @@ def fly_command(
         folder = in_folder(out, ride.law)
         paths += save_operation(ride.operation, folder)
         paths += report.save_ride(ride, folder)
-    paths += report.save_comparison(rides, out)
+    paths += report.save_flights(rides, out)
     title = flown.origin.title if flown else f"{form} at port {port}"
-    show(title, report.comparison_table(rides), unfolded=True)
+    show(title, report.flight_table(rides), unfolded=True)
     if delay:
         show(report.delay_table(transport_delay(loaded[0], dof=dof, **how)))
     for ride in rides:

@@ -34,24 +34,33 @@ def list_command(
     machine: options.Machine = "cmf",
 ) -> None:
     """List laws, machines, or the numbers of a hydraulic or sensor set with their sources."""
+    from cmf_mj.core.quantity import quantity_table
+    from cmf_mj.core.result import Field, Result, Table
     from cmf_mj.electronics.sensors.channel import load_sensors
     from cmf_mj.machine.models import machine_names
     from cmf_mj.plant.parameters.loading import hydraulics_of
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
-    from cmf_mj.show import listing
 
     if name is not None and what not in ("hydraulics", "sensors"):
         raise InputError(f"set: {name!r} is of no use to {what}; allowed: none")
     if what == "laws":
-        show(listing.law_table([cmf_mj.load_law(one) for one in cmf_mj.law_names("all")]))
+        fields = [*map(Field, ("name", "title", "source"))]
+        laws = [cmf_mj.load_law(one) for one in cmf_mj.law_names("all")]
+        show(Result(laws, fields, "control laws"))
     elif what == "machines":
-        show(listing.machine_table([cmf_mj.load_machine(one) for one in machine_names()]))
+        rows = [
+            (one.name, one.title, ", ".join(one.cab_names), cmf_mj.load_law(one.law).name)
+            for one in map(cmf_mj.load_machine, machine_names())
+        ]
+        show(Table("machines", ("name", "title", "cabs", "law"), rows))
     elif what == "hydraulics":
-        show(listing.parameter_table(hydraulics_of(cmf_mj.load_machine(machine), name)))
+        chosen = hydraulics_of(cmf_mj.load_machine(machine), name)
+        show(quantity_table(f"hydraulics: {chosen.name}", chosen.quantities()))
     else:
         sensors = load_sensors(name or "noisy")
+        title = f"sensors: {sensors.name}, gravity {'on' if sensors.gravity else 'off'}"
         effect = filter_effect(sensors, "acceleration_opposing")
-        show(listing.sensor_table(sensors), effect_table(effect))
+        show(quantity_table(title, sensors.quantities()), effect_table(effect))
 
 
 @machines.command("new")
@@ -78,11 +87,10 @@ def new_command(
 @machines.command("check")
 def check_command(machine: Machine) -> None:
     """Tell whether the numbers of a machine fit together; status 1 if they do not."""
-    from cmf_mj.show import listing as report
-    from cmf_mj.studies.machine_check import check_machine
+    from cmf_mj.studies.machine_check import check_machine, check_parts
 
     check = check_machine(cmf_mj.load_machine(machine))
-    show(report.envelope_table(check), report.cab_table(check), *report.check_text(check))
+    show(*check_parts(check))
     if check.faults:
         raise typer.Exit(1)
 
@@ -96,7 +104,7 @@ def show_command(
     height: options.Height = 720,
 ) -> None:
     """Draw a machine with a cab at neutral."""
-    from cmf_mj.show.listing import save_picture
+    from cmf_mj.show.stage import save_picture
 
     drawn = save_picture(cmf_mj.load_machine(machine), cab, file, (width, height))
     show(f"written: {drawn}")

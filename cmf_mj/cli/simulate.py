@@ -62,7 +62,7 @@ def run_command(
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
     from cmf_mj.facility.scenario.library import scenario_names
     from cmf_mj.facility.scenario.settings import Scenario
-    from cmf_mj.show.film.film import save_run
+    from cmf_mj.show.film import save_run
 
     if schema:
         print(json.dumps(Scenario.model_json_schema(), indent=2))
@@ -88,7 +88,7 @@ def run_comparison(
     `options` are others of `compare`; records are kept unless `records` is False, with `measures`
     what compares laws stands in a table more.
     """
-    from cmf_mj.show import comparison as report
+    from cmf_mj.show import study as report
     from cmf_mj.studies.comparison import rated
 
     kept, more = options.pop("records", True), options.pop("measures", False)
@@ -99,8 +99,8 @@ def run_comparison(
     tables, beside = [report.comparison_table(comparison)], ""
     if more:
         found = rated(comparison, options.get("jobs"))
-        tables.append(report.qualities_table(comparison, found))
-        beside = f", {tables[1].save(out / 'measures.md').name}"
+        tables.append(found.table)
+        beside = f", {found.save(out / 'measures.md').name}"
     gap = max(result.gimbal_error for result in comparison)
     show(
         *tables,
@@ -225,7 +225,7 @@ def capacity_command(
     demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency)
     result = capacity(demand, law, cab, parameters, least_pressure=least)
     paths = report.save_capacity(result, parameters, out)
-    show(report.capacity_table(result))
+    show(report.capacity_result(result).turned)
     if envelope:
         frequencies = envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES
         limits: dict[str, Any] = {"least_pressure": least, "frequencies": frequencies}
@@ -267,7 +267,7 @@ def video_command(
 ) -> None:
     """Render runs side by side, or modes of a cab, to MP4 or GIF; needs no display."""
     from cmf_mj.core import units
-    from cmf_mj.show.film.film import FilmSettings, film, swing_film
+    from cmf_mj.show.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 
     names = sources or ["heave_sine"]

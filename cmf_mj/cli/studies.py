@@ -130,6 +130,7 @@ def certify_command(
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
+    from cmf_mj.core.result import Result
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
@@ -152,8 +153,10 @@ def certify_command(
                 with libraries().limit(limits=1):  # so that the same seed gives the same bits
                     rows.append(run.certify(plant, law, folder, unit, effort, seed=seed))
                 update(len(rows), len(plants) * len(chosen))
-    tables = {"certificates": report.certificate_table(rows), "proofs": report.proof_table(rows)}
-    files = {f"{name}.{end}": one.save for name, one in tables.items() for end in ("md", "csv")}
+    proofs = [{"law": c.law, "cab": c.cab} | p._asdict() for c in rows for p in c.proofs]
+    tables: dict[str, Result[Any]] = {"certificates": Result(rows, run.CERTIFICATES)}
+    tables["proofs"] = Result(proofs, run.PROOFS)
+    files = {f"{name}.{end}": one for name, one in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(rows)}
     show(*tables.values(), written(save_files(files | figure, out), out))
 

@@ -1,5 +1,6 @@
 """Numbers with unit, status and source, and the range each kind of number may take."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -9,6 +10,7 @@ from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.result import Table
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.core.units import LONGEST
 
@@ -43,6 +45,13 @@ class Quantity(_Known[float]):
     def __str__(self) -> str:
         """Value and unit."""
         return f"{self.value:g} {self.unit}"
+
+
+def quantity_table(title: str, quantities: Mapping[str, Quantity]) -> Table:
+    """Value, unit, status and source of every number."""
+    columns = ("parameter", ("value", "g"), "unit", "status", "source")
+    rows = [(name, one.value, one.unit, one.status, one.source) for name, one in quantities.items()]
+    return Table(title, columns, rows)
 
 
 class Quantities(_Known[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]]):

@@ -5,7 +5,7 @@ have every field that has a name, in SI; the table in the terminal and in Markdo
 are printed, in the unit of the field.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from operator import and_
@@ -167,6 +167,7 @@ class Field:
     """Path of attributes and entries that leads from a row to the value, by default the name; or
     what takes it from a row."""
     printed: bool = True  #: Whether the table has it, beside the frame.
+    about: str = ""  #: What it is, where a table explains its rows.
 
     def value(self, row: Any) -> Any:
         """The value of a row; None where the path ends before."""
@@ -186,10 +187,20 @@ class Field:
         return number(value, self.form or "")
 
     @property
+    def header(self) -> str:
+        """Title of the printed column."""
+        return self.name.replace("_", " ") if self.title is None else self.title
+
+    @property
     def column(self) -> Column:
         """Head of the printed column: numbers stand at the right."""
-        title = self.name.replace("_", " ") if self.title is None else self.title
-        return (title, "") if isinstance(self.form, str) else title
+        return (self.header, "") if isinstance(self.form, str) else self.header
+
+
+def lines(row: Any, fields: Iterable[Field]) -> list[tuple[str, str, str]]:
+    """A row turned: title, value and meaning of each printed field."""
+    printed = [each for each in fields if each.printed]
+    return [(one.header.replace("\n", " "), one.text(one.value(row)), one.about) for one in printed]
 
 
 def fields_of(row: type) -> tuple[Field, ...]:
@@ -269,6 +280,12 @@ class Result(Sequence[Row], Generic[Row]):
         cells = [[each.text(each.value(row)) for each in printed] for row in self.rows]
         columns = [each.column for each in printed]
         return Table(self.title, columns, cells, self.caption, grouped=self.grouped)
+
+    @property
+    def turned(self) -> Table:
+        """The first row as a table of its own, a line a field."""
+        head = ("measure", "value", "definition")
+        return Table(self.title, head, lines(self.rows[0], self.fields), self.caption)
 
     def to_pandas(self) -> Any:
         """The frame as one of pandas, which must be installed."""

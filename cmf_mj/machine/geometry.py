@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, model_validator
 
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.quantity import Kind, Length, Points, Quantity
 from cmf_mj.core.settings import Settings
@@ -155,3 +156,17 @@ class Gimbals(Settings):
 
 _WAYS = (_COORDINATES, _CIRCLES)
 _WAY = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
+
+
+def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
+    """A pose in in and deg, zeros left out; `neutral` if all are.
+
+    >>> pose_text(np.array([0.0254, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    'surge 1 in'
+    """
+    parts = []
+    for dof, value in zip(DOFS, pose, strict=True):
+        size = format(units.from_si(dof_unit(dof), float(value)), form)
+        if float(size) != 0.0:
+            parts.append(f"{dof} {size} {dof_unit(dof)}")
+    return ", ".join(parts) or "neutral"

@@ -19,8 +19,8 @@ from cmf_mj.report_2014.models import (
     report_models,
 )
 from cmf_mj.report_2014.second_order import GAINS, gain_effects
-from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
+from cmf_mj.show.study import phase_text
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
 EFFECTS = (

@@ -1,24 +1,22 @@
 """Tables and figures of capacity studies."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
-from cmf_mj.core.result import Table, number
+from cmf_mj.core.result import Result, Table
 from cmf_mj.machine.geometry import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show import look
 from cmf_mj.show.operation import plot_motion
 from cmf_mj.studies.asymptotes import Asymptotes
-from cmf_mj.studies.capacity import CapacityResult, relief_flow
+from cmf_mj.studies.capacity import CAPACITY, CapacityResult, relief_flow
 from cmf_mj.studies.envelope import Envelope, EnvelopePoint
 
 _GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
@@ -43,40 +41,15 @@ _CLOSED: dict[str, tuple[str, Any, str]] = {
 """Title, line and colour of every closed form."""
 
 
-def _text(unit: str, value: float, digits: int = 0) -> str:
-    return number(units.from_si(unit, value), f".{digits}f {unit}")
+def _psi(value: float) -> str:
+    return f"{value / _PSI:.0f} psi"
 
 
-_psi, _gpm, _gallons = partial(_text, "psi"), partial(_text, "gpm"), partial(_text, "gal", digits=1)
-
-
-def capacity_table(result: CapacityResult) -> Table:
-    """Every measure of a manoeuvre: name, value with unit, definition."""
-    worst, verdict = int(result.peak_command.argmax()), "yes" if result.holds else "NO"
-    lowest, margin = result.least_pressure, result.least_margin
-    empty, saturated = number(result.empty_time, ".3g"), 100.0 * result.saturation.max()
-    demand = f"{100.0 * result.peak_command[worst]:.0f} %"
-    charged = _gallons(result.charged_oil)
-    over = f"manifold over stall, leg {margin.leg} at {margin.time:.2f} s"
-    limit = f"over the run; limit {_gpm(result.pump_flow_limit)}"
-    rows = [
-        ("supply holds", verdict, f"manifold never below {_psi(result.allowed_pressure)}"),
-        ("least manifold pressure", _psi(lowest.value), f"at {lowest.time:.2f} s"),
-        ("least oil in accumulators", _gallons(result.least_oil), f"of {charged} charged"),
-        ("least gas pressure", _psi(result.least_gas_pressure), "of the accumulators"),
-        ("accumulators empty", f"{empty} s", "in all"),
-        ("mean pump flow", _gpm(result.pump_flow.mean), limit),
-        ("peak pump flow", _gpm(result.pump_flow.peak), ""),
-        ("mean relief flow", _gpm(result.relief_flow.mean), "over the run"),
-        ("peak relief flow", _gpm(result.relief_flow.peak), ""),
-        ("valve saturation", f"{saturated:.2f} %", "of the run, worst leg"),
-        ("peak valve demand", demand, f"leg {worst + 1}, before the clamp at 100 %"),
-        ("least pressure margin", _psi(margin.value), over),
-    ]
+def capacity_result(result: CapacityResult) -> Result[CapacityResult]:
+    """What a manoeuvre took out of the supply, as a row."""
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
-    title = f"capacity: {', '.join(filter(None, words))}"
-    return Table(title, ("measure", "value", "definition"), rows)
+    return Result([result], CAPACITY, f"capacity: {', '.join(filter(None, words))}")
 
 
 def envelope_table(envelope: Envelope) -> Table:
@@ -171,18 +144,7 @@ def envelope_figure(envelope: Envelope) -> Figure:
     for place, closed in enumerate(envelope.asymptotes, start=1):
         axis = figure.add_subplot(rows, columns, place)
         _envelope_panel(axis, envelope.of(closed.dof), closed)
-    bindings = {point.binding for point in envelope.points}
-    handles = [Line2D([], [], color=look.DARK, linewidth=1.8, label="largest sine that holds")]
-    handles += [
-        Line2D([], [], color=colour, marker=marker, linestyle="", label=f"bound by {title}")
-        for name, (title, marker, colour) in _BINDING.items()
-        if name in bindings
-    ]
-    handles += [
-        Line2D([], [], color=colour, linestyle=line, linewidth=1.0, label=f"closed form: {title}")
-        for title, line, colour in _CLOSED.values()
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8)
+    look.legend(figure, ncols=columns)
     figure.suptitle(
         f"{envelope.law}, {envelope.cab.upper()}, {envelope.hydraulics} hydraulics: "
         f"largest sustained sine with the manifold above {_psi(envelope.allowed_pressure)}"
@@ -211,14 +173,17 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
     for size, label in ((v / rate, unit), (v * rate * length / turn, per)):
         lines = axis.contour(f, v, size, levels, colors="0.82", linewidths=0.7, zorder=0)
         axis.clabel(lines, fmt=f"%g {label}", fontsize=6.5, colors="0.45")
-    for name, (_, line, colour) in _CLOSED.items():
+    style: dict[str, Any] = {"color": look.DARK, "label": "largest sine that holds"}
+    axis.plot([point.frequency for point in reached], speeds, linewidth=1.8, **style)
+    for point, speed in zip(reached, speeds, strict=True):
+        title, marker, colour = _BINDING[point.binding]
+        style = {"color": colour, "linestyle": "", "label": f"bound by {title}"}
+        axis.plot(point.frequency, speed, marker=marker, markersize=6, zorder=4, **style)
+    for name, (title, line, colour) in _CLOSED.items():
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
-            axis.plot(frequency, values, linestyle=line, color=colour, linewidth=1.0)
-    axis.plot([point.frequency for point in reached], speeds, color=look.DARK, linewidth=1.8)
-    for point, speed in zip(reached, speeds, strict=True):
-        _, marker, colour = _BINDING[point.binding]
-        axis.plot(point.frequency, speed, marker, color=colour, markersize=6, zorder=4)
+            style = {"color": colour, "linestyle": line, "label": f"closed form: {title}"}
+            axis.plot(frequency, values, linewidth=1.0, **style)
     axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
     for ticks in (axis.xaxis, axis.yaxis):
         ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -229,19 +194,15 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
 def save_capacity(
     result: CapacityResult, parameters: HydraulicParameters, folder: Path
 ) -> list[Path]:
-    """Write `capacity.csv` (measures in the field's units), `supply.png` and `capacity.parquet`."""
+    """Write `capacity.csv` (SI), `supply.png` and the record as `capacity.parquet`."""
     files = {
-        "capacity.csv": capacity_table(result).save,
+        "capacity.csv": capacity_result(result),
         "supply.png": supply_figure(result, parameters),
-        "capacity.parquet": result.record.save,
     }
-    return look.save_files(files, folder)
+    return look.save_files(files | {"capacity.parquet": result.record}, folder)
 
 
 def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
     """Write `envelope.md`, the table, and `envelope.png`."""
-    files = {
-        "envelope.md": envelope_table(envelope).save,
-        "envelope.png": envelope_figure(envelope),
-    }
-    return look.save_files(files, folder)
+    table, figure = envelope_table(envelope), envelope_figure(envelope)
+    return look.save_files({"envelope.md": table, "envelope.png": figure}, folder)

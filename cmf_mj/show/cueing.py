@@ -1,6 +1,5 @@
 """Tables, figures and files of cueing: flights at the station, the objective motion cueing test."""
 
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,25 +18,14 @@ from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError
-from cmf_mj.show.look import (
-    BLUE,
-    COLOURS,
-    GREY,
-    ORANGE,
-    grid,
-    legend,
-    new_figure,
-    save_files,
-    shade,
-)
+from cmf_mj.show import look
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
 """Plotted units in SI."""
 
-_TITLES = (
-    *(f"specific force {axis} [m/s²]" for axis in "xyz"),
-    *("roll rate p [deg/s]", "pitch rate q [deg/s]", "yaw rate r [deg/s]"),
-)
+NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
+"""Of specific force and angular rate."""
+
 _LEAST_SPAN = 0.1
 """Of an axis, in its unit, so that round-off shows as the nothing it is."""
 
@@ -56,16 +44,26 @@ def six(motion: Any) -> NDArray[np.float64]:
     return np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
 
 
+def motion_panels(*motions: DrawnMotion) -> list[look.Panel]:
+    """Specific force and angular rate of motions from their start."""
+    drawn = [(m.time - m.time[0], six(m), *style) for m, *style in motions]
+    panels = []
+    for index, name in enumerate(NAMES):
+        curves = (
+            look.Curve(label, time, values[:, index], colour, width=width)
+            for time, values, label, colour, width in drawn
+        )
+        panels.append(look.Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
+    return panels
+
+
 def motion_axes(*motions: DrawnMotion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
     """Draw forces at the left and rates at the right; further rows of the axes are left empty."""
-    figure = new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
+    figure = look.new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
     panels = axes[:3].T.ravel()
-    for motion, label, colour, width in motions:
-        for axis, values in zip(panels, six(motion).T, strict=True):
-            axis.plot(motion.time, values, color=colour, linewidth=width, label=label)
-    for axis, title in zip(panels, _TITLES, strict=True):
-        axis.set_ylabel(title)
+    for axis, panel in zip(panels, motion_panels(*motions), strict=True):
+        look.plot_panel(axis, panel)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     _finish(figure, panels)
@@ -77,14 +75,14 @@ def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
     figure, axes = motion_axes()
     panels = axes.T.ravel()
     time, limits, apart = error.aircraft.time, error.threshold / SCALE, error.error / SCALE
-    sensed = ((six(error.aircraft), first, GREY), (six(error.simulator), second, BLUE))
+    sensed = ((six(error.aircraft), first, look.GREY), (six(error.simulator), second, look.BLUE))
     for i, axis in enumerate(panels):
         axis.axhspan(-limits[i], limits[i], color="0.92", label="threshold of the error")
         for values, label, colour in sensed:
             start = values[0, i] if i == 2 else 0.0  # less the weight
             axis.plot(time, values[:, i] - start, color=colour, linewidth=1.2, label=label)
-        axis.plot(time, apart[:, i], color=ORANGE, linewidth=0.8, label="error")
-    panels[2].set_ylabel(f"{_TITLES[2]}\nless the start")
+        axis.plot(time, apart[:, i], color=look.ORANGE, linewidth=0.8, label="error")
+    panels[2].set_ylabel("f_z [m/s²]\nless the start")
     _finish(figure, panels)
     figure.suptitle("Specific force and angular rate as sensed")
     return figure
@@ -97,9 +95,8 @@ def _finish(figure: Figure, panels: NDArray[Any]) -> None:
         if high - low < _LEAST_SPAN and axis.has_data():
             middle = 0.5 * (low + high)
             axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
-    handles, labels = panels[0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    if panels[0].has_data():
+        look.legend(figure)
 
 
 _LEGEND = (
@@ -150,8 +147,8 @@ def tuned_table(tuned: Tuned, before: NDArray[np.float64]) -> Table:
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
     figure, axes = motion_axes(
-        DrawnMotion(flown.aircraft, "aircraft", GREY, 1.2),
-        DrawnMotion(flown.simulator, "simulator", BLUE, 1.2),
+        DrawnMotion(flown.aircraft, "aircraft", look.GREY, 1.2),
+        DrawnMotion(flown.simulator, "simulator", look.BLUE, 1.2),
         rows=5,
     )
     time, pose = flown.aircraft.time, flown.stream.pose
@@ -163,11 +160,11 @@ def motion_figure(flown: Cue) -> Figure:
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
-    legend(*axes[3:].flat, ncols=3)
+    look.legend(*axes[3:].flat, ncols=3)
     if flown.limited.any():
         for axis in axes[3:].flat:
-            shade(axis, time, flown.limited)
-        axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
+            look.shade(axis, time, flown.limited)
+        axes[3, 0].set_title("shaded: held back by the limits")
     figure.suptitle(
         "Specific force and angular rate of both pilots, pose and legs: "
         f"washout {flown.settings.name}"
@@ -181,16 +178,15 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
     `host.csv`, `simulator.csv`, `error.csv` (SI), `motion.png`, `senses.png`.
     """
     error = flown.error
-    columns = (QUANTITIES, error.threshold, error.peak, error.rms, error.share_above)
-    header = ("sensed", "threshold_si", "peak_si", "rms_si", "share_above")
+    sizes = {"threshold_si": error.threshold, "peak_si": error.peak, "rms_si": error.rms}
     files = {
         "host.csv": partial(write_stream, flown.stream),
-        "simulator.csv": flown.simulator.save,
-        "error.csv": (header, zip(*columns, strict=True)),
+        "simulator.csv": flown.simulator,
+        "error.csv": {"sensed": QUANTITIES, **sizes, "share_above": error.share_above},
         "motion.png": motion_figure(flown),
         "senses.png": perceived_figure(error, "sensed in flight", "in the simulator"),
     }
-    return save_files(files, folder, 90)
+    return look.save_files(files, folder, 90)
 
 
 _OMCT_LEGEND = (
@@ -285,9 +281,9 @@ def _text(value: float, digits: int) -> str:
 
 def omct_figure(result: Omct) -> Figure:
     """Modulus and phase of all tests over frequency."""
-    figure = new_figure(13.0, 15.0)
+    figure = look.new_figure(13.0, 15.0)
     axes = figure.subplots(5, 4, sharex=True)
-    colours = ("#999999", "#000000", *(colour for colour in COLOURS if colour != "#000000"))
+    colours = ("#999999", "#000000", *(colour for colour in look.COLOURS if colour != "#000000"))
     for place, (driven, output) in enumerate(TESTS):
         row, side = divmod(place, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
@@ -304,17 +300,16 @@ def omct_figure(result: Omct) -> Figure:
             modulus.yaxis.set_major_formatter(plain)
             modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if driven != output and driven in _ROTATIONS:
-            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=GREY, linestyle=":", linewidth=1.0)
-        modulus.set_title(f"{driven} > {output}", fontsize=10)
-        modulus.set_ylabel(f"modulus [{name}]" if name else "modulus", fontsize=9)
-        angle.set_ylabel("phase [deg]", fontsize=9)
-    grid(*axes.flat, which="both")
+            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=look.GREY, linestyle=":")
+        ylabel = f"modulus [{name}]" if name else "modulus"
+        modulus.set(title=f"{driven} > {output}", ylabel=ylabel)
+        angle.set_ylabel("phase [deg]")
     for axis in axes.flat:
-        axis.tick_params(which="both", labelsize=8)
+        axis.grid(True, which="both")
+        axis.tick_params(which="minor", labelsize=8)
     for axis in axes[-1]:
-        axis.set_xlabel("frequency [rad/s]", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
+        axis.set_xlabel("frequency [rad/s]")
+    look.legend(figure)
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "
         f"washout {result.washout}, cab {result.cab}, {result.hydraulics} hydraulics"
@@ -324,25 +319,25 @@ def omct_figure(result: Omct) -> Figure:
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
-    header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg", "remainder"]
-    files = {
-        "omct.csv": ([*header, "share_modulus", "share_phase_deg"], _rows(result)),
-        "omct.md": omct_table(result).save,
-        "share.md": share_table(result).save,
-        "omct.png": omct_figure(result),
-    }
-    return save_files(files, folder, 70)
-
-
-def _rows(result: Omct) -> Iterator[list[str]]:
+    rows = []
     for place, (driven, output) in enumerate(TESTS):
         for stage, responses in result.responses.items():
             share, response = result.share(stage)[place], responses[place]
-            columns = (
-                *(np.abs(response), phase(response), result.remainder[stage][place]),
-                *(np.abs(share), phase(share)),
-            )
-            for frequency, values in zip(result.frequency, zip(*columns, strict=True), strict=True):
-                if np.isfinite(values[0]):
-                    where = [f"{driven}>{output}", title(stage), f"{frequency:.6g}"]
-                    yield [*where, *(f"{value:.6g}" for value in values)]
+            columns = {
+                "frequency_rad_s": result.frequency,
+                "modulus_si": np.abs(response),
+                "phase_deg": phase(response),
+                "remainder": result.remainder[stage][place],
+                "share_modulus": np.abs(share),
+                "share_phase_deg": phase(share),
+            }
+            of = {"test": f"{driven}>{output}", "stage": title(stage)}
+            for at in np.flatnonzero(np.isfinite(response)):
+                rows.append(of | {name: values[at] for name, values in columns.items()})
+    files = {
+        "omct.csv": rows,
+        "omct.md": omct_table(result),
+        "share.md": share_table(result),
+        "omct.png": omct_figure(result),
+    }
+    return look.save_files(files, folder, 70)

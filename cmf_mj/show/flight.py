@@ -17,12 +17,15 @@ from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
-from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
-from cmf_mj.show.film.stage import Panels
-from cmf_mj.show.look import Curve, Panel
-
-_NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
-
+from cmf_mj.show.cueing import (
+    NAMES,
+    SCALE,
+    DrawnMotion,
+    motion_axes,
+    motion_panels,
+    perceived_figure,
+)
+from cmf_mj.show.stage import Panels
 
 _MOTIONS = {
     "aircraft": ("aircraft", look.BLUE, 1.2),
@@ -39,15 +42,7 @@ def ride_motions(ride: FlightResult) -> dict[str, PilotMotion]:
 
 def flight_traces(motions: Mapping[str, PilotMotion]) -> Panels:
     """Specific force and angular rate at the pilot's station as traces of a film."""
-    lines = [(motion.time, six(motion), *_MOTIONS[name]) for name, motion in motions.items()]
-    panels = []
-    for index, name in enumerate(_NAMES):
-        curves = (
-            Curve(label, time - time[0], values[:, index], colour, width=width)
-            for time, values, label, colour, width in lines
-        )
-        panels.append(Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
-    return panels
+    return motion_panels(*_drawn(motions))
 
 
 def saved_traces(record: Path) -> Panels:
@@ -57,10 +52,13 @@ def saved_traces(record: Path) -> Panels:
     return flight_traces(motions) if "simulator" in motions else ()
 
 
-def motion_figure(ride: FlightResult) -> Figure:
+def _drawn(motions: Mapping[str, PilotMotion]) -> list[DrawnMotion]:
+    return [DrawnMotion(motion, *_MOTIONS[name]) for name, motion in motions.items()]
+
+
+def flight_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
-    drawn = (DrawnMotion(motion, *_MOTIONS[name]) for name, motion in ride_motions(ride).items())
-    figure, _ = motion_axes(*drawn)
+    figure, _ = motion_axes(*_drawn(ride_motions(ride)))
     figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
@@ -91,7 +89,7 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
             axis.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axis in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
-        axis.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
+        axis.set_title(f"error of {NAMES[index]} [{unit}]")
         axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
     look.legend(panels[0], loc="lower left")
     colours = list(zip(rides, look.COLOURS, strict=False))
@@ -111,20 +109,20 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
         at = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
         axes.bar(at, error.rms / error.threshold, 0.75 / len(bars), color=colour, label=label)
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
-    axes.set_xticks(range(6), _NAMES)
+    axes.set_xticks(range(6), NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
-    axes.set_title(f"perceived error {title}", fontsize=10)
+    axes.set_title(f"perceived error {title}")
     if bars:
         least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
         axes.set_ylim(bottom=0.5 * max(least, 1e-4))
         look.legend(axes, fontsize=7, loc="upper right")
 
 
-def comparison_table(rides: Sequence[FlightResult]) -> Table:
+def flight_table(rides: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
-        for i, name in enumerate(_NAMES)
+        for i, name in enumerate(NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
 
@@ -161,14 +159,14 @@ def delay_table(delay: TransportDelay) -> Table:
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
     motions = {f"{name}.parquet": motion.save for name, motion in ride_motions(ride).items()}
-    figures = {"motion.png": motion_figure(ride), "perceived.png": sensed_figure(ride)}
+    figures = {"motion.png": flight_figure(ride), "perceived.png": sensed_figure(ride)}
     return look.save_files(motions | figures, folder)
 
 
-def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
+def save_flights(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
-    save = comparison_table(rides).save
-    files = {"comparison.csv": save, "comparison.md": save}
+    table = flight_table(rides)
+    files = {"comparison.csv": table, "comparison.md": table}
     return look.save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)
 
 
@@ -227,11 +225,11 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
 
 def save_learning(learnt: Learning, others: Array, folder: Path) -> list[Path]:
     """Write the learnt demand `demand.csv`, `trials.csv`, `machines.csv` and `learning.png`."""
-    header = ("machine", "without_m", "with_m")
+    machines = {"machine": range(len(others)), "without_m": others[:, 0], "with_m": others[:, 1]}
     files = {
         "demand.csv": lambda path: write_stream(learnt.demand, path),
-        "trials.csv": trial_table(learnt).save,
-        "machines.csv": (header, ([i, *map(float, row)] for i, row in enumerate(others))),
+        "trials.csv": trial_table(learnt),
+        "machines.csv": machines,
         "learning.png": learning_figure(learnt, others),
     }
     return look.save_files(files, folder)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from itertools import cycle
+from itertools import count, cycle
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
@@ -22,20 +21,11 @@ from cmf_mj.analysis.measures import are_stable, joined
 from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
-from cmf_mj.core.result import Cell, Table
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.core.result import Table
+from cmf_mj.machine.geometry import DOFS, dof_unit, pose_text
 from cmf_mj.plant.hexapod import HydraulicModes
-from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import (
-    COLOURS,
-    DARK,
-    bode_axes,
-    legend,
-    new_figure,
-    plot_bode,
-    pose_text,
-    save_files,
-)
+from cmf_mj.show import look
+from cmf_mj.show.study import phase_text
 
 FREQUENCIES = np.geomspace(0.1, 20.0, 400)
 """Lines of the responses [Hz]."""
@@ -73,16 +63,15 @@ def save_system(system: control.StateSpace, path: Path, description: Mapping[str
     `A` to `D`, `sampling_time` and the labels make a `control.ss` of it again; `description` are
     plain JSON values kept with it, such as plant and pose.
     """
-    content: dict[str, Any] = {
+    content = {
         "name": system.name,
         "sampling_time": system.dt,
         "units": "SI; commands as fractions; angles in rad",
-        "description": dict(description),
+        "description": description,
     }
-    labels = ("input_labels", "output_labels", "state_labels")
-    content |= {name: list(getattr(system, name)) for name in labels}
-    content |= {name: np.asarray(getattr(system, name)).tolist() for name in "ABCD"}
-    return write_text(path, json.dumps(content, allow_nan=False) + "\n")
+    names = ("input_labels", "output_labels", "state_labels", *"ABCD")
+    content |= {name: getattr(system, name) for name in names}
+    return write_text(path, json.dumps(look.plain_data(content), allow_nan=False) + "\n")
 
 
 _NAMED = 0.1
@@ -100,37 +89,31 @@ def _largest(names: Sequence[str], shares: Sequence[float]) -> str:
     return ", ".join(f"{name} {share:.2f}" for name, share in order if share >= _NAMED)
 
 
-def _pole_cells(alike: Sequence[Mode]) -> list[str]:
-    """A row of the table: a mode, or several whose poles coincide."""
-    mode = alike[0]
-    pole, still = mode.pole, np.isnan(mode.damping_ratio)
-    text = f"{pole.real:.4g}" + (f" ± {pole.imag:.4g}j" if pole.imag > 0.0 else "")
-    cells = [
-        "0" if still else text,
-        str(len(alike)),
-        "0" if still else f"{mode.frequency / (2.0 * np.pi):.3g}",
-        "-" if still else f"{mode.damping_ratio:.3f}",
-        _largest(list(mode.shares), list(mode.shares.values())),
-    ]
-    if len(alike) > 1 or mode.shares["motion"] + mode.shares["oil"] < _NAMED:
-        return [*cells, "", ""]
-    legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
-    return [*cells, _largest(DOFS, list(mode.dof_shares)), legs]
-
-
 def pole_table(study: LinearizationStudy) -> Table:
-    """All modes: pole, frequency, damping, what takes part."""
+    """All modes: pole, frequency, damping, what takes part; one row for poles that coincide."""
     groups: list[list[Mode]] = []
     for mode in study.modes:
         if groups and np.isclose(mode.pole, groups[-1][0].pole, rtol=1e-6, atol=1e-6):
             groups[-1].append(mode)
         else:
             groups.append([mode])
-    numbers = (("times", ""), ("Hz", ""), ("damping", ""))
+    rows = []
+    for mode, *others in groups:
+        pole, hertz = mode.pole, mode.frequency / (2.0 * np.pi)
+        still, pair = np.isnan(mode.damping_ratio), pole.imag > 0.0
+        text = f"{pole.real:.4g}" + (f" ± {pole.imag:.4g}j" if pair else "")
+        numbers = ("0", "0") if still else (text, f"{hertz:.3g}")
+        states = _largest(list(mode.shares), list(mode.shares.values()))
+        shapes = ("", "")
+        if not others and mode.shares["motion"] + mode.shares["oil"] >= _NAMED:
+            legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
+            shapes = (_largest(DOFS, list(mode.dof_shares)), legs)
+        rows.append((*numbers, mode.damping_ratio, str(1 + len(others)), states, *shapes))
+    columns = ("pole [rad/s]", ("Hz", ""), ("damping", ".3f"), ("times", ""))
     return Table(
         f"modes: {_title(study)}",
-        ("pole [rad/s]", *numbers, "states", "degrees of freedom", "legs"),
-        [_pole_cells(alike) for alike in groups],
+        (*columns, "states", "degrees of freedom", "legs"),
+        rows,
         "shares of states by participation factors, of degrees of freedom in the leg "
         "motion; legs: size of their motion. Poles that coincide share a line and have no shapes.",
     )
@@ -141,10 +124,8 @@ def loop_table(study: LinearizationStudy) -> Table:
     rows = []
     for name, loop in study.loops.items():
         measures = joined(bandwidths(loop))
-        cells: list[Cell] = (
-            [phase_text(measures), *measures[1:3]] if study.stable else ["unstable"] * 3
-        )
-        rows.append((name, *cells))
+        found = (phase_text(measures), *measures[1:3]) if study.stable else ("unstable",) * 3
+        rows.append((name, *found))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
     return Table(
         f"{study.law} around the linearised plant",
@@ -154,59 +135,34 @@ def loop_table(study: LinearizationStudy) -> Table:
     )
 
 
-def bode_figure(study: LinearizationStudy) -> Figure:
-    """Position per command of every degree of freedom or leg."""
-    figure, gain, phase = bode_axes(f"Position per command, all legs by J\n{_title(study)}")
-    for name, response in study.responses.items():
-        plot_bode(gain, phase, response, label=name)
-    gain.set(ylabel="gain [dB of m]")
-    legend(gain)
-    return figure
-
-
-def loop_figure(study: LinearizationStudy) -> Figure:
-    """The law's loops."""
-    unstable = "" if study.stable else ", unstable"
-    title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
-    figure, gain, phase = bode_axes(title, limits=True)
-    for name, loop in study.loops.items():
-        plot_bode(gain, phase, loop, label=name, stable=study.stable)
-    legend(gain)
-    return figure
-
-
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes as CSV, all figures as PNG."""
-    point, plant = study.linear.point, study.linear.plant
-    description = {
-        **{k: v for k, v in plant.describe().items() if k != "hydraulic_parameters"},
-        "pose": np.asarray(study.linear.pose, dtype=float).tolist(),
-        "leg_position": point.mechanics.extension.tolist(),
-        "static_load": point.mechanics.load.tolist(),
-        "command": point.command.tolist(),
-        "chamber_pressure": point.pressure.tolist(),
-        "supply_pressure": point.supply_pressure,
-        "return_pressure": point.return_pressure,
-        "outward_share": point.outward.tolist(),
+    known = study.linear.plant.describe().items()
+    description = {name: value for name, value in known if name != "hydraulic_parameters"}
+    description |= {"pose": study.linear.pose, "operating_point": study.linear.point}
+    files: dict[str, Any] = {
+        "state_space.json": partial(save_system, study.linear.system, description=description),
+        "modes.csv": [
+            {"real": m.pole.real, "imaginary": m.pole.imag, "frequency": m.frequency}
+            | {"damping_ratio": m.damping_ratio}
+            | entries("share_{}", m.shares, m.shares.values())
+            | entries("share_{}", DOFS, m.dof_shares)
+            | entries("leg_{}", count(1), np.abs(m.leg_shape))
+            for m in study.modes
+        ],
     }
-    system = partial(save_system, study.linear.system, description=description)
-    files: dict[str, Any] = {"state_space.json": system}
-    first = study.modes[0]
-    header = [
-        *("real", "imaginary", "frequency", "damping_ratio"),
-        *(f"share_{name}" for name in (*first.shares, *DOFS)),
-        *(f"leg_{i + 1}" for i in range(first.leg_shape.size)),
-    ]
-    rows = [
-        (
-            *(m.pole.real, m.pole.imag, m.frequency, m.damping_ratio, *m.shares.values()),
-            *(float(value) for value in (*m.dof_shares, *np.abs(m.leg_shape))),
-        )
-        for m in study.modes
-    ]
-    files["modes.csv"] = (header, rows)
-    files |= {"bode.png": bode_figure(study), "loop.png": loop_figure(study)}
-    return save_files(files, folder)
+    title = f"Position per command, all legs by J\n{_title(study)}"
+    figure, gain, _ = look.bode_figure(title, study.responses)
+    gain.set(ylabel="gain [dB of m]")
+    unstable = "" if study.stable else ", unstable"
+    title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
+    loops = look.bode_figure(title, study.loops, stable=study.stable, limits=True)[0]
+    return look.save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
+
+
+def entries(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[str, float]:
+    """Numbers of a row, by names put into a form."""
+    return {form.format(name): value for name, value in zip(names, values, strict=False)}
 
 
 PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
@@ -214,7 +170,6 @@ PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
 
 _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _SIX = range(1, 7)
-_POSE_HEADER = ["cab", *(f"{dof}_{dof_unit(dof)}" for dof in DOFS)]
 
 
 def title_of(modes: HydraulicModes, name: str = "") -> str:
@@ -235,14 +190,6 @@ def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     return Table(title_of(modes, name), (*numbers, "share of the kinetic energy"), rows)
 
 
-def mass_table(modes: HydraulicModes) -> Table:
-    """The reflected mass, leg by leg."""
-    masses = units.from_si("lbm", modes.reflected_mass)
-    columns = (("leg", ""), *((str(leg), ".0f") for leg in _SIX))
-    rows = [(str(leg), *row) for leg, row in zip(_SIX, masses, strict=True)]
-    return Table(f"reflected mass in lbm, {modes.cab.upper()}", columns, rows)
-
-
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
     """The frequencies over the envelope, a row a cab and mode."""
     rows = []
@@ -257,12 +204,12 @@ def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
 
 def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figure:
     """Six modes along each degree of freedom; a line style a cab."""
-    figure = new_figure(10.0, 6.8)
+    figure = look.new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
     for style, of_cab in zip(cycle(_STYLES), sweeps, strict=False):
         for axis, one in zip(panels.flat, of_cab, strict=True):
             along = units.from_si(dof_unit(one.dof), one.excursion)
-            for mode, colour in zip(one.frequency_hz.T, COLOURS, strict=False):
+            for mode, colour in zip(one.frequency_hz.T, look.COLOURS, strict=False):
                 axis.semilogy(along, mode, style, color=colour)
             axis.set_xlabel(_axis_text(one.dof))
     for axis in panels.flat:
@@ -270,12 +217,12 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
         axis.minorticks_off()
     for axis in panels[:, 0]:
         axis.set_ylabel("frequency [Hz]")
-    entries = [Line2D([], [], color=COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
+    entries = [Line2D([], [], color=look.COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
     entries += [
-        Line2D([], [], color=DARK, linestyle=style, label=cab.upper())
+        Line2D([], [], color=look.DARK, linestyle=style, label=cab.upper())
         for cab, style in zip(cabs, cycle(_STYLES), strict=False)
     ]
-    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), fontsize=8)
+    look.legend(figure, handles=entries, ncols=len(entries))
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
     return figure
 
@@ -286,7 +233,7 @@ def _axis_text(dof: str) -> str:
 
 def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figure:
     """Lowest mode over planes of the envelope, a row a cab, a scale a plane; white outside."""
-    figure = new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
+    figure = look.new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
     panels = figure.subplots(len(cabs), len(maps[0]), squeeze=False, sharex="col", sharey="col")
     for column, planes in zip(panels.T, zip(*maps, strict=True), strict=True):
         lowest = [one.frequency_hz[..., 0] for one in planes]
@@ -299,81 +246,54 @@ def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figur
             drawn = axis.contourf(first, second, values, levels=levels, cmap="viridis")
             axis.contour(first, second, values, levels=levels, colors="white", linewidths=0.4)
             axis.plot(0.0, 0.0, "w+")
-            axis.set_title(cab.upper(), fontsize=10)
-            axis.set_ylabel(_axis_text(one.dofs[1]))
+            axis.set(title=cab.upper(), ylabel=_axis_text(one.dofs[1]))
         column[-1].set_xlabel(_axis_text(planes[0].dofs[0]))
         figure.colorbar(drawn, ax=list(column), location="bottom", label="frequency [Hz]")
     figure.suptitle("Lowest hydraulic mode, all other degrees of freedom at neutral")
     return figure
 
 
-def _numbers(values: Iterable[float]) -> list[str]:
-    # Round-off of what is zero is written as 0.
-    return [f"{round(value, 12) + 0.0:.6g}" for value in values]
-
-
-def _in_units(pose: NDArray[np.float64]) -> list[str]:
-    return _numbers(units.from_si(dof_unit(d), v) for d, v in zip(DOFS, pose, strict=True))
-
-
-def _pose_cells(modes: HydraulicModes) -> list[str]:
-    return [modes.cab, *_in_units(modes.pose)]
-
-
-def save_envelope(
+def save_modes(
     ranges: Sequence[EnvelopeModes],
     sweeps: Sequence[Sequence[Sweep]],
     maps: Sequence[Sequence[PlaneMap]],
+    more: Sequence[HydraulicModes],
     folder: Path,
 ) -> list[Path]:
-    """Write the figures `modes_sweep.png` and `modes_map.png`, `modes.csv` and `modes.md`.
+    """Write the figures `modes_sweep.png` and `modes_map.png`, `range_table` and data, in SI.
 
-    The CSV has a line a pose of each cab: excursions in in and deg, six frequencies in Hz, the
-    worst pose last. The Markdown is `range_table`.
+    `modes.csv` has the six frequencies at each pose of each cab, the worst pose last.
+    `reflected_mass.csv` has six rows a pose, those of `more` first, and so has `mode_shapes.csv`: a
+    mode each with its mass a leg feels, shares of the kinetic energy, the legs' motion with its
+    largest part 1, and the platform's that goes with it.
     """
     cabs = [each.worst.cab for each in ranges]
-    header = [*_POSE_HEADER, *(f"mode_{i}_hz" for i in _SIX)]
-    rows = (
-        [*_pose_cells(modes), *_numbers(modes.frequency_hz)]
-        for each in ranges
-        for modes in (*each.modes, each.worst)
-    )
+    looked_at = [modes for each in ranges for modes in (*each.modes, each.worst)]
+    masses = [
+        _pose_of(modes) | {"leg": leg} | entries("leg_{}_kg", _SIX, row)
+        for modes in (*more, *looked_at)
+        for leg, row in zip(_SIX, modes.reflected_mass, strict=True)
+    ]
+    shapes = []
+    for modes in (*more, *looked_at):
+        largest = modes.leg_shape[np.abs(modes.leg_shape).argmax(axis=0), range(6)]
+        columns = zip(modes.share.T, (modes.leg_shape / largest).T, strict=True)
+        moved = modes.pose_shape / largest
+        for i, (share, legs) in enumerate(columns):
+            row = {"mode": i + 1, "frequency_hz": modes.frequency_hz[i]}
+            row |= {"leg_mass_kg": modes.leg_mass[i]} | entries("share_{}", DOFS, share)
+            row |= entries("leg_{}", _SIX, legs) | entries("{}_per_leg", DOFS, moved[:, i])
+            shapes.append(_pose_of(modes) | row)
     files = {
         "modes_sweep.png": sweep_figure(cabs, sweeps),
         "modes_map.png": map_figure(cabs, maps),
-        "modes.csv": (header, rows),
-        "modes.md": range_table(ranges).save,
+        "modes.csv": [_pose_of(m) | entries("mode_{}_hz", _SIX, m.frequency_hz) for m in looked_at],
+        "modes.md": range_table(ranges),
+        "reflected_mass.csv": masses,
+        "mode_shapes.csv": shapes,
     }
-    return save_files(files, folder, 100)
+    return look.save_files(files, folder, 100)
 
 
-def save_modes(modes: Iterable[HydraulicModes], folder: Path) -> list[Path]:
-    """Write `reflected_mass.csv` and `mode_shapes.csv`, six lines a cab and pose.
-
-    The first has a row of the (6, 6) reflected mass a line, in lbm. The second a mode a line:
-    frequency, mass a leg feels, shares of the kinetic energy, the legs' motion with its largest
-    part 1, and the platform's that goes with 1 in of it, in in and deg.
-    """
-    each = list(modes)
-    masses = (
-        [*_pose_cells(one), str(leg), *_numbers(row)]
-        for one in each
-        for leg, row in enumerate(units.from_si("lbm", one.reflected_mass), 1)
-    )
-    of_masses = [*_POSE_HEADER, "leg", *(f"leg_{i}_lbm" for i in _SIX)]
-    of_shapes = [*_POSE_HEADER, "mode", "frequency_hz", "leg_mass_lbm"]
-    of_shapes += [*(f"share_{dof}" for dof in DOFS), *(f"leg_{i}" for i in _SIX)]
-    of_shapes += [f"{dof}_{dof_unit(dof)}_per_in" for dof in DOFS]
-    shapes = ([*_pose_cells(m), *_mode_cells(m, mode)] for m in each for mode in range(6))
-    files = {"reflected_mass.csv": (of_masses, masses), "mode_shapes.csv": (of_shapes, shapes)}
-    return save_files(files, folder)
-
-
-def _mode_cells(modes: HydraulicModes, mode: int) -> list[str]:
-    legs = modes.leg_shape[:, mode]
-    largest = legs[np.abs(legs).argmax()]
-    # Per metre of the largest leg motion, hence per inch what 0.0254 m make.
-    moved = units.to_si("in", 1.0) * modes.pose_shape[:, mode] / largest
-    mass = units.from_si("lbm", modes.leg_mass[mode])
-    numbers = (modes.frequency_hz[mode], mass, *modes.share[:, mode], *(legs / largest))
-    return [str(mode + 1), *_numbers(numbers), *_in_units(moved)]
+def _pose_of(modes: HydraulicModes) -> dict[str, Any]:
+    return {"cab": modes.cab} | entries("{}", DOFS, modes.pose)

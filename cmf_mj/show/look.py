@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,9 +15,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
-from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
-from cmf_mj.machine.geometry import DOFS, dof_unit
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
@@ -31,37 +30,34 @@ DARK, GREY, PALE = "0.2", "0.6", "0.9"
 """Of what is measured against, of references, and of grids."""
 
 
-def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
-    """A pose in in and deg, zeros left out; `neutral` if all are.
-
-    >>> pose_text(np.array([0.0254, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    'surge 1 in'
-    """
-    parts = []
-    for dof, value in zip(DOFS, pose, strict=True):
-        size = format(units.from_si(dof_unit(dof), float(value)), form)
-        if float(size) != 0.0:
-            parts.append(f"{dof} {size} {dof_unit(dof)}")
-    return ", ".join(parts) or "neutral"
+STYLE: dict[str, Any] = {
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "grid.color": PALE,
+    "grid.linewidth": 0.6,
+}
+"""Of all axes."""
 
 
 class _Figure(Figure):
-    """A figure whose axes draw in the palette, on a grid."""
+    """A figure whose axes have a style."""
 
-    gridded = True
+    style = STYLE
 
     def add_subplot(self, *args: Any, **options: Any) -> Axes:
-        axes = super().add_subplot(*args, **options)
-        axes.set_prop_cycle(color=COLOURS)
-        if self.gridded:
-            grid(axes)
-        return axes
+        with rc_context(self.style):  # type: ignore[arg-type]
+            return super().add_subplot(*args, **options)
 
 
 def new_figure(width: float, height: float, *, gridded: bool = True) -> Figure:
     """An empty figure [in] whose axes and labels do not overlap; `gridded` but for images."""
     figure = _Figure(figsize=(width, height), layout="constrained")
-    figure.gridded = gridded
+    figure.style = STYLE | {"axes.grid": gridded}
     return figure
 
 
@@ -81,13 +77,6 @@ def stack(
     return figure, axes
 
 
-def grid(*axes: Axes, which: str = "major") -> None:
-    """A pale grid behind the curves; `both` also at the minor ticks."""
-    for axis in axes:
-        axis.grid(True, which=which, color=PALE, linewidth=0.6)  # type: ignore[arg-type]
-        axis.set_axisbelow(True)
-
-
 def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
     """Shade the stretches of time where something holds."""
     over_all = axis.get_xaxis_transform()
@@ -95,10 +84,16 @@ def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> No
     axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
-def legend(*axes: Axes, **options: Any) -> None:
-    """A small legend in each of the axes."""
-    for axis in axes:
-        axis.legend(**{"fontsize": 8, **options})
+def legend(*where: Axes | Figure, **options: Any) -> None:
+    """A small legend in each of the axes; or below all axes of a figure, a name once."""
+    for each in where:
+        below: dict[str, Any] = {}
+        if isinstance(each, Figure):
+            every = [axes.get_legend_handles_labels() for axes in each.axes]
+            named = {name: line for one in every for line, name in zip(*one, strict=True)}
+            below = {"loc": "outside lower center", "handles": list(named.values())}
+            below["ncols"] = max(len(named), 1)
+        each.legend(**{"fontsize": 8, **below, **options})
 
 
 def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
@@ -106,7 +101,8 @@ def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False
     gain.set(ylabel="gain [dB]", title=title)
     phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xscale="log")
     phase.yaxis.set_major_locator(MultipleLocator(45.0))
-    grid(gain, phase, which="both")
+    for axis in (gain, phase):
+        axis.grid(True, which="both")
     if limits:
         gain.axhline(-3.0, color=GREY, linewidth=0.8)
         phase.axhline(-90.0, color=GREY, linewidth=0.8)
@@ -134,6 +130,21 @@ def plot_bode(
         if not clear.all():
             axis.semilogx(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
+
+
+def bode_figure(
+    title: str,
+    curves: Mapping[str, FrequencyResponse],
+    *,
+    stable: bool = True,
+    limits: bool = False,
+) -> tuple[Figure, Axes, Axes]:
+    """A Bode plot of responses by name, and its axes."""
+    figure, gain, phase = bode_axes(title, limits=limits)
+    for name, response in curves.items():
+        plot_bode(gain, phase, response, label=name, stable=stable)
+    legend(gain)
+    return figure, gain, phase
 
 
 def plot_band(
@@ -177,11 +188,29 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     return path
 
 
+def plain_data(value: Any) -> Any:
+    """JSON values: tuples with names as tables, complex numbers as pairs, None for NaN.
+
+    >>> plain_data({"poles": np.array([1j]), "misfit": np.nan})
+    {'poles': [[0.0, 1.0]], 'misfit': None}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, complex):
+        value = [value.real, value.imag]
+    if isinstance(value, Mapping) or hasattr(value, "_asdict"):
+        table = value if isinstance(value, Mapping) else value._asdict()
+        return {str(name): plain_data(each) for name, each in table.items()}
+    if isinstance(value, list | tuple):
+        return [plain_data(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
     """Write to each name in a folder what it stands for.
 
-    That is a figure, (header, rows, digits) for CSV, 9 digits by default, a mapping for JSON, or a
-    function that writes it.
+    That is a figure; a mapping, for JSON its content and for CSV its columns; a list of rows by
+    name for CSV; what saves itself to a path, such as a table or a record; or a function that does.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -189,17 +218,17 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
         path = in_folder(folder, name)
         if isinstance(content, Figure):
             save_figure(content, path, dpi)
+        elif isinstance(content, list):
+            write_csv(path, content[0], (row.values() for row in content))
+        elif isinstance(content, Mapping) and path.suffix == ".csv":
+            write_csv(path, content, zip(*content.values(), strict=True))
         elif isinstance(content, Mapping):
-            write_json(path, content)
-        elif isinstance(content, tuple):
-            write_csv(path, *content)
+            write_json(path, plain_data(content))
         else:
-            content(path)
+            getattr(content, "save", content)(path)
         paths.append(path)
     return paths
 
-
-"""Of demands and references."""
 
 Dash = Literal["solid", "dash", "dot"]
 
@@ -232,3 +261,11 @@ class Panel(NamedTuple):
     x_log: bool = False
     height: float = 1.0  #: Relative.
     from_zero: bool = False  #: Whether the y axis of a film has zero at its lower end.
+
+
+def plot_panel(axes: Axes, panel: Panel) -> None:
+    """Draw the lines of a panel, and name its y axis."""
+    for curve in panel.curves:
+        style: dict[str, Any] = {"color": curve.colour, "linewidth": curve.width}
+        axes.plot(curve.x, curve.y, label=curve.name, **style)
+    axes.set_ylabel(panel.y_title)

@@ -5,136 +5,131 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic_core import to_jsonable_python
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.identification.arx import Candidate, Residuals, fit_percentage, simulated
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.measurable import CLEAR
-from cmf_mj.analysis.measures import Measures, joined
-from cmf_mj.analysis.metrics import SecondOrder
+from cmf_mj.analysis.measures import joined
 from cmf_mj.core import units
-from cmf_mj.core.result import Field, Result, Table, number
+from cmf_mj.core.result import Field, Result, Table, lines, number
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.show import look
-from cmf_mj.show.comparison import quality_rows
-from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
+from cmf_mj.studies.case import QUALITIES
 from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures
 
-_COLUMNS = ("measure", "value", "definition")
+_FIT = "second-order fit with delay"
 
 
-def _share(value: float) -> str:
-    return f"{100.0 * value:.2f} %"
+def _fields(*rows: tuple[str, str, str, str]) -> tuple[Field, ...]:
+    """Of path, title, format and meaning."""
+    return tuple(
+        Field("", title, form, "%" if form[-1] == "%" else "", path, about=about)
+        for path, title, form, about in rows
+    )
 
 
-def _response_rows(
-    response: FrequencyResponse, widths: Measures, fit: SecondOrder | None
-) -> list[tuple[str, str, str]]:
-    coherence = ("coherence", f"{response.coherence.min():.4f}", "least of all lines")
-    if fit is None:
-        return [coherence]
-    first, second = widths.phase_bandwidth_hz, "second-order fit with delay"
-    rows = [("-90 deg bandwidth", number(first, ".3f Hz"), "first fall of the phase through it")]
-    if widths.later_phase_hz == widths.later_phase_hz:
-        later = number(widths.later_phase_hz, ".3f Hz")
-        rows.append(("-90 deg, later", later, "last fall through it, after coming back"))
-    if widths.graze_from_hz == widths.graze_from_hz:
-        ends = f"{widths.graze_from_hz:.2f} to {widths.graze_to_hz:.2f} Hz"
-        rows.append(("-90 deg, grazed", ends, "the phase lingers within 10 deg of it"))
-    return [
-        *rows,
-        ("-3 dB bandwidth", number(widths.gain_bandwidth_hz, ".3f Hz"), "from 0 dB"),
-        ("peak", f"{widths.peak_gain_db:.2f} dB", "largest gain"),
-        coherence,
-        ("natural frequency", f"{fit.natural_frequency_hz:.3f} Hz", second),
-        ("damping ratio", f"{fit.damping_ratio:.3f}", second),
-        ("fit residual", _share(fit.residual), "rms misfit over rms response"),
-    ]
+RESPONSE = _fields(
+    ("measures.phase_bandwidth_hz", "-90 deg bandwidth", ".3f Hz", "first fall through it"),
+    ("measures.later_phase_hz", "-90 deg, later", ".3f Hz", "last fall, after coming back"),
+    ("measures.graze_from_hz", "-90 deg, grazed from", ".2f Hz", "lingers within 10 deg of it"),
+    ("measures.graze_to_hz", "  to", ".2f Hz", ""),
+    ("measures.gain_bandwidth_hz", "-3 dB bandwidth", ".3f Hz", "from 0 dB"),
+    ("measures.peak_gain_db", "peak", ".2f dB", "largest gain"),
+    ("coherence", "coherence", ".4f", "least of all lines"),
+    ("second_order.natural_frequency_hz", "natural frequency", ".3f Hz", _FIT),
+    ("second_order.damping_ratio", "damping ratio", ".3f", _FIT),
+    ("second_order.residual", "fit residual", ".2f %", "rms misfit over rms response"),
+)
+STEP = _fields(
+    ("measures.overshoot", "overshoot", ".2f %", "of the step, over the final value"),
+    ("measures.damping_ratio", "damping ratio", ".3f", "from the overshoot"),
+    ("measures.steady_state_error", "steady-state error", ".2f %", "demanded minus reached"),
+    ("measures.rise_time", "rise time", ".3f s", "10 to 90 % of the step"),
+    ("measures.settling_time", "settling time", ".3f s", "into 2 % of the final value"),
+    ("transport_delay", "delay", ".4f s", "cross-correlation of the sweep"),
+    ("hysteresis", "hysteresis", ".2f %", "loop width at 0.01 Hz, over peak-to-peak"),
+)
+NOISE = _fields(
+    ("low_harmonics", "  low harmonics", ".2f %", "2 and 3"),
+    ("high_harmonics", "  high harmonics", ".2f %", "4 and up"),
+    ("stochastic", "  stochastic", ".2f %", "no harmonic"),
+    ("peak", "  peak", ".2f %", "largest deviation from the fundamental"),
+)
 
 
 def recordings_table(measures: RecordingMeasures) -> Table:
     """Bandwidths, peak and second-order fit of recordings."""
-    title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
     response = measures.response
-    rows = _response_rows(response, joined(bandwidths(response)), measures.second_order)
+    found = {"measures": joined(bandwidths(response)), "second_order": measures.second_order}
     why = f"not excited, or of a coherence below {CLEAR:g}"
-    rows.append(("lines left out", str(measures.left_out), why))
-    return Table(title, _COLUMNS, rows)
+    rows = lines(found | {"coherence": response.coherence.min()}, RESPONSE)
+    title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
+    return _sheet(title, [*rows, ("lines left out", str(measures.left_out), why)])
+
+
+def _sheet(title: str, rows: list[tuple[str, str, str]]) -> Table:
+    return Table(title, ("measure", "value", "definition"), rows)
 
 
 def measurement_table(measured: Measurement) -> Table:
     """Every measure of a session with its definition."""
-    dof, step = measured.case.dof, measured.measures
-    unit, turn = dof_unit(dof), by_kind(dof, "m/s^2", "deg/s^2")
+    case, dof = measured.case, measured.case.dof
+    unit, (turn, size) = dof_unit(dof), by_kind(dof, ("m/s^2", 1.0), ("deg/s^2", units.DEGREE))
+    found = vars(measured) | {"coherence": measured.response.coherence.min()}
+    stable = str(measured.measures.stable)
     rows = [
-        ("stable", str(step.stable), "legs at rest or decaying 12 s after the step"),
-        *_response_rows(measured.response, step, measured.second_order),
-    ]
-    if step.stable:
-        rows += [
-            ("overshoot", _share(step.overshoot), "of the step, over the final value"),
-            ("damping ratio", f"{step.damping_ratio:.3f}", "from the overshoot"),
-            ("steady-state error", _share(step.steady_state_error), "demanded minus reached"),
-            ("rise time", f"{step.rise_time:.3f} s", "10 to 90 % of the step"),
-            ("settling time", f"{step.settling_time:.3f} s", "into 2 % of the final value"),
-        ]
-    rows += [
-        ("delay", f"{1e3 * measured.transport_delay:.1f} ms", "cross-correlation of the sweep"),
-        ("hysteresis", _share(measured.hysteresis), "loop width at 0.01 Hz, over peak-to-peak"),
-        *quality_rows(dof, measured.qualities),
+        ("stable", stable, "legs at rest or decaying 12 s after the step"),
+        *lines(found, (*RESPONSE, *STEP)),
+        *lines(measured.qualities, QUALITIES),
     ]
     for at in measured.describing_function:
-        size = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
+        where = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
         value = f"{at.gain_db:.2f} dB, {at.phase_deg:.1f} deg"
-        rows.append((f"describing function, {size}", value, "fundamental over the demand"))
+        rows.append((f"describing function, {where}", value, "fundamental over the demand"))
     for amplitude, noise in measured.half_hertz_noise:
-        size = f"{units.from_si(unit, amplitude):.3g} {unit}"
-        rows += [
-            (f"half-hertz noise, {size}", _share(noise.total), "acceleration, all of the below"),
-            ("  low harmonics", _share(noise.low_harmonics), "2 and 3"),
-            ("  high harmonics", _share(noise.high_harmonics), "4 and up"),
-            ("  stochastic", _share(noise.stochastic), "no harmonic"),
-            ("  peak", _share(noise.peak), "largest deviation from the fundamental"),
-        ]
+        name = f"half-hertz noise, {units.from_si(unit, amplitude):.3g} {unit}"
+        total = f"{100.0 * noise.total:.2f} %"
+        rows += [(name, total, "acceleration, all of the below"), *lines(noise, NOISE)]
     for point in measured.threshold:
-        level = f"{point.acceleration / by_kind(dof, 1.0, units.DEGREE):.3g} {turn}"
-        time = f"{1e3 * point.time:.1f} ms"
-        rows.append((f"dynamic threshold, {level}", time, "to 63 % of the step"))
+        name = f"dynamic threshold, {point.acceleration / size:.3g} {turn}"
+        rows.append((name, f"{1e3 * point.time:.1f} ms", "to 63 % of the step"))
     for other, value in zip(DOFS, measured.crosstalk[DOFS.index(dof)], strict=True):
         if other != dof:
-            same = dof_unit(other) == unit
-            text = _share(value) if same else f"{value:.4f} SI"
+            text = f"{100.0 * value:.2f} %" if dof_unit(other) == unit else f"{value:.4f} SI"
             rows.append((f"crosstalk into {other}", text, "acceleration at 1 Hz, rms over rms"))
-    case = measured.case
-    machine = " ".join(part for part in (case.plant, case.cab_name, case.hydraulics.name) if part)
-    return Table(f"{case.law.name} in {dof}, {machine}", _COLUMNS, rows)
+    machine = " ".join(filter(None, (case.plant, case.cab_name, case.hydraulics.name)))
+    return _sheet(f"{case.law.name} in {dof}, {machine}", rows)
 
 
 def response_figure(title: str, name: str, response: FrequencyResponse) -> Figure:
     """Gain and phase of a measured response with their 95 % bounds, and its coherence."""
     labels, ratios = ("gain [dB]", "phase [deg]", "coherence"), (3, 3, 1)
-    figure, axes = stack(8.0, 8.0, *labels, x="frequency [Hz]", ratios=ratios)
+    figure, axes = look.stack(8.0, 8.0, *labels, x="frequency [Hz]", ratios=ratios)
     gain, phase, coherence = axes
-    dress_bode(gain, phase, title, limits=True)
+    look.dress_bode(gain, phase, title, limits=True)
     phase.set_xlabel("")
-    colour = plot_bode(gain, phase, response, label=name)
+    colour = look.plot_bode(gain, phase, response, label=name)
     coherence.plot(response.frequency, response.coherence, color=colour)
     coherence.set_ylim(0.0, 1.05)
     share = np.minimum(response.bound / np.abs(response.response), 0.99)
-    plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
-    legend(gain)
+    look.plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
+    look.legend(gain)
     return figure
 
 
 def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, Any]:
     """`response.csv`, with the radius of the 95 % circle, and `response.png`."""
-    curves = (response.frequency, response.gain_db, response.phase_deg)
-    columns = (*curves, response.coherence, response.bound)
-    header = ("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95")
-    return {"response.csv": (header, zip(*columns, strict=True)), "response.png": figure}
+    columns = {
+        "frequency_hz": response.frequency,
+        "gain_db": response.gain_db,
+        "phase_deg": response.phase_deg,
+        "coherence": response.coherence,
+        "radius_95": response.bound,
+    }
+    return {"response.csv": columns, "response.png": figure}
 
 
 def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
@@ -143,7 +138,7 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
         f"Frequency response in {measures.dof}", measures.files[0].stem, measures.response
     )
     files = _response_files(measures.response, figure)
-    return save_files(files | {"summary.json": measures.summary()}, folder)
+    return look.save_files(files | {"summary.json": measures.summary()}, folder)
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
@@ -152,7 +147,7 @@ def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     title = f"Frequency response in {case.dof}, {case.law.title}" + ("" if stable else ", unstable")
     figure = response_figure(title, measured.case.plant, measured.response)
     files = _response_files(measured.response, figure)
-    return save_files(files | {"summary.json": measured.summary()}, folder)
+    return look.save_files(files | {"summary.json": measured.summary()}, folder)
 
 
 CONFIDENCE = 0.95
@@ -217,18 +212,15 @@ def model_table(result: Identified) -> Table:
     misfit = f"{100.0 * result.continuous.misfit:.2f} %"
     rows.append(("continuous model", misfit, "", "misfit to the discrete"))
     if loop is not None:
-        width = f" Hz, error {{:+.1f}} %, law {result.law}"
-        lines = [
-            ("-90 deg", "phase_bandwidth_hz", " Hz", width.format(100.0 * loop.phase_error)),
-            ("-3 dB", "gain_bandwidth_hz", " Hz", width.format(100.0 * loop.gain_error)),
-        ]
-        if not np.isnan(loop.measured.rise_time):
-            lines.append(("damping ratio", "damping_ratio", "", ", of the step"))
-            lines.append(("rise time", "rise_time", " s", " s, of the step"))
-        for label, name, unit, note in lines:
-            mine, theirs = (getattr(side, name) for side in loop)
-            text = f"measured {theirs:.3f}{note}"
-            rows.append((f"closed loop, {label}", f"{mine:.3f}{unit}", "", text))
+        for label, name, form, error in (
+            ("-90 deg", "phase_bandwidth_hz", ".3f Hz", loop.phase_error),
+            ("-3 dB", "gain_bandwidth_hz", ".3f Hz", loop.gain_error),
+            ("damping ratio", "damping_ratio", ".3f", None),
+            ("rise time", "rise_time", ".3f s", None),
+        ):
+            mine, theirs = (number(getattr(side, name), form) for side in loop)
+            off = f", error {100.0 * error:+.1f} %, law {result.law}" if error is not None else ""
+            rows.append((f"closed loop, {label}", mine, "", f"measured {theirs}{off}"))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
 
@@ -272,7 +264,7 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
     return figure
 
 
-def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
+def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response."""
     figure, gain, phase = look.bode_axes(
         f"Frequency response, {model.input_names[0]} to {model.output_names[0]}"
@@ -304,46 +296,28 @@ def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> F
     return figure
 
 
-def _summary(result: Identified) -> dict[str, object]:
-    """What `model.json` holds."""
-    model, rational, loop = result.model, result.continuous.rational, result.loop
-    return {
-        "axis": result.axis,
-        "method": model.method,
-        "orders": model.orders._asdict(),
-        "step": model.step,
-        "converged": model.converged,
-        "denominator": model.denominators[0].tolist(),
-        "numerator": model.numerators[0, 0].tolist(),
-        "standard_errors": model.standard_errors().tolist(),
-        "noise_variance": float(model.noise_variance[0]),
-        "input": [model.input_names[0], model.input_units[0]],
-        "output": [model.output_names[0], model.output_units[0]],
-        "unstable_poles": [[p.real, p.imag] for p in model.unstable_poles],
-        "estimation_fit": result.estimation_fit,
-        "validation_fit": result.validation_fit,
-        "continuous": {
-            "numerator": rational.num[0][0].tolist(),
-            "denominator": rational.den[0][0].tolist(),
-            "misfit": result.continuous.misfit,
-        },
-        "closed_loop": loop
-        and {
-            "law": result.law,
-            "model": loop.model._asdict(),
-            "measured": loop.measured._asdict(),
-            "phase_error": loop.phase_error,
-            "gain_error": loop.gain_error,
-        },
-    }
-
-
 def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
+    model, rational, loop = result.model, result.continuous.rational, result.loop
+    errors = loop and {"phase_error": loop.phase_error, "gain_error": loop.gain_error}
     files = {
-        "model.json": to_jsonable_python(_summary(result), inf_nan_mode="null", fallback=float),
+        "model.json": {
+            "axis": result.axis,
+            "law": result.law,
+            "estimation_fit": result.estimation_fit,
+            "validation_fit": result.validation_fit,
+            **vars(model),
+            "standard_errors": model.standard_errors(),
+            "unstable_poles": model.unstable_poles,
+            "continuous": {
+                "numerator": rational.num[0][0],
+                "denominator": rational.den[0][0],
+                "misfit": result.continuous.misfit,
+            },
+            "closed_loop": loop and loop._asdict() | (errors or {}),
+        },
         "fit.png": fit_figure(result),
-        "residuals.png": residual_figure(result.residuals, result.model.step),
-        "bode.png": bode_figure(result.model, result.response),
+        "residuals.png": residual_figure(result.residuals, model.step),
+        "bode.png": model_figure(model, result.response),
     }
     return look.save_files(files, folder)

@@ -1,6 +1,7 @@
 """Tables, figures and files of a run of the facility: overview, account of host frames, timing."""
 
 from collections.abc import Iterable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
+from cmf_mj.facility.replay import Replay
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
@@ -53,11 +55,8 @@ def overview_figure(
     )
     supply.set_ylim(bottom=0.0)
     times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
-    for axis in axes:
-        axis.tick_params(labelsize=8)
-        axis.yaxis.label.set_fontsize(9)
-        for at, colour, line in times:
-            axis.axvline(at, color=colour, ls=line, lw=0.9)
+    for axis, (at, colour, line) in product(axes, times):
+        axis.axvline(at, color=colour, ls=line, lw=0.9)
     style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
     look.legend(motion, error, supply, fontsize=7, **style)
     figure.align_ylabels(axes)
@@ -73,7 +72,7 @@ def _operating(axis: Axes, record: Record) -> None:
     if "host_stale" in record.channels:
         troubled = np.maximum(record["host_stale"], record["host_late"]) > 0.5
         look.shade(axis, record.time, troubled)
-        axis.set_title("operating state; shaded: host silent or late", fontsize=9)
+        axis.set_title("operating state; shaded: host silent or late")
 
 
 def plot_motion(axis: Axes, record: Record) -> None:
@@ -86,14 +85,14 @@ def plot_motion(axis: Axes, record: Record) -> None:
         axis.set_prop_cycle(color=look.COLOURS)
         reached = record["leg_extension"] / units.INCH
         axis.plot(time, reached, lw=0.9, label=[f"leg {n + 1}" for n in range(reached.shape[1])])
-        axis.set_ylabel("legs [in]", fontsize=9)
+        axis.set_ylabel("legs [in]")
         return
     for index in moved if moved.size else range(6):
         unit = dof_unit(int(index))
         demanded, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
         axis.plot(time, demanded, color="0.7", lw=2.0)
         axis.plot(time, reached, color=look.COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
-    axis.set_ylabel("demand (grey), response", fontsize=9)
+    axis.set_ylabel("demand (grey), response")
 
 
 _MEANINGS = {
@@ -174,18 +173,41 @@ def save_operation(
     """
     counts = account(operation, received, datagrams)
     files: dict[str, Any] = {
-        "record.parquet": operation.record.save,
-        "host.parquet": operation.session.save,
-        "account.csv": (("name", "count"), counts.items()),
+        "record.parquet": operation.record,
+        "host.parquet": operation.session,
+        "account.csv": {"name": counts.keys(), "count": counts.values()},
         "operation.png": overview_figure(operation.record),
     }
     timing = operation.timing
     if timing is not None:
         shares = np.linspace(0.0, 100.0, 1001)
-        columns = (np.percentile(values, shares) for values in (timing.busy, timing.late))
-        lines = (
-            (f"{s:.1f}", f"{b:.9f}", f"{a:.9f}") for s, b, a in zip(shares, *columns, strict=True)
-        )
-        files["timing.csv"] = (("percentile", "computing_s", "lateness_s"), lines)
-        files["timing.png"] = timing_figure(timing)
+        computing, late = (np.percentile(values, shares) for values in (timing.busy, timing.late))
+        columns = {"percentile": shares, "computing_s": computing, "lateness_s": late}
+        files |= {"timing.csv": columns, "timing.png": timing_figure(timing)}
     return look.save_files(files, folder)
+
+
+def replay_figure(replayed: Replay) -> Figure:
+    """Recorded and replayed compensator output of all legs, and their difference."""
+    output, recorded = 100.0 * replayed.output, replayed.recorded
+    names = [f"leg {leg + 1} [%]" for leg in range(output.shape[1])]
+    figure, (*legs, apart) = look.stack(9.0, 8.0, *names, "largest\ndifference [%]")
+    if recorded is not None:
+        for axis, values in zip(legs, 100.0 * recorded.T, strict=True):
+            axis.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
+        difference = np.abs(output - 100.0 * recorded).max(axis=1)
+        apart.plot(replayed.time, difference, color=look.ORANGE, linewidth=0.8)
+    for axis, values in zip(legs, output.T, strict=True):
+        axis.plot(replayed.time, values, color=look.BLUE, linewidth=0.8)
+    legs[0].set_title(f"compensator output: recorded (grey) and {replayed.law} replayed (blue)")
+    return figure
+
+
+def replay_summary(replayed: Replay) -> str:
+    """The largest difference in one sentence."""
+    if replayed.recorded is None:
+        return f"{replayed.law}: nothing to compare with; the record has no compensator output"
+    if replayed.identical:
+        return f"{replayed.law}: identical, bit for bit, over {replayed.time.size} frames"
+    note = ", interpolated to 2048 Hz" if replayed.interpolated else ""
+    return f"{replayed.law}: largest difference {100.0 * replayed.difference:.3g} %{note}"

@@ -1,4 +1,4 @@
-"""Tables, figures and files of finished studies, of failures and of certificates."""
+"""Tables, figures and files of comparisons and studies, of failures and of certificates."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,18 +8,153 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
-from cmf_mj.core.result import Result, Table, column, groups, number, where
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.core.errors import NoPoseError
+from cmf_mj.core.result import Cell, Column, Result, Table, column, groups, number, where
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.show import look
-from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, new_figure, save_files, stack
+from cmf_mj.signals.single import Step
+from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.certificate import Certificate
+from cmf_mj.studies.comparison import PUBLISHED
 from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.failure import FailureResult
 from cmf_mj.studies.settings import NOMINAL
+
+AGREEMENT = 0.1
+"""Distance of two readings of -90 deg from which on a table shows both [Hz]."""
+
+_LINES = {"hexapod": "-", "single_legs": "--"}
+
+_LEGEND = (
+    "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
+    "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
+    "undiminished 12 s after the step, and only that counts. ~: the phase grazes -90 deg; "
+    "a/b: it falls through it at a and, having come back, at b; [c]: -90 deg of small motion, "
+    f"where that is more than {AGREEMENT:g} Hz off. Published: h measured on the hardware, m from "
+    "the report's non-linear model of six single legs."
+)
+
+
+def phase_text(measures: Measures, small_motion_hz: float = float("nan")) -> str:
+    """-90 deg [Hz] as in tables: `~` where the phase grazes it, a later fall, small motion.
+
+    >>> phase_text(Measures(3.16, later_phase_hz=3.52), 3.3), phase_text(Measures())
+    ('3.16/3.52 [3.30]', '-')
+    """
+    first, later = measures.phase_bandwidth_hz, measures.later_phase_hz
+    graze = "~" if later != later and measures.graze_from_hz == measures.graze_from_hz else ""
+    text = f"{graze}{number(first, '.2f')}"
+    if later == later:
+        text += f"/{later:.2f}"
+    apart = min(abs(small_motion_hz - at) if at == at else np.inf for at in (first, later))
+    return f"{text} [{small_motion_hz:.2f}]" if AGREEMENT < apart < np.inf else text
+
+
+def comparison_table(results: Sequence[CaseResult]) -> Table:
+    """The comparison: a row per law and degree of freedom, next to what is published."""
+    first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
+    cab = next((result.case.cab_name for result in results if result.case.cab), "")
+    columns: list[Column] = ["law", "dof"]
+    for name in [*plants, "published"]:
+        columns += [(f"{name.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
+        columns += [] if name == "published" else [("\npeak", ".1f")]
+        columns += [("\nzeta", ".2f")]
+    by_case = {(r.case.law.name, r.case.dof, r.case.plant): r for r in results}
+    cells = []
+    for law, dof in dict.fromkeys(key[:2] for key in by_case):
+        line: list[Cell] = [law, dof]
+        for plant in plants:
+            result = by_case[law, dof, plant]
+            measures = result.measures
+            line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
+            line.append(measures.damping_ratio if measures.stable else "unstable")
+        printed = by_case[law, dof, plants[0]].published
+        line += [getattr(printed, name, None) for name in PUBLISHED]
+        of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""
+        cells.append([*line, of])
+    title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
+    return Table(title, [*columns, ("\nof", "")], cells, _LEGEND, grouped=True)
+
+
+def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
+    laws = dict.fromkeys(result.case.law.name for result in results)
+    return {law: look.COLOURS[i % len(look.COLOURS)] for i, law in enumerate(laws)}
+
+
+def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
+    """Laws by colour, plants by line."""
+    case, stable = result.case, result.measures.stable
+    label = f"{case.law.title}, {case.plant.replace('_', ' ')}{'' if stable else ', unstable'}"
+    return {"color": colours[case.law.name], "linestyle": _LINES[case.plant], "label": label}
+
+
+def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
+    cab = next((r.case.cab_name.upper() for r in results if r.case.cab), "")
+    of = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
+    hydraulics = results[0].case.hydraulics.name
+    return f"{of}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")
+
+
+def responses_figure(results: Sequence[CaseResult]) -> Figure:
+    """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
+    first, colours = results[0].case, _colours(results)
+    title = _title("Frequency response", first.dof, first.size, results)
+    figure, gain, phase = look.bode_axes(title, limits=True)
+    for result in results:
+        style, printed = _style(result, colours), result.published
+        if result.response is not None:
+            look.plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
+        circle: dict[str, Any] = {"color": style["color"], "marker": "o", "fillstyle": "none"}
+        if printed and printed.phase_bandwidth_hz:
+            phase.plot(printed.phase_bandwidth_hz, -90.0, **circle)
+        if printed and printed.gain_bandwidth_hz:
+            gain.plot(printed.gain_bandwidth_hz, -3.0, **circle)
+    gain.set(ylim=(-20.0, 20.0))
+    phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
+    note = f"circles: published; pale: coherence below {CLEAR:g}, or unstable"
+    look.legend(gain, loc="lower left", title=note, title_fontsize=7)
+    return figure
+
+
+def step_figure(results: Sequence[CaseResult]) -> Figure:
+    """Step responses of one degree of freedom, and what the law asked of the first leg's valve."""
+    dof = results[0].case.dof
+    unit, colours = dof_unit(dof), _colours(results)
+    labels, under = (f"{dof} [{unit}]", "valve 1 [%]"), "time after the step [s]"
+    figure, (response, command) = look.stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
+    reference = results[0].step
+    demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
+    begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
+    response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
+    for result in results:
+        record, style = result.step, _style(result, colours)
+        try:
+            history = dof_history(record, "leg_position", dof)
+        except NoPoseError:
+            continue
+        response.plot(record.time - begin, units.from_si(unit, history), **style)
+        command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
+    size = float(demanded[-1])
+    response.set(title=_title("Step response", dof, step, results), ylim=(-0.5 * size, 2.0 * size))
+    command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
+    look.legend(response, loc="lower right")
+    return figure
+
+
+def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
+    """Write `comparison.csv`, `comparison.md`, and `bode_<dof>.png` and `step_<dof>.png`."""
+    table = comparison_table(comparison)
+    files: dict[str, Any] = {"comparison.csv": comparison, "comparison.md": table}
+    for dof in dict.fromkeys(result.case.dof for result in comparison):
+        chosen = [result for result in comparison if result.case.dof == dof]
+        files[f"bode_{dof}.png"] = responses_figure(chosen)
+        files[f"step_{dof}.png"] = step_figure(chosen)
+    return look.save_files(files, folder)
+
 
 _MEASURES = (
     ("phase_bandwidth_hz", "-90 deg [Hz]"),
@@ -32,7 +167,7 @@ _MEASURES = (
 def rate_figure(found: Result[Rate]) -> Figure:
     """Shares of stable and of damped machines [%], laws down, a panel a cab."""
     cabs, laws = (found.frame[name].unique().to_pylist() for name in ("cab", "law"))
-    figure = new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
+    figure = look.new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
     axes = figure.subplots(1, len(cabs), sharey=True, squeeze=False)[0]
     by_case = {(r.cab, r.law): [100.0 * one.value for one in r.shares.values()] for r in found}
     for cab, axis in zip(cabs, axes, strict=True):
@@ -42,8 +177,8 @@ def rate_figure(found: Result[Rate]) -> Figure:
             colour = "white" if share < 50.0 else "black"
             middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
             axis.text(place, row, number(share, ".0f"), color=colour, **middle)
-        axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45, fontsize=8)
-        axis.set_yticks(range(len(laws)), laws, fontsize=8)
+        axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45)
+        axis.set_yticks(range(len(laws)), laws)
         axis.set(title=cab.upper(), xlabel="stable; damped in")
     figure.suptitle("Share of machines that a law leaves stable, and damped by 0.3 or more [%]")
     return figure
@@ -87,7 +222,7 @@ def ladder_figure(table: pa.Table) -> Figure:
     """
     done = finished(table)
     rungs, laws, dofs = (done[name].unique().to_pylist() for name in ("rung", "law", "dof"))
-    figure = new_figure(2.6 * len(dofs) + 0.6, 10.5)
+    figure = look.new_figure(2.6 * len(dofs) + 0.6, 10.5)
     axes = figure.subplots(len(_MEASURES), len(dofs), sharex=True, sharey="row", squeeze=False)
     for (name, title), line in zip(_MEASURES, axes, strict=True):
         for dof, axis in zip(dofs, line, strict=True):
@@ -98,8 +233,8 @@ def ladder_figure(table: pa.Table) -> Figure:
                 mixed = name == "crosstalk"
                 values[at] = largest_crosstalk(cases, dof) if mixed else column(cases, name)
                 style: dict[str, Any] = {
-                    "color": COLOURS[i % len(COLOURS)],
-                    "linestyle": "-" if i < len(COLOURS) else "--",
+                    "color": look.COLOURS[i % len(look.COLOURS)],
+                    "linestyle": "-" if i < len(look.COLOURS) else "--",
                 }
                 axis.plot(values, marker="o", markersize=3.0, linewidth=1.0, label=law, **style)
                 unstable = np.array(at)[~np.array(cases["stable"])]
@@ -109,12 +244,11 @@ def ladder_figure(table: pa.Table) -> Figure:
                 axis.plot(unstable, np.full(len(unstable), 0.03), **style)
             if name == "crosstalk":
                 axis.set_yscale("log")
-                axis.set_xticks(range(len(rungs)), rungs, rotation=90, fontsize=8)
+                axis.set_xticks(range(len(rungs)), rungs, rotation=90)
         line[0].set_ylabel(title)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    look.legend(figure, ncols=5)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
@@ -137,15 +271,13 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
 def save_report(table: pa.Table, folder: Path) -> list[Path]:
     """Write every table as Markdown and CSV, of a ladder `ladder.png`, of shares `rates.png`."""
     files: dict[str, Any] = {
-        f"{name}.{kind}": each.save
-        for name, each in tables_of(table).items()
-        for kind in ("md", "csv")
+        f"{name}.{kind}": each for name, each in tables_of(table).items() for kind in ("md", "csv")
     }
     if "effects.md" in files:
         files["ladder.png"] = ladder_figure(table)
     if "rates.md" in files:
         files["rates.png"] = rate_figure(rates(table))
-    return save_files(files, folder, 80)
+    return look.save_files(files, folder, 80)
 
 
 def summary_table(table: pa.Table) -> Table:
@@ -161,9 +293,9 @@ def summary_table(table: pa.Table) -> Table:
 
 def save_failures(results: Result[FailureResult], folder: Path) -> list[Path]:
     """Write `failures.csv`, `failures.md` and a figure an event."""
-    files = {"failures.csv": results.save, "failures.md": results.save}
+    files = {"failures.csv": results, "failures.md": results}
     figures = {f"{result.label}.png": failure_figure(result) for result in results}
-    return save_files(files | figures, folder)
+    return look.save_files(files | figures, folder)
 
 
 def failure_figure(result: FailureResult) -> Figure:
@@ -171,16 +303,16 @@ def failure_figure(result: FailureResult) -> Figure:
     record = result.record
     time = record.time - result.event.at
     labels = ("extension [in]", "axial leg load [kN]", "crew acceleration [g]", "pressure [psi]")
-    figure, axes = stack(9.0, 11.0, *labels, x="time after the event [s]")
+    figure, axes = look.stack(9.0, 11.0, *labels, x="time after the event [s]")
     legs, loads, crew, pressures = axes
     legs.plot(time, record["leg_reference"] / units.INCH, linewidth=0.6, alpha=0.5)
     numbers = [f"leg {leg}" for leg in range(1, 7)]
-    legs.set_prop_cycle(color=COLOURS)
+    legs.set_prop_cycle(color=look.COLOURS)
     legs.plot(time, record["leg_extension"] / units.INCH, label=numbers)
     loads.plot(time, 1e-3 * record["axial_load"])
     felt = record["crew_acceleration"] / units.STANDARD_GRAVITY
     crew.plot(time, felt, linewidth=0.8, label=["x", "y", "z"])
-    crew.plot(time, np.linalg.norm(felt, axis=1), color=DARK, linewidth=0.8, label="size")
+    crew.plot(time, np.linalg.norm(felt, axis=1), color=look.DARK, linewidth=0.8, label="size")
     for side in ("cap", "rod"):
         values = record[f"{side}_pressure"] / units.PSI
         for name, extreme in (("largest", values.max(axis=1)), ("least", values.min(axis=1))):
@@ -194,36 +326,11 @@ def failure_figure(result: FailureResult) -> Figure:
         xlim=(max(time[0], -4.0), time[-1]),
     )
     for axis in axes:
-        axis.axvline(0.0, color=ORANGE, linestyle="--", linewidth=1.0, label="event")
+        axis.axvline(0.0, color=look.ORANGE, linestyle="--", linewidth=1.0, label="event")
         if (at := result.detection_time) is not None:
-            axis.axvline(at, color=PURPLE, linestyle=":", linewidth=1.4, label="detected")
-    legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
+            axis.axvline(at, color=look.PURPLE, linestyle=":", linewidth=1.4, label="detected")
+    look.legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
     return figure
-
-
-def certificate_table(certificates: Sequence[Certificate]) -> Table:
-    """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
-    kept = ("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at")
-    drawn = (("stable", ".1f %"), ("least zeta", ".3f"), ("peak [dB]", ".1f"), ("highest", ".1f"))
-    rows = []
-    for one in certificates:
-        where, swings = look.pose_text(one.pose, ".2g"), (100.0 * one.beyond, 100.0 * one.within)
-        scales = one.law, one.cab, one.nominal, _down(one.proven), one.broken, where
-        rows.append((*scales, 100.0 * one.share, one.least, one.peak, one.highest, *swings))
-    return Table("", (*kept, *drawn, ("beyond", ".0f %"), ("within", ".1f %")), rows)
-
-
-def _down(scale: float) -> float:
-    """A scale to two digits, never more than it is."""
-    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
-    return float(np.floor(scale / digit) * digit)
-
-
-def proof_table(certificates: Sequence[Certificate]) -> Table:
-    """One row a damping ratio: the box in which it is proven, and the least found there."""
-    numbers = ((name, ".3f") for name in ("zeta", "proven box", "least zeta found"))
-    rows = [(one.law, one.cab, *proof) for one in certificates for proof in one.proofs]
-    return Table("", ("law", "cab", *numbers), rows)
 
 
 def certificate_figure(certificates: Sequence[Certificate]) -> Figure:

@@ -22,6 +22,7 @@ from cmf_mj import signals
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
+from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
 from cmf_mj.facility.run import simulate
 from cmf_mj.facility.scenario.signal import HostFile
@@ -119,6 +120,30 @@ class CapacityResult(NamedTuple):
     """Largest compensator output, before the clamp, as a fraction, (n,)."""
     least_margin: Peak  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
     record: Record  #: The run, at 512 Hz.
+
+
+CAPACITY = (
+    Field("holds", "supply holds", lambda holds: "yes" if holds else "NO"),
+    Field("allowed_pressure", "pressure to keep", ".0f psi", "psi", about="of the manifold"),
+    Field("least_pressure", "least manifold pressure", ".0f psi", "psi", "least_pressure.value"),
+    Field("least_pressure_at", "  at", ".2f s", of="least_pressure.time"),
+    Field("charged_oil", "oil in accumulators", ".1f gal", "gal", about="charged"),
+    Field("least_oil", "least oil in accumulators", ".1f gal", "gal"),
+    Field("least_gas_pressure", None, ".0f psi", "psi", about="of the accumulators"),
+    Field("empty_time", "accumulators empty", ".3g s", about="in all"),
+    Field("mean_pump_flow", None, ".0f gpm", "gpm", "pump_flow.mean", about="over the run"),
+    Field("peak_pump_flow", None, ".0f gpm", "gpm", "pump_flow.peak"),
+    Field("pump_flow_limit", None, ".0f gpm", "gpm"),
+    Field("mean_relief_flow", None, ".0f gpm", "gpm", "relief_flow.mean", about="over the run"),
+    Field("peak_relief_flow", None, ".0f gpm", "gpm", "relief_flow.peak"),
+    Field("valve_saturation", None, ".2f %", "%", lambda one: max(one.saturation)),
+    Field("peak_valve_demand", None, ".0f %", "%", lambda one: max(one.peak_command)),
+    Field("worst_leg", "  of leg", "d", of=lambda one: 1 + one.peak_command.argmax()),
+    Field("least_pressure_margin", None, ".0f psi", "psi", "least_margin.value"),
+    Field("least_margin_leg", "  of leg", "d", of="least_margin.leg", about="manifold over stall"),
+    Field("least_margin_at", "  at", ".2f s", of="least_margin.time"),
+)
+"""Saturation is a share of the run, of the worst leg; demand is before the clamp at 100 %."""
 
 
 def least_allowed(parameters: HydraulicParameters, least_pressure: float | None = None) -> float:

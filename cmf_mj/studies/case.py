@@ -4,7 +4,7 @@ The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
+from cmf_mj.core.result import Field
 from cmf_mj.core.units import RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run, simulate
@@ -221,6 +222,9 @@ def small_motion(case: Case) -> Measures:
 class Qualities(NamedTuple):
     """What compares laws along one axis, at neutral; NaN where unstable or not to be had."""
 
+    law: str
+    dof: str
+    plant: str
     over_drive_lag: float
     over_oil_mode: float
     of_saturation: float
@@ -229,6 +233,30 @@ class Qualities(NamedTuple):
     rejection_hz: float  #: Disturbance rejection bandwidth [Hz].
     rejection_peak_db: float  #: Its peak [dB].
     valve_noise: float  #: Fraction of full command.
+
+
+_KLBF = "klbf/in or klbf ft/deg; inf: a force leaves no motion"
+
+
+def _in_field_units(name: str) -> Callable[[Qualities], float]:
+    """A stiffness in klbf/in or klbf ft/deg."""
+    pound = 1000.0 * units.POUND_FORCE
+    per = units.INCH / pound, units.DEGREE / units.FOOT / pound
+    return lambda one: float(getattr(one, name)) * by_kind(one.dof, *per)
+
+
+QUALITIES = (
+    Field("over_drive_lag", "-90 over\ndrive lag", ".2f", about="corner of the servo drive's lag"),
+    Field("over_oil_mode", "-90 over\noil mode", ".2f", about="lowest mode, valves shut"),
+    Field("of_saturation", "-90 over\nsaturation", ".2f", about="valve full open or leg stalled"),
+    *(Field(f"{kind}_stiffness", printed=False) for kind in ("static", "dynamic")),
+    Field("", "stiffness\nat rest", ".0f", of=_in_field_units("static_stiffness"), about=_KLBF),
+    Field("", "stiffness\n0.5 to 5 Hz", ".1f", of=_in_field_units("dynamic_stiffness")),
+    Field("rejection_hz", "rejection\nto", ".2f Hz", about="3 dB off the motion with valves shut"),
+    Field("rejection_peak_db", "rejection\npeak", ".1f dB", about="most that the law adds to it"),
+    Field("valve_noise", "noise\nto valve", ".2f %", "%", about="rms of the busiest at rest"),
+)
+"""What compares laws; stiffness and rejection of forces are linearised, electronics are noisy."""
 
 
 def qualities(plant: Plant, law: Law, swept: Sequence[tuple[str, float, float]]) -> list[Qualities]:
@@ -253,7 +281,8 @@ def qualities(plant: Plant, law: Law, swept: Sequence[tuple[str, float, float]])
         mode = oil_modes(limits.mass, limits.stiffness)[0][0]
         over = [units.from_si("Hz", rate) for rate in (limits.corners[0], mode)]
         shares = (phase / end for end in (*over, limits.saturation(amplitude)))
-        found.append(Qualities(*map(float, (*shares, *force[:, dof_index(dof)], noise))))
+        numbers = map(float, (*shares, *force[:, dof_index(dof)], noise))
+        found.append(Qualities(law.name, dof, plant.name, *numbers))
     return found
 
 

@@ -12,7 +12,7 @@ All is linear. The simulation replays the machine that fails first, a little bey
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +26,11 @@ from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder, write_text
+from cmf_mj.core.result import Field
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.unknowns import Unknowns, cube
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, pose_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
 from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, Box, Family
@@ -98,6 +99,38 @@ class Certificate(NamedTuple):
     def proven(self) -> float:
         """Scale within which all machines are stable."""
         return self.proofs[0].proven if self.proofs else 0.0
+
+
+def _down(scale: float) -> str:
+    """A scale to two digits, never more than it is."""
+    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
+    return f"{np.floor(scale / digit) * digit:.2g}"
+
+
+def _along(index: int) -> Callable[[Certificate], float]:
+    return lambda one: float(one.pose[index])
+
+
+CERTIFICATES = (
+    *map(Field, ("law", "cab")),
+    Field("nominal", "zeta", ".3f"),
+    Field("proven", form=_down),
+    Field("broken", form=".2g"),
+    *(Field(f"pose_{dof}", of=_along(i), printed=False) for i, dof in enumerate(DOFS)),
+    Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="pose"),
+    Field("share", "stable", ".1f %", "%"),
+    Field("least", "least zeta", ".3f"),
+    Field("peak", "peak [dB]", ".1f"),
+    Field("highest", form=".1f"),
+    Field("beyond", form=".0f %", unit="%"),
+    Field("within", form=".1f %", unit="%"),
+)
+PROOFS = (
+    *map(Field, ("law", "cab")),
+    Field("ratio", "zeta", ".3f"),
+    Field("proven", "proven box", ".3f"),
+    Field("attacked", "least zeta found", ".3f"),
+)
 
 
 def certify(

@@ -21,6 +21,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
+    QUALITIES,
     CaseResult,
     Qualities,
     dof_amplitude,
@@ -105,7 +106,7 @@ def compare(
     return Result(results, COMPARISON, digits=6)
 
 
-def rated(results: Sequence[CaseResult], jobs: int | None = None) -> list[Qualities]:
+def rated(results: Sequence[CaseResult], jobs: int | None = None) -> Result[Qualities]:
     """What compares laws, of the results of `compare`; on `jobs` threads, one a law and plant.
 
     >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
@@ -121,4 +122,8 @@ def rated(results: Sequence[CaseResult], jobs: int | None = None) -> list[Qualit
 
     alike = groupby(results, key=lambda result: (result.case.plant, result.case.law.name))
     groups = on_threads(rate, [list(group) for _, group in alike], jobs)
-    return [one for group in groups for one in group]
+    whose = (Field("law"), Field("dof"), Field("plant", form=lambda name: name.replace("_", " ")))
+    about = "; ".join(f"{one.header}: {one.about}" for one in QUALITIES if one.about)
+    rows = [one for group in groups for one in group]
+    caption = about.replace("\n", " ")
+    return Result(rows, (*whose, *QUALITIES), caption=caption, grouped=True)

@@ -23,8 +23,11 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.modes import envelope_poses
 from cmf_mj.control.law import load_law
+from cmf_mj.core import units
 from cmf_mj.core.errors import within
+from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian, rotation
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
@@ -70,6 +73,41 @@ class MachineCheck(NamedTuple):
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
     faults: tuple[str, ...]  #: What does not fit, each with its reason.
+
+
+CABS = (
+    Field("cab"),
+    Field("mass", "mass [kg]", ".0f"),
+    Field("load", "static load [kN]", ".2f", "kN", of=lambda one: float(np.abs(one.load).max())),
+    Field("speed", "leg speed [m/s]", ".3f", of=lambda one: float(one.speed.min())),
+    Field("sustained", "heave sustained [m/s]", ".3f"),
+    Field("modes", "modes [Hz]", lambda modes: " ".join(f"{mode:.1f}" for mode in modes)),
+)
+
+
+def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
+    """The report: limits of each degree of freedom, each cab on its legs, and the rest in lines."""
+    rows = []
+    for dof, reach, axis in zip(DOFS, check.envelope, check.limits.axes, strict=True):
+        unit = by_kind(dof, "m", "deg")
+        ends = (units.from_si(unit, end) for end in (*reach, *axis.operational.si))
+        speed = units.from_si(unit, axis.velocity.si)
+        rows.append((dof, *ends, axis.operational.status, speed, f"{unit}, {unit}/s"))
+    ends_of = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
+    columns = ("dof", *ends_of, "status", ("largest rate", ".3g"), "units")
+    push, pull = (1e-3 * force for force in check.stall)
+    stalled = f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"
+    neutral = check.machine.geometry.neutral
+    return [
+        Table(f"{check.machine.name}: envelope", columns, rows),
+        Result(check.cabs, CABS, stalled),
+        f"neutral legs {neutral.min():.4f} to {neutral.max():.4f} m from gimbal to gimbal",
+        f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
+        f"condition number {check.conditioning[0]:.2f} at neutral, {check.conditioning[1]:.2f} at "
+        "worst over the envelope",
+        *(f"{status}: {', '.join(names)}" for status, names in check.statuses.items()),
+        *(f"does not fit: {fault}" for fault in check.faults),
+    ]
 
 
 def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:

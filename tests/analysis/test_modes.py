@@ -11,8 +11,7 @@ from cmf_mj import Hexapod
 from cmf_mj.analysis import modes
 from cmf_mj.analysis.modes import EnvelopeModes, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
-from cmf_mj.core import units
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant import cylinder
@@ -145,10 +144,7 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
         assert len(rows) == 6 * 91
         tables.append(rows[6 * 7 : 6 * 8])
     masses, shapes = tables
-    mass = (
-        np.array([[float(r[f"leg_{i}_lbm"]) for i in range(1, 7)] for r in masses])
-        * units.POUND_MASS
-    )
+    mass = np.array([[float(r[f"leg_{i}_kg"]) for i in range(1, 7)] for r in masses])
     plant = Hexapod("gfd")
     oil = plant.hydraulics.oil.bulk_modulus
     legs = pose_to_legs(pose, plant.machine.geometry)
@@ -160,11 +156,10 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
         assert turned == pytest.approx(spring * shape, abs=1e-3 * spring.max())
         assert float(row["frequency_hz"]) == pytest.approx(frequency, rel=1e-4)
         leg_mass = (shape @ mass @ shape) / (shape @ shape)
-        assert float(row["leg_mass_lbm"]) * units.POUND_MASS == pytest.approx(leg_mass, rel=1e-4)
-        by_unit = [(dof, dof_unit(dof)) for dof in DOFS]
-        moved = [units.to_si(unit, float(row[f"{dof}_{unit}_per_in"])) for dof, unit in by_unit]
+        assert float(row["leg_mass_kg"]) == pytest.approx(leg_mass, rel=1e-4)
+        moved = [float(row[f"{dof}_per_leg"]) for dof in DOFS]
         along = pose_jacobian(pose, plant.machine.geometry) @ moved
-        assert along == pytest.approx(units.INCH * shape, abs=1e-4 * units.INCH)
+        assert along == pytest.approx(shape, abs=1e-4)
         assert sum(float(row[f"share_{dof}"]) for dof in DOFS) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -176,7 +171,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path, drawn: dict[str, set[st
     with (tmp_path / "modes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 91
-    pose = [units.to_si(dof_unit(dof), float(rows[7][f"{dof}_{dof_unit(dof)}"])) for dof in DOFS]
+    pose = [float(rows[7][dof]) for dof in DOFS]
     expected = Hexapod("gfd").hydraulic_modes(pose).frequency_hz
     got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
     assert got == pytest.approx(expected, rel=1e-4)

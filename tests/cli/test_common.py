@@ -52,7 +52,8 @@ def test_compare_writes_table_figures_and_records(
         assert found.split(" | ")[3] == expected
     for dof in ("heave", "roll"):
         for kind in ("bode", "step"):
-            assert {"Velocity FB", "Half the position gain"} <= drawn[f"{kind}_{dof}.png"]
+            laws = {"Velocity FB, hexapod", "Half the position gain, single legs"}
+            assert laws <= drawn[f"{kind}_{dof}.png"]
     records = sorted((out / "records").iterdir())
     assert len(records) == 16
     record = Record.load(records[0])

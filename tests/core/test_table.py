@@ -7,7 +7,8 @@ import pytest
 from rich.console import Console
 
 from cmf_mj.core.result import Table
-from cmf_mj.show.look import bode_axes, pose_text, save_figure
+from cmf_mj.machine.geometry import pose_text
+from cmf_mj.show.look import bode_axes, save_figure
 
 TABLE = Table(
     "bandwidths [Hz]",

@@ -69,7 +69,7 @@ def save_verification(result: Verification, folder: Path) -> list[Path]:
     header = ["engine", "step_s", "leg_error_m", "pressure_error_pa", "cpu_time_s"]
     files = {
         "work_precision.png": work_precision_figure(result),
-        "work_precision.csv": (header, result.runs),
-        "work_precision.md": verification_table(result).save,
+        "work_precision.csv": [dict(zip(header, run, strict=True)) for run in result.runs],
+        "work_precision.md": verification_table(result),
     }
     return save_files(files, folder, 100)

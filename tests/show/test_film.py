@@ -18,10 +18,10 @@ from cmf_mj.core.errors import MissingExtraError
 from cmf_mj.facility.scenario import library as scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.show.film import stage
-from cmf_mj.show.film.film import FilmSettings, check_film, film
-from cmf_mj.show.film.stage import FilmStage, Strip, choose_backend, traces_of
+from cmf_mj.show import stage
+from cmf_mj.show.film import FilmSettings, check_film, film
 from cmf_mj.show.look import Curve, Panel
+from cmf_mj.show.stage import FilmStage, Strip, choose_backend, traces_of
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 
@@ -70,12 +70,7 @@ def test_a_film_of_two_runs_has_real_speed_and_both_in_it(
 def test_slow_motion_has_more_pictures(single: Record, tmp_path: Path) -> None:
     slow = SMALL._replace(speed=0.5, strip=0)
     seen: list[tuple[int, int]] = []
-    path = film(
-        [single],
-        tmp_path / "slow.gif",
-        slow,
-        progress=lambda done, total: seen.append((done, total)),
-    )
+    path = film([single], tmp_path / "slow.gif", slow, progress=lambda *done: seen.append(done))
     with Image.open(path) as picture:
         assert picture.n_frames == seen[-1][0] == seen[-1][1] == 10
         assert picture.size == (160, 100)
@@ -92,13 +87,13 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
             picture.seek(number)
             durations.append(picture.info["duration"])
     assert sum(durations) == 500
-    with pytest.raises(ValueError, match="fps: 60 frames a second of a GIF file .* at most 50"):
-        film([single], tmp_path / "fast.gif", SMALL._replace(fps=60))
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        ({"name": "x.avi"}, "out: x.avi must end in .mp4 or .gif"),
+        ({"name": "x.gif", "fps": 60}, "fps: 60 frames a second of a GIF file must be at most 50"),
         ({"width": 8}, "width: 8 pixels must be between 16 and 1920"),
         ({"width": 161}, "width: 161 pixels must be even"),
         ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
@@ -110,8 +105,9 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
 def test_what_a_film_cannot_do_is_named(
     change: dict[str, Any], said: str, single: Record, tmp_path: Path
 ) -> None:
-    with pytest.raises(ValueError, match="pixels|camera|speed|start|seconds") as refused:
-        film([single], tmp_path / "x.mp4", SMALL._replace(**change))
+    path = tmp_path / change.pop("name", "x.mp4")
+    with pytest.raises(ValueError) as refused:  # noqa: PT011
+        film([single], path, SMALL._replace(**change))
     assert said in str(refused.value)
     assert not list(tmp_path.iterdir())
 
@@ -127,11 +123,6 @@ def test_what_a_film_will_lack_is_said_before_a_run(monkeypatch: pytest.MonkeyPa
         MissingExtraError, match=r"av is not installed: pip install 'cmf-mj\[video\]'"
     ):
         check_film(model, "x.mp4", SMALL)
-
-
-def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"out: x\.avi must end in \.mp4 or \.gif"):
-        film([single], tmp_path / "x.avi")
 
 
 @pytest.mark.slow

@@ -17,8 +17,8 @@ from websockets.sync.client import ClientConnection
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.show.studio import door
-from cmf_mj.show.studio.choices import check_value
-from cmf_mj.show.studio.door import MOST_TABS, Allowance, Door
+from cmf_mj.show.studio.desk import check_value
+from cmf_mj.show.studio.door import MOST_TABS, Door
 from cmf_mj.show.studio.live import LiveSession
 from cmf_mj.show.studio.server import Page, Studio
 
@@ -177,34 +177,6 @@ def test_one_tab_too_many_is_refused_until_another_closes(studio: Studio) -> Non
 
 
 # Commands.
-
-
-def test_an_allowance_is_its_rate_and_its_burst() -> None:
-    """10 at once and 2 a second: the n-th at once waits (n - 10) / 2 s."""
-    now = 100.0
-    allowance = Allowance(2.0, 10.0, lambda: now)
-    assert [allowance.take(1.0) for _ in range(14)] == [0.0] * 10 + [0.5, 1.0, 1.5, 2.0]
-    now = 103.0
-    assert [allowance.take(1.0) for _ in range(3)] == [0.0, 0.0, 0.5]
-    now = 1000.0
-    assert allowance.take(10.0) == 0.0
-
-
-def test_commands_beyond_the_rate_wait_and_none_is_lost(
-    monkeypatch: pytest.MonkeyPatch, studio: Studio
-) -> None:
-    monkeypatch.setattr(door, "MESSAGES", (50.0, 10.0))
-    wait(lambda: not studio.pages)
-    with connected(studio.url) as tab:
-        send(tab, CAMERA)
-        wait(lambda: studio.pages)
-        begun = time.monotonic()
-        for number in range(60):
-            command(tab, studio, "leg", value=str(1 + number % 6))
-        command(tab, studio, "failure", value="valve_dead")
-        wait(lambda: control(studio.pages[0], "failure").value == "valve_dead")
-        assert time.monotonic() - begun >= (62 - 10) / 50.0 - 0.1
-        assert control(studio.pages[0], "leg").value == "6"
 
 
 @pytest.mark.parametrize(

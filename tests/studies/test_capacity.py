@@ -379,7 +379,7 @@ def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[
     assert "supply holds" in output and "valve command" in output
     rows = [line.split(" | ") for line in (out / "envelope.md").read_text().splitlines()[2:]]
     assert [float(row[1]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
-    assert "yes" in (out / "capacity.csv").read_text()
+    assert "True" in (out / "capacity.csv").read_text()
     assert set(drawn) == {"supply.png", "envelope.png"}
 
 

@@ -85,6 +85,11 @@ class SensorSettings(Settings):
     platform_gyro: ChannelSettings = ChannelSettings()
     platform_accelerometer: ChannelSettings = ChannelSettings()
 
+    def quantities(self) -> dict[str, Quantity]:
+        """The numbers of all channels, by channel and name."""
+        numbers = {channel: self.channel(channel).quantities() for channel in CHANNELS}
+        return {f"{c} {name}": one for c, given in numbers.items() for name, one in given.items()}
+
     @model_validator(mode="after")
     def _units(self) -> "SensorSettings":
         for channel, units in CHANNELS.items():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
+from cmf_mj.core.quantity import quantity_table
 from cmf_mj.core.result import number
 from cmf_mj.report_2014.page import figures_of_laws, figures_of_models
 from cmf_mj.report_2014.page import statements as summary
@@ -47,7 +48,6 @@ from cmf_mj.report_2014.page.tables import (
     result_rows,
     table_needs,
 )
-from cmf_mj.show.listing import parameter_table
 from cmf_mj.show.look import Curve, Panel
 
 
@@ -64,7 +64,7 @@ def provenance(runs: Runs) -> PageTable:
 
 def parameters(on: On) -> PageTable:
     """The hydraulic numbers of a plant, each with its status."""
-    shown = parameter_table(hydraulics_of(on))
+    shown = quantity_table("", hydraulics_of(on).quantities())
     return table(
         "parameters", shown.rows, f"parameters-{on}", f"{PLANTS[on]}, {HYDRAULICS[on]} set"
     )

@@ -9,18 +9,26 @@ from typing import Any, get_args
 
 import viser
 
-from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.control.law import law_names
 from cmf_mj.core import units
 from cmf_mj.facility.scenario.library import scenario_toml
-from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of, overlaid_law
+from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
-from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.choices import Knob, knobs, words
-from cmf_mj.show.studio.desk import Desk, by_hand, pick
-from cmf_mj.show.studio.live import View
+from cmf_mj.show.studio.desk import (
+    DIRECTIONS,
+    LARGEST_PUSH,
+    SIGNALS,
+    Desk,
+    by_hand,
+    largest_amplitude,
+    pick,
+    signal_settings,
+    signal_table,
+)
+from cmf_mj.show.studio.live import View, words
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -33,10 +41,6 @@ _HERTZ = ("frequency", "start", "stop", "corner")
 
 NONE = "none"
 """Choice of no second law."""
-
-_STEPS = 200
-"""Steps of a gain's slider from end to end."""
-
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
@@ -92,136 +96,99 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
     return show
 
 
-class SignalControls:
-    """The demand: degree of freedom, kind, amplitude and the settings of its kind."""
+def signal_controls(desk: Desk) -> Callable[[], str]:
+    """The demand: its kind with settings and amplitude; gives the degree of freedom chosen."""
+    gui = desk.client.gui
+    dof = gui.add_dropdown(
+        "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
+    )
+    kind = gui.add_dropdown(
+        "signal",
+        ("rest", *SIGNALS),
+        initial_value="sine",
+        hint="demand of the platform; takes over within 1 s",
+    )
+    amplitude = gui.add_slider(
+        "amplitude", 0.05, 41.0, 0.05, 2.0, hint="up to the operational excursion"
+    )
+    folder = gui.add_folder("settings")
+    settings: dict[str, Any] = {}
+    machine = models.CMF
 
-    def __init__(self, desk: Desk) -> None:
-        """Add them to the container in force."""
-        gui = desk.client.gui
-        self._desk, self._machine = desk, models.CMF
-        self._dof = gui.add_dropdown(
-            "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
-        )
-        self._kind = gui.add_dropdown(
-            "signal",
-            ("rest", *choices.SIGNALS),
-            initial_value="sine",
-            hint="demand of the platform; takes over within 1 s",
-        )
-        self._amplitude = gui.add_slider(
-            "amplitude", 0.05, 41.0, 0.05, 2.0, hint="up to the operational excursion"
-        )
-        self._folder = gui.add_folder("settings")
-        self._settings: dict[str, Any] = {}
-        by_hand(self._moved, self._dof, self._kind, self._amplitude)
-        again = gui.add_button("send again", hint="step, pulse and chirp once more")
-        again.on_click(lambda _: desk.later("signal", self._send))
-        desk.follow(self._follow)
+    def send() -> None:
+        chosen = {name: handle.value for name, handle in settings.items()}
+        table = signal_table(kind.value, dof.value, amplitude.value, **chosen)
+        desk.apply(change_of({"signal": table}, "signal"))
 
-    @property
-    def dof(self) -> str:
-        """Degree of freedom chosen."""
-        return self._dof.value
+    def limit() -> None:
+        amplitude.label = f"amplitude [{dof_unit(dof.value)}]"
+        amplitude.max = largest_amplitude(dof.value, machine)
+        amplitude.value = min(amplitude.value, amplitude.max)
 
-    def _send(self) -> None:
-        settings = {name: handle.value for name, handle in self._settings.items()}
-        table = choices.signal_table(self._kind.value, self.dof, self._amplitude.value, **settings)
-        self._desk.apply(change_of({"signal": table}, "signal"))
+    def moved(handle: Any) -> None:
+        if handle is dof:
+            limit()
+        if handle is kind:
+            show_settings({})
+        desk.later("signal", send)
 
-    def _follow(self, scenario: Scenario) -> None:
+    def follow(scenario: Scenario) -> None:
         """Show the signal of a scenario, where the page has such a one."""
-        self._machine = scenario.machine
-        signals = scenario.signal
-        if not signals:
-            self._kind.value = "rest"
-        settings: dict[str, Any] = {}
-        if len(signals) == 1 and isinstance(signals[0], SingleSignal):
-            signal = signals[0]
-            self._kind.value, self._dof.value = signal.kind, signal.dof
-            self._amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
-            settings = signal.model_dump()
-        self._limit()
-        self._show_settings(settings)
+        nonlocal machine
+        machine, chosen = scenario.machine, dict[str, Any]()
+        if not scenario.signal:
+            kind.value = "rest"
+        if len(scenario.signal) == 1 and isinstance(signal := scenario.signal[0], SingleSignal):
+            kind.value, dof.value = signal.kind, signal.dof
+            amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
+            chosen = signal.model_dump()
+        limit()
+        show_settings(chosen)
 
-    def _moved(self, handle: Any) -> None:
-        if handle is self._dof:
-            self._limit()
-        if handle is self._kind:
-            self._show_settings({})
-        self._desk.later("signal", self._send)
-
-    def _limit(self) -> None:
-        """Scale the amplitude to the degree of freedom."""
-        self._amplitude.label = f"amplitude [{dof_unit(self.dof)}]"
-        self._amplitude.max = choices.largest_amplitude(self.dof, self._machine)
-        self._amplitude.value = min(self._amplitude.value, self._amplitude.max)
-
-    def _show_settings(self, chosen: dict[str, Any]) -> None:
+    def show_settings(chosen: dict[str, Any]) -> None:
         """One control for each setting of the kind, by its type."""
-        gui, kind = self._desk.client.gui, self._kind.value
-        for handle in self._settings.values():
+        for handle in settings.values():
             handle.remove()
-        self._settings.clear()
-        for name, begun in choices.signal_settings(kind).items():
+        settings.clear()
+        for name, begun in signal_settings(kind.value).items():
             value = chosen.get(name, begun)
-            with self._folder:
+            with folder:
                 if isinstance(value, str):
-                    options = get_args(choices.SIGNALS[kind].model_fields[name].annotation)
-                    self._settings[name] = gui.add_dropdown(name, options, initial_value=value)
+                    options = get_args(SIGNALS[kind.value].model_fields[name].annotation)
+                    settings[name] = gui.add_dropdown(name, options, initial_value=value)
                     continue
                 unit = "Hz" if name in _HERTZ else "s"
                 whole = isinstance(value, int)
                 label, step = (name, 1) if whole else (f"{name} [{unit}]", 0.05)
-                self._settings[name] = gui.add_number(label, value, step=step)
-        by_hand(self._moved, *self._settings.values())
+                settings[name] = gui.add_number(label, value, step=step)
+        by_hand(moved, *settings.values())
+
+    by_hand(moved, dof, kind, amplitude)
+    again = gui.add_button("send again", hint="step, pulse and chirp once more")
+    again.on_click(lambda _: desk.later("signal", send))
+    desk.follow(follow)
+    return lambda: dof.value
 
 
 def law_controls(desk: Desk) -> None:
-    """The law, and a slider for each of its gains."""
-    gui = desk.client.gui
+    """The law, and that of a second machine."""
+    gui, laws = desk.client.gui, law_names("all")
     chosen = gui.add_dropdown(
-        "law", law_names("all"), initial_value="velocity", hint="takes over while the machine moves"
+        "law", laws, initial_value="velocity", hint="takes over while the machine moves"
     )
     second = gui.add_dropdown(
         "second law",
-        (NONE, *law_names("all")),
+        (NONE, *laws),
         hint="a second machine with this law does the same, drawn beside; begins a new run",
     )
-    folder = gui.add_folder("gains", expand_by_default=False)
-    sliders: list[viser.GuiSliderHandle[float]] = []
-
-    def choose(_: Any) -> None:
-        desk.apply(Change(law=chosen.value))
-        show(load_law(chosen.value))
-
-    def follow(scenario: Scenario) -> None:
-        pick(chosen, scenario.law)
-        show(overlaid_law(load_law(scenario.law), scenario.gains))
-
-    def show(law: Law) -> None:
-        for slider in sliders:
-            slider.remove()
-        with folder:
-            sliders[:] = [add_slider(knob) for knob in knobs(law)]
-
-    def add_slider(knob: Knob) -> viser.GuiSliderHandle[float]:
-        step = (knob.high - knob.low) / _STEPS
-        slider = gui.add_slider(knob.label, knob.low, knob.high, step, knob.value, hint=knob.hint)
-
-        def moved(_: Any) -> None:
-            change = Change(gains=knob.table(slider.value))
-            desk.later(knob.hint, lambda: desk.apply(change))
-
-        by_hand(moved, slider)
-        return slider
 
     def compare(_: Any) -> None:
         desk.beside = "" if second.value == NONE else second.value
         desk.again()
 
-    by_hand(choose, chosen)
+    by_hand(lambda _: desk.apply(Change(law=chosen.value)), chosen)
     by_hand(compare, second)
-    desk.follow(follow)
+    desk.follow(lambda scenario: pick(chosen, scenario.law))
 
 
 def machine_controls(desk: Desk) -> None:
@@ -257,10 +224,10 @@ def disturbance_controls(desk: Desk) -> None:
     """A push on the platform, and failures."""
     gui = desk.client.gui
     direction = gui.add_dropdown(
-        "push", tuple(choices.DIRECTIONS), hint="force on the platform's centre of mass"
+        "push", tuple(DIRECTIONS), hint="force on the platform's centre of mass"
     )
     size = gui.add_slider(
-        "force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0, hint="100 kN: 3/4 of the weight"
+        "force [kN]", 1.0, LARGEST_PUSH, 1.0, 20.0, hint="100 kN: 3/4 of the weight"
     )
     on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
     kind = gui.add_dropdown(
@@ -270,8 +237,8 @@ def disturbance_controls(desk: Desk) -> None:
     fail = gui.add_button("fail now", color="red", hint="let it fail in the next frame")
 
     def push() -> None:
-        force = choices.push_of(direction.value, size.value) if on.value else Push()
-        desk.apply(Change(push=force))
+        x, y, z = (units.to_si("kN", size.value) * part for part in DIRECTIONS[direction.value])
+        desk.apply(Change(push=Push(force=(x, y, z)) if on.value else Push()))
 
     def moved(handle: Any) -> None:
         if on.value or handle is on:

@@ -1,16 +1,101 @@
-"""What the controls of a page act on: its tab and its session."""
+"""What the controls of a page mean, and what they act on: its tab and its session."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, get_args
 
 import viser
+from viser import _messages as messages
 
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import merged
+from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.settings import Change, Scenario
-from cmf_mj.show.studio import choices
+from cmf_mj.facility.scenario.signal import Signal
+from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.models import CMF
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.show.studio.live import LiveSession, View
+from cmf_mj.signals.signal import SingleSignal
+
+SIGNALS: dict[str, type[SingleSignal]] = {
+    get_args(signal.model_fields["kind"].annotation)[0]: signal
+    for signal in get_args(get_args(Signal)[0])
+    if issubclass(signal, SingleSignal)
+}
+"""Signals the page offers by kind; a scenario file may have any other."""
+
+GENTLE = {"frequency": 0.5, "start": 0.05, "stop": 0.5, "number": 1}
+"""Settings the page begins with where the signals have other defaults [Hz], or none."""
+
+DIRECTIONS = {
+    "forward": (1.0, 0.0, 0.0),
+    "backward": (-1.0, 0.0, 0.0),
+    "left": (0.0, 1.0, 0.0),
+    "right": (0.0, -1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+    "down": (0.0, 0.0, -1.0),
+}
+"""Directions of the push in the model's axes."""
+
+LARGEST_PUSH = 100.0
+"""Largest push of the page [kN]: three quarters of the weight with the lightest cab."""
+
+
+def largest_amplitude(dof: str, machine: str = CMF) -> float:
+    """Operational excursion of a degree of freedom that both ends have, in in or deg."""
+    low, high = load_motion_limits(None, machine).operational[DOFS.index(dof)]
+    return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
+
+
+def signal_settings(kind: str) -> dict[str, Any]:
+    """Settings of a kind of signal besides degree of freedom and amplitude, as the page begins.
+
+    Those that may be left out stay so.
+    """
+    fields = SIGNALS[kind].model_fields.items() if kind in SIGNALS else ()
+    begun = {name: GENTLE.get(name, field.default) for name, field in fields}
+    basic = ("kind", "rate", "dof", "amplitude")
+    return {name: value for name, value in begun.items() if name not in basic and value is not None}
+
+
+def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list[dict[str, Any]]:
+    """The signals of a scenario, none for `rest`; amplitude in in or deg."""
+    if kind == "rest":
+        return []
+    basic = {"kind": kind, "dof": dof, "amplitude": [amplitude, dof_unit(dof)]}
+    return [basic | signal_settings(kind) | settings]
+
+
+def first_scenario() -> Scenario:
+    """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
+    table = {
+        "title": "studio session",
+        "signal": signal_table("sine", "heave", 2.0),
+        "duration": "open",
+        "record_every": 16,  # 128 Hz, the facility's recorder
+    }
+    return scenario_of(table, "studio")
+
+
+def from_rest(scenario: Scenario) -> Scenario:
+    """The same machine with the law and the signal in force at the end, from rest.
+
+    Failures, pushes and requests are left out: what begins again is whole.
+    """
+    law, gains, signal = scenario.law, scenario.gains, scenario.signal
+    for change in scenario.change:
+        if change.law is not None:
+            law, gains = change.law, {}
+        gains = merged(gains, change.gains)
+        signal = signal if change.signal is None else change.signal
+    begun = {"law": law, "gains": gains, "signal": signal, "duration": "open"}
+    return scenario.model_copy(update=begun | {"event": (), "change": ()})
+
 
 _SETTLE = 0.3
 """Time a control is left alone before it acts [s]."""
@@ -60,7 +145,7 @@ class Desk:
 
     def again(self, **settings: Any) -> None:
         """Begin again with the present law and signal and some settings changed."""
-        present = choices.settled(self.live.scenario().result())
+        present = from_rest(self.live.scenario().result())
         self.begin(present.model_copy(update=settings))
 
     def tell(self, error: Exception) -> None:
@@ -108,3 +193,42 @@ def pick(handle: viser.GuiDropdownHandle[str], value: str) -> None:
     if value not in handle.options:
         handle.options = (*handle.options, value)
     handle.value = value
+
+
+def check_commands(client: viser.ClientHandle) -> None:
+    """Let the controls of a tab take only what `check_value` lets pass, and show the rest."""
+    gui, connection = client.gui, client._websock_connection
+
+    async def update(client_id: Any, message: messages.GuiUpdateMessage) -> None:
+        try:
+            check_value(gui._gui_input_handle_from_uuid.get(message.uuid), message.updates)
+        except InputError as error:
+            client.add_notification("Refused", str(error), color="red", auto_close_seconds=30.0)
+        else:
+            await gui._handle_gui_updates(client_id, message)
+
+    connection.unregister_handler(messages.GuiUpdateMessage)
+    connection.register_handler(messages.GuiUpdateMessage, update)
+
+
+def check_value(handle: Any, updates: dict[str, Any]) -> None:
+    """Refuse what a control cannot be set to by hand."""
+    if handle is None:
+        return
+    label = handle.label or "button"
+    if set(updates) != {"value"}:
+        raise InputError(f"{label}: {sorted(updates)} is refused; allowed: value")
+    value = updates["value"]
+    if (options := getattr(handle, "options", None)) is not None:
+        fine, allowed = value in options, ", ".join(options)
+    elif isinstance(handle.value, bool):
+        fine, allowed = isinstance(value, bool), "true, false"
+    elif isinstance(handle.value, int | float):
+        low, high = (getattr(handle, end, None) for end in ("min", "max"))
+        fine = isinstance(value, int | float) and not isinstance(value, bool)
+        fine = fine and math.isfinite(value) and (low is None or low <= value <= high)
+        allowed = "a number" if low is None else f"{low:g} to {high:g}"
+    else:
+        fine, allowed = False, "nothing"
+    if not fine:
+        raise InputError(f"{label}: {value!r} is refused; allowed: {allowed}")

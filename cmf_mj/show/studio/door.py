@@ -1,17 +1,15 @@
-"""The studio's door: who may open the page and its websocket, and how fast a tab may send.
+"""The studio's door: who may open the page and its websocket.
 
 A page of another site can make a browser send requests here, but it can forge neither `Host` nor
 `Origin`. A request is let in if it names this machine as its host, its origin is the page itself,
 and, where other machines can reach the studio, it knows the token of the printed address.
 """
 
-import asyncio
 import ipaddress
 import logging
 import secrets
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -30,9 +28,6 @@ MOST_TABS = 8
 MOST_MESSAGE = 100_000
 """Largest message of a tab [octets]."""
 
-MESSAGES, OCTETS = (200.0, 400.0), (1e6, 2e6)
-"""What a tab may send a second and at once; it waits with the rest."""
-
 COMMANDS = ("ViewerCameraMessage", "GuiUpdateMessage", "FileTransferPartAck")
 """Messages of the page that the studio answers to; others, as the request for a public address or
 a file to take, are dropped."""
@@ -49,24 +44,6 @@ _HEADERS = {
 """Of every answer: no other site shows the page in a frame or learns its address."""
 
 _starting = threading.Lock()
-
-
-class Allowance:
-    """So much a second on average, and so much at once."""
-
-    def __init__(
-        self, rate: float, most: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """Begin with all of `most`."""
-        self._rate, self._most, self._clock = rate, most, clock
-        self._left, self._last = most, clock()
-
-    def take(self, amount: float) -> float:
-        """Take an amount; the time to wait until it is there [s]."""
-        now = self._clock()
-        self._left = min(self._left + self._rate * (now - self._last), self._most) - amount
-        self._last = now
-        return max(-self._left / self._rate, 0.0)
 
 
 class Door:
@@ -175,19 +152,12 @@ class Door:
 
 
 def _connection(closed: Callable[[Any], None]) -> type[websocket.ServerConnection]:
-    """Connections that pass on the commands of the page only, and no faster than allowed."""
+    """Connections that pass on the commands of the page only."""
 
     class Connection(websocket.ServerConnection):
-        def __init__(self, *arguments: Any, **options: Any) -> None:
-            super().__init__(*arguments, **options)
-            self._allowances = Allowance(*MESSAGES), Allowance(*OCTETS)
-
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
                 message = await super().recv(decode)
-                sizes = (1.0, len(message))
-                taken = zip(self._allowances, sizes, strict=True)
-                await asyncio.sleep(max(one.take(size) for one, size in taken))
                 if _kind(message) in COMMANDS:
                     return message
 

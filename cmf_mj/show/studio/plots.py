@@ -15,8 +15,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
-from cmf_mj.show.studio.choices import Mark
-from cmf_mj.show.studio.live import PLOT_RATE, View
+from cmf_mj.show.studio.live import PLOT_RATE, Mark, View
 
 _DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
 
@@ -133,13 +132,8 @@ _CAB_CENTRE = np.array([0.0, 0.0, 1.7])
 _CLEAR = 2.4
 """Distance of its tip from there, outside the cab [m]."""
 
-
 _HEIGHT, _WIDTH = 0.62, 0.85
 """Angles that hold the machine with its longest cab, seen from the first view [rad]."""
-
-_UPRIGHT, _LOWER = 0.6, 6.0
-"""Width over height below which controls cover the lower part of the picture, as on a phone, and
-how much lower the camera looks there, so that the machine stands above them [m]."""
 
 
 def place_camera(client: viser.ClientHandle) -> None:
@@ -147,17 +141,13 @@ def place_camera(client: viser.ClientHandle) -> None:
     camera = client.camera
     # From the right front, a little above the platform [m, rad].
     camera.position, camera.look_at = (10.6, -10.4, 1.6), (0.0, 0.0, -0.75)
-    shape = 1.0
 
     @camera.on_update
     def _(_: viser.CameraHandle) -> None:
-        nonlocal shape
-        before, shape = shape, camera.aspect
-        if abs(shape - before) > 0.01:
-            wide = np.tan(0.5 * _WIDTH) / shape
-            camera.fov = 2.0 * float(np.arctan(max(np.tan(0.5 * _HEIGHT), wide)))
-            lower = _LOWER * (float(shape < _UPRIGHT) - float(before < _UPRIGHT))
-            camera.look_at = camera.look_at - np.array([0.0, 0.0, lower])
+        narrow = np.tan(0.5 * _WIDTH) / camera.aspect
+        angle = 2.0 * float(np.arctan(max(np.tan(0.5 * _HEIGHT), narrow)))
+        if abs(camera.fov - angle) > 0.01:
+            camera.fov = angle
 
 
 class MachineScene:

@@ -12,9 +12,8 @@ import viser
 from cmf_mj.core import units
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Scenario
-from cmf_mj.show.studio import choices, controls
-from cmf_mj.show.studio.choices import check_commands, first_scenario
-from cmf_mj.show.studio.desk import Desk
+from cmf_mj.show.studio import controls
+from cmf_mj.show.studio.desk import LARGEST_PUSH, Desk, check_commands, first_scenario
 from cmf_mj.show.studio.door import Door
 from cmf_mj.show.studio.live import View
 from cmf_mj.show.studio.plots import MachineScene, Plots, place_camera
@@ -57,7 +56,7 @@ class Page:
         gui, desk = self.desk.client.gui, self.desk
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
-            self._signal = controls.SignalControls(desk)
+            self._dof = controls.signal_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
@@ -88,10 +87,10 @@ class Page:
         self._turn += 1
         with self._lock:
             self._scene.show(view.live.qpos)
-            self._scene.show_push(view.push / units.to_si("kN", choices.LARGEST_PUSH))
+            self._scene.show_push(view.push / units.to_si("kN", LARGEST_PUSH))
         if self._turn % _PLOTS_EVERY == 0 and self._drawn.value:
             leg = int(self._leg.value) - 1
-            self._plots.show(view, float(self._window.value), self._signal.dof, leg)
+            self._plots.show(view, float(self._window.value), self._dof(), leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
 

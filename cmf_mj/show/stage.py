@@ -7,8 +7,10 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Self
 
+import matplotlib.image
 import mujoco
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -18,9 +20,13 @@ from PIL import Image
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.files import whole_file
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
-from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE, Curve, Panel
+from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE, Curve, Panel, plot_panel
 
 BACKENDS = ("egl", "osmesa")
 """Off-screen OpenGL, in the order in which they are tried."""
@@ -125,6 +131,18 @@ class FilmStage:
         return np.asarray(upright.reduce(_FINER))
 
 
+def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int, int]) -> Path:
+    """Draw a machine with a cab at neutral, width and height in pixels."""
+    if path.suffix != ".png":
+        raise InputError(f"file: {path} must end in .png")
+    model = hexapod_model(load_cab(cab, machine))
+    with FilmStage(model, *size, "overview") as stage:
+        pixels = stage.picture(mujoco.MjData(model).qpos)
+    with whole_file(path) as part:
+        matplotlib.image.imsave(part, pixels, format="png")
+    return path
+
+
 _DPI = 100
 _MOST = 3
 """Panels one above the other."""
@@ -196,12 +214,9 @@ class Strip:
         shared = len({tuple(curve.name for curve in panel.curves) for panel in panels}) == 1
         axes = list(grid.T.ravel())
         for axis, panel, *others in zip(axes, panels, *(every or [panels]), strict=True):
-            lines = [
-                axis.plot(c.x, c.y, color=c.colour, linewidth=c.width, label=c.name)[0]
-                for c in panel.curves
-            ]
+            plot_panel(axis, panel)
+            axis.yaxis.label.set_fontsize(letters)
             axis.set(xlim=span, ylim=_limits(others, span))
-            axis.set_ylabel(panel.y_title, fontsize=letters)
             axis.grid(True, color="0.92", linewidth=0.6)
             axis.tick_params(labelsize=letters - 1.0)
             if not shared:
@@ -209,6 +224,7 @@ class Strip:
         for axis in grid[-1]:
             axis.set_xlabel("time [s]", fontsize=letters)
         if shared:
+            lines = axes[0].lines
             below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(lines)}
             figure.legend(handles=lines, **below, **(small | {"fontsize": letters}))
         figure.align_ylabels()

@@ -20,7 +20,7 @@ from cmf_mj.control.law import law_names
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.plant.events import KINDS
-from cmf_mj.show.studio import choices, live
+from cmf_mj.show.studio import desk, live
 from cmf_mj.show.studio.server import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
@@ -124,7 +124,7 @@ def opened(browser: Browser, studio: Studio) -> Iterator[Tab]:
 @pytest.fixture
 def tab(opened: Tab) -> Iterator[Tab]:
     """The tab, at the beginning of the first scenario."""
-    scenario = choices.first_scenario()
+    scenario = desk.first_scenario()
 
     def begun() -> bool:
         present = opened.behind.live.scenario().result()

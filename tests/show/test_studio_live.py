@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 import urllib.request
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from signal import SIGINT, SIGTERM, Signals
@@ -16,26 +17,35 @@ import numpy as np
 import pytest
 from hostile import random_change
 from lengths import examples
+from typer.testing import CliRunner
 
 from cmf_mj import InputError, RunError
-from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.cli.common import app
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
 from cmf_mj.facility.scenario.library import scenario_of, scenario_toml
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
+from cmf_mj.facility.scenario.settings import Scenario, change_of
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.choices import knobs, marks_of
+from cmf_mj.show.studio import desk
 from cmf_mj.show.studio.controls import lamp
-from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
+from cmf_mj.show.studio.live import (
+    KEPT_ROWS,
+    LARGEST,
+    LONGEST,
+    PLOT_RATE,
+    Clock,
+    LiveSession,
+    View,
+    marks_of,
+)
 from cmf_mj.show.studio.plots import Plots, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
 
 def heave(**settings: object) -> Scenario:
-    signal = choices.signal_table("sine", "heave", 2.0, frequency=2.0)
+    signal = desk.signal_table("sine", "heave", 2.0, frequency=2.0)
     return scenario_of({"signal": signal, **SHORT, **settings}, "test")
 
 
@@ -57,16 +67,26 @@ class Screen:
             self.errors.append(error)
             self.reached.notify_all()
 
-    def wait_for_time(self, seconds: float) -> None:
+    def wait(self, condition: Callable[[], object]) -> None:
         with self.reached:
-            assert self.reached.wait_for(
-                lambda: self.views and self.views[-1].live.time >= seconds, timeout=60.0
-            )
+            assert self.reached.wait_for(condition, timeout=60.0)
+
+    def wait_for_time(self, seconds: float) -> None:
+        self.wait(lambda: self.views and self.views[-1].live.time >= seconds)
+
+    def session(self, scenario: Scenario) -> LiveSession:
+        """A session that goes on until the test ends."""
+        self.opened = LiveSession(scenario, self.show, self.tell)
+        self.opened.start()
+        return self.opened
 
 
 @pytest.fixture
-def screen() -> Screen:
-    return Screen()
+def screen() -> Iterator[Screen]:
+    screen = Screen()
+    yield screen
+    if hasattr(screen, "opened"):
+        screen.opened.close()
 
 
 # Real time.
@@ -106,41 +126,17 @@ def test_pace_is_simulated_over_wall_and_over_busy_time() -> None:
 # What the controls mean.
 
 
-@pytest.mark.parametrize("name", law_names())
-def test_knobs_are_the_numbers_of_the_law_and_turn_it(name: str) -> None:
-    law = load_law(name)
-    offered = knobs(law)
-    gains = law.direct_gain.model_dump()
-    expected = {("direct_gain", key) for key, value in gains.items() if value != 0.0}
-    assert expected <= {knob.path for knob in offered}
-    for knob in offered:
-        assert knob.low <= knob.value <= knob.high
-        same = overlaid_law(law, knob.table(knob.value))
-        assert _value(same, knob.path) == pytest.approx(_value(law, knob.path), rel=1e-12)
-        for end in (knob.low, knob.high):
-            turned = overlaid_law(law, knob.table(end))
-            assert _value(turned, knob.path) == pytest.approx(end * knob.scale)
-        assert knob.high - knob.low >= 0.05 * abs(knob.value)
-
-
-def _value(law: Law, path: tuple[str, ...]) -> float:
-    value = law.model_dump()
-    for part in path:
-        value = value[part]
-    return float(value)
-
-
 @pytest.mark.parametrize("dof", DOFS)
-@pytest.mark.parametrize("kind", ["rest", *choices.SIGNALS])
+@pytest.mark.parametrize("kind", ["rest", *desk.SIGNALS])
 def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
-    offered = choices.signal_settings(kind)
+    offered = desk.signal_settings(kind)
     for frequency in (0.05, 10.0):
         edges = {"frequency": frequency, "start": 0.5 * frequency, "stop": frequency}
         settings = {name: edges.get(name, begun) for name, begun in offered.items()}
         if kind == "multisine":
             settings["start"] = 0.05  # the lowest line of its period
-        largest = choices.largest_amplitude(dof)
-        change = change_of({"signal": choices.signal_table(kind, dof, largest, **settings)})
+        largest = desk.largest_amplitude(dof)
+        change = change_of({"signal": desk.signal_table(kind, dof, largest, **settings)})
         assert change.signal is not None
         assert len(change.signal) == (0 if kind == "rest" else 1)
         for signal in change.signal:
@@ -151,19 +147,19 @@ def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
 
 
 def test_the_page_offers_the_settings_of_the_signals() -> None:
-    assert list(choices.SIGNALS) == [
+    assert list(desk.SIGNALS) == [
         *("step", "pulse", "sine", "chirp", "noise", "multisine", "seven_sines")
     ]
-    assert choices.signal_settings("rest") == {}
-    assert choices.signal_settings("sine") == {"frequency": 0.5, "fade": 1.0, "rest": 0.0}
-    assert choices.signal_settings("noise")["scale"] == "peak"
-    (table,) = choices.signal_table("pulse", "roll", 3.0, width=2.0)
+    assert desk.signal_settings("rest") == {}
+    assert desk.signal_settings("sine") == {"frequency": 0.5, "fade": 1.0, "rest": 0.0}
+    assert desk.signal_settings("noise")["scale"] == "peak"
+    (table,) = desk.signal_table("pulse", "roll", 3.0, width=2.0)
     expected = {"kind": "pulse", "dof": "roll", "amplitude": [3.0, "deg"], "at": 1.0, "width": 2.0}
     assert table == expected
 
 
-def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
-    step = choices.signal_table("step", "yaw", 1.0)
+def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
+    step = desk.signal_table("step", "yaw", 1.0)
     scenario = heave(
         change=[
             {"at": 0.1, "law": "force", "gains": {"direct_gain": {"force": -0.02}}},
@@ -172,7 +168,7 @@ def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
             {"at": 0.4, "failure": [{"kind": "pump_lost"}]},
         ]
     )
-    begun = choices.settled(scenario)
+    begun = desk.from_rest(scenario)
     assert begun.law == "force"
     assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
     assert [signal.kind for signal in begun.signal] == ["step"]
@@ -183,11 +179,10 @@ def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
 
 
 def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     screen.wait_for_time(0.5)
     session.apply(change_of({"law": "position_error_rate"})).result()
-    session.apply(change_of({"signal": choices.signal_table("step", "roll", 1.0)})).result()
+    session.apply(change_of({"signal": desk.signal_table("step", "roll", 1.0)})).result()
     session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
     screen.wait_for_time(1.5)
     session.apply(change_of({"gains": {"direct_gain": {"velocity": -0.5}}})).result()
@@ -213,8 +208,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
 
 def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
     """With the first one's law its numbers are the first one's; with another they are not."""
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     for beside, same in (("velocity", True), ("force", False)):
         session.begin(heave(), beside).result()
         session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
@@ -261,12 +255,8 @@ def test_all_that_happens_is_marked() -> None:
 
 def test_lamp_tells_what_failed_and_what_tripped(screen: Screen) -> None:
     guarded = heave(protection="default", change=[{"at": 0.1, "failure": [{"kind": "pump_lost"}]}])
-    session = LiveSession(guarded, screen.show, screen.tell)
-    session.start()
-    with screen.reached:
-        assert screen.reached.wait_for(
-            lambda: screen.views and screen.views[-1].live.fault is not None, timeout=60.0
-        )
+    session = screen.session(guarded)
+    screen.wait(lambda: screen.views and screen.views[-1].live.fault is not None)
     session.close()
     lamps = [lamp(view) for view in screen.views]
     words = [
@@ -306,34 +296,25 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:
     crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -1e7]}}])
-    session = LiveSession(crushed, screen.show, screen.tell)
-    session.start()
-    with screen.reached:
-        assert screen.reached.wait_for(lambda: screen.errors, timeout=60.0)
+    session = screen.session(crushed)
+    screen.wait(lambda: screen.errors)
     assert "leg_" in str(screen.errors[0])
     session.begin(heave()).result()
     ended = len(screen.views)
-    with screen.reached:
-        assert screen.reached.wait_for(
-            lambda: len(screen.views) > ended + 3 and screen.views[-1].live.time > 0.1, timeout=60.0
-        )
-    session.close()
+    screen.wait(lambda: len(screen.views) > ended + 3 and screen.views[-1].live.time > 0.1)
 
 
 def test_session_refuses_and_goes_on(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     with pytest.raises(ValueError, match="plant: 'single_legs'"):
         session.begin(heave(plant="single_legs")).result()
     with pytest.raises(ValueError, match="body: 'roof' is not one of"):
         session.apply(change_of({"push": {"body": "roof"}})).result()
     screen.wait_for_time(0.2)
-    session.close()
 
 
 def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: Screen) -> None:
-    session = LiveSession(heave(), screen.show, screen.tell)
-    session.start()
+    session = screen.session(heave())
     screen.wait_for_time(0.05)
     session.close()
     with pytest.raises(CancelledError):
@@ -373,8 +354,7 @@ def test_session_answers_whoever_asks_whatever_is_asked(seed: int, screen: Scree
     """Random changes, good and bad, at random moments: each is done or refused, in time."""
     draw, asked = np.random.default_rng(seed), list[Future[Any]]()
     chain = heave(operation={"begin": "settled"}, protection="default")
-    session = LiveSession(chain, screen.show, screen.tell)
-    session.start()
+    session = screen.session(chain)
     session.set_speed(4.0)
     for _ in range(60):
         time.sleep(float(draw.uniform(0.0, 0.03)))
@@ -436,10 +416,9 @@ def test_command_serves_on_this_machine_alone_and_ends_when_told(
 def test_command_refuses_a_bad_scenario_by_its_key(tmp_path: Path) -> None:
     scenario = tmp_path / "bad.toml"
     scenario.write_text('cabin = "gfd"\n')
-    command = [sys.executable, "-m", "cmf_mj", "studio", str(scenario), "--no-open"]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=120.0)
-    assert result.returncode == 2
-    assert "cabin: is not a known field" in result.stderr
+    result = CliRunner().invoke(app, ["studio", str(scenario), "--no-open"])
+    assert result.exit_code == 2
+    assert "cabin: is not a known field" in result.output
 
 
 def test_command_names_the_extra_where_viser_is_missing() -> None:
@@ -455,7 +434,7 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
 
 
 def test_first_scenario_is_a_file_too() -> None:
-    begun = choices.first_scenario()
+    begun = desk.first_scenario()
     assert scenario_of(parsed_toml(scenario_toml(begun), "again"), "again") == begun
 
 

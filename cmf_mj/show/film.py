@@ -21,13 +21,12 @@ from cmf_mj.facility.scenario.library import save_scenario
 from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
-from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
 from cmf_mj.record.record import Record
-from cmf_mj.show.film.stage import FilmStage, Panels, Strip, traces_of
-from cmf_mj.show.linearization import title_of
+from cmf_mj.show.linearization import mode_table, title_of
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.operation import overview_figure
+from cmf_mj.show.stage import FilmStage, Panels, Strip, traces_of
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
@@ -280,13 +279,9 @@ def swing_film(
 
 def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
     """Frequency, mass that a leg feels; leading share and leg motion [m]."""
-    leading = int(modes.share[:, mode].argmax())
-    return (
-        f"mode {mode + 1}: {modes.frequency_hz[mode]:.2f} Hz, "
-        f"{units.from_si('lbm', modes.leg_mass[mode]):.0f} lbm a leg\n"
-        f"{DOFS[leading]} {100.0 * modes.share[leading, mode]:.0f} %, "
-        f"legs ±{units.from_si('in', motion):.1f} in"
-    )
+    number, hertz, mass, moving = mode_table(modes).cells[mode]
+    first = f"mode {number}: {hertz} Hz, {mass} lbm a leg"
+    return f"{first}\n{moving.split(',')[0]}, legs ±{units.from_si('in', motion):.1f} in"
 
 
 def save_run(

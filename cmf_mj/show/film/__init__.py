@@ -1,1 +1,0 @@
-"""Runs and modes as off-screen films."""
