@@ -222,8 +222,7 @@ def noise_choice(noise: bool) -> ElectronicsSettings | None:
 
 def changed_scenario(scenario: Any, **fields: object) -> Any:
     """A scenario with other fields, checked again; None leaves a field."""
-    from cmf_mj.facility.scenario.library import scenario_of
+    from cmf_mj.facility.scenario import scenario_of
 
     changes = {name: value for name, value in fields.items() if value is not None}
-    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return scenario_of(kept | changes, "options")
+    return scenario_of(scenario.table() | changes, "options")

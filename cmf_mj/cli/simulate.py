@@ -50,13 +50,12 @@ def run_command(
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
-    from cmf_mj.facility.scenario.library import load_scenario, scenario_names
-    from cmf_mj.facility.scenario.run import run_scenario
-    from cmf_mj.facility.scenario.settings import Scenario
+    from cmf_mj.facility.run import Run
+    from cmf_mj.facility.scenario import load_scenario, run_scenario, scenario_names
     from cmf_mj.show.film.film import save_run
 
     if schema:
-        print(json.dumps(Scenario.model_json_schema(), indent=2))
+        print(json.dumps(Run.model_json_schema(), indent=2))
         return
     if not scenario:
         for name in scenario_names():

@@ -45,8 +45,7 @@ def video_command(
     seconds: options.Seconds = None,
 ) -> None:
     """Render a run, or several side by side, to MP4 or GIF, with live traces; needs no display."""
-    from cmf_mj.facility.scenario.library import load_scenario
-    from cmf_mj.facility.scenario.run import run_scenario
+    from cmf_mj.facility.scenario import load_scenario, run_scenario
     from cmf_mj.record.record import Record
     from cmf_mj.show.film.film import FilmSettings, film
 
@@ -61,7 +60,7 @@ def video_command(
                 titles.append(f"{Path(source).stem}: {records[-1].metadata['law']}")
                 continue
             base = load_scenario(source)
-            for law in laws or [base.law]:
+            for law in laws or [str(base.law)]:
                 one = changed_scenario(base, law=law, machine=machine, cab=cab)
                 records.append(run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(source).stem)
@@ -86,7 +85,7 @@ def studio_command(
     import warnings
     import webbrowser
 
-    from cmf_mj.facility.scenario.library import load_scenario
+    from cmf_mj.facility.scenario import load_scenario
 
     for package in ("viser", "mjviser"):
         require(package, "studio")

@@ -43,7 +43,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.run import dcu_of
+from cmf_mj.facility.settings import dcu_of
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.flight import within_limits

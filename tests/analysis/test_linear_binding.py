@@ -12,7 +12,7 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.coordinates import make_shape, mode_mass
 from cmf_mj.control.law import Law
 from cmf_mj.facility.replay import law_of, replay
-from cmf_mj.facility.scenario.library import scenario_of
+from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine.cab import load_cab, recorded_cab
 from cmf_mj.record.record import Record
 

@@ -13,9 +13,10 @@ from cmf_mj.control.protection import Fault
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.settings import Change, Push, Scenario, overlaid_law
-from cmf_mj.facility.scenario.signal import Signal
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import Change, Push, overlaid_law
+from cmf_mj.facility.signal import Signal
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -30,10 +31,10 @@ class Mark(NamedTuple):
     harm: bool  #: Whether something failed or tripped.
 
 
-def marks_of(scenario: Scenario, fault: Fault | None) -> tuple[Mark, ...]:
+def marks_of(scenario: Run, fault: Fault | None) -> tuple[Mark, ...]:
     """All that has happened to a run that did this scenario, in order of time."""
     rate = scenario.rate
-    marks = [Mark(event.at, words(event.kind, event.leg), True) for event in scenario.event]
+    marks = [Mark(event.at, words(event.kind, event.leg), True) for event in scenario.events]
     for change in scenario.change:
         time = change.when(rate) / rate
         marks += [Mark(time, words(one.kind, one.leg), True) for one in change.failure]
@@ -199,7 +200,7 @@ def push_of(direction: str, size: float) -> Push:
     return Push(force=(forward, left, up))
 
 
-def first_scenario() -> Scenario:
+def first_scenario() -> Run:
     """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
     table = {
         "title": "studio session",
@@ -210,7 +211,7 @@ def first_scenario() -> Scenario:
     return scenario_of(table, "studio")
 
 
-def settled(scenario: Scenario) -> Scenario:
+def settled(scenario: Run) -> Run:
     """The same machine with the law and the signal in force at the end, from rest.
 
     Failures, pushes and requests are left out: what begins again is whole.
@@ -222,7 +223,7 @@ def settled(scenario: Scenario) -> Scenario:
         gains = merged(gains, change.gains)
         signal = signal if change.signal is None else change.signal
     begun = {"law": law, "gains": gains, "signal": signal, "duration": "open"}
-    return scenario.model_copy(update=begun | {"event": (), "change": ()})
+    return scenario.model_copy(update=begun | {"events": (), "change": ()})
 
 
 def check_commands(client: viser.ClientHandle) -> None:

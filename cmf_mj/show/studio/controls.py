@@ -11,8 +11,9 @@ import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core import units
-from cmf_mj.facility.scenario.library import scenario_toml
-from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of, overlaid_law
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import scenario_toml
+from cmf_mj.facility.settings import Change, Push, change_of, overlaid_law
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
@@ -128,7 +129,7 @@ class SignalControls:
         table = choices.signal_table(self._kind.value, self.dof, self._amplitude.value, **settings)
         self._desk.apply(change_of({"signal": table}, "signal"))
 
-    def _follow(self, scenario: Scenario) -> None:
+    def _follow(self, scenario: Run) -> None:
         """Show the signal of a scenario, where the page has such a one."""
         self._machine = scenario.machine
         signals = scenario.signal
@@ -194,9 +195,9 @@ def law_controls(desk: Desk) -> None:
         desk.apply(Change(law=chosen.value))
         show(load_law(chosen.value))
 
-    def follow(scenario: Scenario) -> None:
-        pick(chosen, scenario.law)
-        show(overlaid_law(load_law(scenario.law), scenario.gains))
+    def follow(scenario: Run) -> None:
+        pick(chosen, str(scenario.law))
+        show(overlaid_law(load_law(str(scenario.law)), scenario.gains))
 
     def show(law: Law) -> None:
         for slider in sliders:
@@ -241,7 +242,7 @@ def machine_controls(desk: Desk) -> None:
         chosen = hydraulics.value if hydraulics.value in HYDRAULICS else None
         desk.again(cab=cab.value, hydraulics=chosen, protection=protected)
 
-    def follow(scenario: Scenario) -> None:
+    def follow(scenario: Run) -> None:
         carrier = scenario.carried.machine
         cab.options = carrier.cab_names
         hydraulics.options = HYDRAULICS if carrier.name == models.CMF else (carrier.name,)

@@ -8,7 +8,8 @@ from typing import Any
 
 import viser
 
-from cmf_mj.facility.scenario.settings import Change, Scenario
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.settings import Change
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.live import LiveSession, View
 
@@ -20,22 +21,22 @@ class Desk:
     """A tab with its session, and those who show what a run begins with."""
 
     def __init__(
-        self, client: viser.ClientHandle, scenario: Scenario, show: Callable[[View], None]
+        self, client: viser.ClientHandle, scenario: Run, show: Callable[[View], None]
     ) -> None:
         """Build the session; `show` draws its turns."""
         self.client = client
         self.beside = ""
         """Law of the machine that does the same beside; empty for none."""
         self.live = LiveSession(scenario, show, self.tell)
-        self._followers: list[Callable[[Scenario], None]] = []
+        self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
 
-    def follow(self, follower: Callable[[Scenario], None]) -> None:
+    def follow(self, follower: Callable[[Run], None]) -> None:
         """Call with the scenario of each run that begins."""
         self._followers.append(follower)
 
-    def start(self, scenario: Scenario) -> None:
+    def start(self, scenario: Run) -> None:
         """Show the first run and set the session going."""
         for follower in self._followers:
             follower(scenario)
@@ -45,7 +46,7 @@ class Desk:
         """Let something change, or show the refusal."""
         self.live.apply(change).add_done_callback(self._refused)
 
-    def begin(self, scenario: Scenario) -> None:
+    def begin(self, scenario: Run) -> None:
         """Begin again; on a refusal show it and let the run go on."""
         paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for

@@ -28,7 +28,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table
 from cmf_mj.core.units import RATE
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_index, dof_unit
 from cmf_mj.plant.hexapod import Hexapod

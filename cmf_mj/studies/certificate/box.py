@@ -19,8 +19,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.quantity import Kind, Length, Quantity
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.facility.scenario.library import load_scenario
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario import load_scenario, run_scenario
 from cmf_mj.machine.geometry import DOFS, FLIP
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
