@@ -15,12 +15,12 @@ from .core.errors import MissingExtraError as MissingExtraError
 from .core.errors import NoPoseError as NoPoseError
 from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
-from .facility.many import simulate_many as simulate_many
 from .facility.run import Run as Run
-from .facility.run import drive as drive
-from .facility.run import simulate as simulate
-from .facility.scenario.library import load_scenario as load_scenario
-from .facility.scenario.run import run_scenario as run_scenario
+from .facility.scenario import load_scenario as load_scenario
+from .facility.scenario import run_scenario as run_scenario
+from .facility.simulate import drive as drive
+from .facility.simulate import simulate as simulate
+from .facility.simulate import simulate_many as simulate_many
 from .machine.cab import Cab as Cab
 from .machine.cab import load_cab as load_cab
 from .machine.geometry import Geometry as Geometry

@@ -14,7 +14,7 @@ from cmf_mj.cli.simulate import run_comparison
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.facility.replay import replay
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs

@@ -9,8 +9,7 @@ from pathlib import Path
 import matplotlib.image
 import mujoco
 
-from cmf_mj.facility.scenario.library import load_scenario
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario import load_scenario, run_scenario
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film import FilmSettings, film

@@ -18,7 +18,7 @@ import tomlkit
 import typer
 from typer.testing import CliRunner
 
-from cmf_mj.cli import app
+from cmf_mj.cli.common import app
 
 LONGEST = 5.0
 """Seconds that a refusal, or what comes before the work, may take."""

@@ -20,7 +20,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record

@@ -23,8 +23,8 @@ from cmf_mj.control.inverse import follow, opened
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.facility.replay import replay
-from cmf_mj.facility.scenario.library import load_scenario
-from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.run import SignalSession
+from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.pilot.cueing import within_limits
@@ -37,8 +37,8 @@ from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
 from tests.control import test_limit_chain as limit_chain
 from tests.control import test_states as operating_states
+from tests.facility import test_front as streams
 from tests.facility import test_host as host
-from tests.facility import test_operation_streams as streams
 from tests.plant import test_cylinder as cylinders
 from tests.plant import test_friction as frictions
 from tests.plant import test_oil as oils
@@ -70,7 +70,7 @@ def table() -> None:
 
 
 def chain() -> None:
-    ScenarioRun(load_scenario("operate_from_settled")).advance(4)
+    SignalSession(load_scenario("operate_from_settled")).run(4)
     dcu = make_dcu(load_dcu())
     upsample(dcu, resting(dcu), host.make_log(1), 1)
     limit_chain.run(limit_chain.State.OFF, [limit_chain.Request.NONE], np.zeros((1, 6)))

@@ -43,11 +43,10 @@ _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 def _changed(scenario: Any, **fields: object) -> Any:
     """A scenario with other fields, checked again; None leaves a field."""
-    from cmf_mj.facility.scenario.library import scenario_of
+    from cmf_mj.facility.scenario import scenario_of
 
     changes = {name: value for name, value in fields.items() if value is not None}
-    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return scenario_of(kept | changes, "options")
+    return scenario_of(scenario.table() | changes, "options")
 
 
 @command("run")
@@ -60,12 +59,11 @@ def run_command(
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
-    from cmf_mj.facility.scenario.library import scenario_names
-    from cmf_mj.facility.scenario.settings import Scenario
+    from cmf_mj.facility.scenario import scenario_names
     from cmf_mj.show.film import save_run
 
     if schema:
-        print(json.dumps(Scenario.model_json_schema(), indent=2))
+        print(json.dumps(cmf_mj.Run.model_json_schema(), indent=2))
         return
     if not scenario:
         for name in scenario_names():
@@ -292,7 +290,7 @@ def video_command(
                 traces += [panels for panels in [saved_traces(Path(name))] if panels]
                 continue
             base = cmf_mj.load_scenario(name)
-            for law in laws or [base.law]:
+            for law in laws or [str(base.law)]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
                 records.append(cmf_mj.run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(name).stem)

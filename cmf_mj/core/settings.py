@@ -208,9 +208,25 @@ def validated(model: type[Model], table: object, where: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        said = [_explain(model, e, where) for e in error.errors()]
-        more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
-        raise InputError("\n".join(said[:_FAULTS] + more)) from None
+        raise _refusal(model, error, where) from None
+
+
+def _refusal(model: type[BaseModel], error: ValidationError, where: str) -> InputError:
+    said = [_explain(model, e, where) for e in error.errors()]
+    more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
+    return InputError("\n".join(said[:_FAULTS] + more))
+
+
+class Arguments(Settings):
+    """Settings that a program makes by their fields; what is refused is an `InputError`."""
+
+    def __init__(self, **fields: Any) -> None:
+        """Check the fields."""
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            lines = str(_refusal(type(self), error, "")).splitlines()
+            raise InputError("\n".join(line.removeprefix(": ") for line in lines)) from None
 
 
 def merged(
@@ -387,7 +403,8 @@ def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
             model = within[0] if len(within) == 1 else model
         elif part in tags:
             model = tags[part]
-    return sorted(field.alias or name for name, field in model.model_fields.items())
+    fields = model.model_fields.items()
+    return sorted(field.serialization_alias or name for name, field in fields if not field.exclude)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -37,6 +37,15 @@ class ObservedQuantity(NamedTuple):
     largest: float  #: Beyond it the observation is held.
 
 
+def checked(name: str, actions: Any, space: gym.Space[Any]) -> Array:
+    """Actions, finite and of the shape of their space."""
+    given = real(name, actions)
+    if given.shape != space.shape or not np.isfinite(given).all():
+        allowed = f"finite numbers of shape {space.shape}"
+        raise InputError(f"{name}: {actions} is refused; allowed: {allowed}")
+    return given
+
+
 class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A machine in steps of 64 control frames.
 
@@ -73,8 +82,16 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def begin(self, extension: Array, start: Any) -> None:
         """Start a session at rest at the actuators' extensions, at a configuration of the plant."""
         self.table = np.tile(0.0 * extension if self.law is None else extension, (FRAMES, 1))
-        run = Run(self.plant, self.law, from_table(self.table), start, record_every=FRAMES)
-        self.session = run._replace(frames=self.steps * FRAMES, window=FRAMES).session()
+        frame = self.plant.machine.frame
+        run = Run(
+            plant=self.plant,
+            law=self.law,
+            source=from_table(self.table),
+            start=start,
+            duration=self.steps * FRAMES * frame,
+            record_every=FRAMES,
+        )
+        self.session = run.session(keep=FRAMES * frame)
         self._done = False
 
     @staticmethod
@@ -97,11 +114,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         session = self.session
         if session is None or self._done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
-        given = real("action", action)
-        if given.shape != self.action_space.shape or not np.isfinite(given).all():
-            allowed = f"finite numbers of shape {self.action_space.shape}"
-            raise InputError(f"action: {action} is refused; allowed: {allowed}")
-        acted = np.clip(given, -1.0, 1.0)
+        acted = np.clip(checked("action", action, self.action_space), -1.0, 1.0)
         self._command(acted)
         left = ""
         try:

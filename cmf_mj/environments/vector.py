@@ -15,9 +15,8 @@ import numpy as np
 from gymnasium.vector import SyncVectorEnv
 from numpy.typing import NDArray
 
-from cmf_mj.core.arrays import real, whole
-from cmf_mj.core.errors import InputError
-from cmf_mj.environments.environment import MachineEnv
+from cmf_mj.core.arrays import whole
+from cmf_mj.environments.environment import MachineEnv, checked
 from cmf_mj.environments.excavator import ExcavatorEnv
 from cmf_mj.environments.hexapod import HexapodEnv
 
@@ -56,10 +55,7 @@ class ThreadVectorEnv(_Side):
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step all, or none; those that had ended are reset instead, with no reward."""
-        given = real("actions", actions)
-        if given.shape != self.action_space.shape or not np.isfinite(given).all():
-            allowed = f"finite numbers of shape {self.action_space.shape}"
-            raise InputError(f"actions: {actions} is refused; allowed: {allowed}")
+        checked("actions", actions, self.action_space)
         for env, action, ended in zip(self.envs, actions, self._ended, strict=True):
             if isinstance(env, _Ahead) and not ended:
                 env.result = self._pool.submit(env.env.step, action)

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from cmf_mj.control import demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import whole_file, write_csv, write_text
+from cmf_mj.core.files import whole_file, write_csv
 from cmf_mj.core.units import LONGEST, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.header import channels, parameters
-from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_machine
+from cmf_mj.export.header import channels, defines, parameters
+from cmf_mj.export.library import Files, machine_files, make, sources
 from cmf_mj.export.machine import Frozen, freeze
-from cmf_mj.facility.run import LegDemand, ValveCommands
+from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
 from cmf_mj.plant.plant import Plant
@@ -143,13 +143,12 @@ def export_fmu(
     listed = variables(frozen)
     with tempfile.TemporaryDirectory() as folder, whole_file(file) as partial:
         work, root = Path(folder) / "work", Path(folder) / "fmu"
-        token = write_fmu_sources(frozen, listed, work)
+        token = f"{{{frozen.digest}}}"
+        make(fmu_files(frozen, listed), work, "cmf.so", ["cmf.c", f"fmi{fmi}.c", "-DCMF_HIDDEN"])
         binaries = root / "binaries" / ("linux64" if fmi == 2 else "x86_64-linux")
         binaries.mkdir(parents=True)
-        objects = [path.name for path in work.glob("*.o")]
-        build(work, work / "cmf.so", ["cmf.c", f"fmi{fmi}.c", "-DCMF_HIDDEN"], objects)
-        for name in ("cmf.so", *(path.name for path in work.glob("libmujoco.so.*"))):
-            shutil.copy(work / name, binaries)
+        for path in (work / "cmf.so", *work.glob("libmujoco.so.*")):
+            shutil.copy(path, binaries)
         shutil.copytree(work / "licences", root / "documentation" / "licenses")
         tree = ElementTree.ElementTree(_described(frozen, listed, fmi, token))
         ElementTree.indent(tree)
@@ -161,18 +160,8 @@ def export_fmu(
     return file
 
 
-def write_fmu_sources(frozen: Frozen, listed: list[Variable], out: Path) -> str:
-    """Write all that an FMU is compiled of into a folder; the token it asks for."""
-    for kind in ("library", "fmu"):
-        copy_sources(kind, out)
-    write_machine(frozen, out)
-    copy_mujoco(out)
-    token = f"{{{frozen.digest}}}"
-    write_text(out / "cmf_fmu.h", _header(frozen, listed, token))
-    return token
-
-
-def _header(frozen: Frozen, listed: list[Variable], token: str) -> str:
+def fmu_files(frozen: Frozen, listed: list[Variable]) -> Files:
+    """All that an FMU is compiled of."""
     count = {c: sum(v.causality == c for v in listed) for c in ("input", "output")}
     starts = ", ".join(repr(v.start) for v in listed if v.causality == "input")
     places = [
@@ -181,16 +170,18 @@ def _header(frozen: Frozen, listed: list[Variable], token: str) -> str:
         for index in range(channel.width)
         if channel.unit.count(",") < 2
     ]
-    return f"""/* One machine as an FMU. */
-#define FMU_TOKEN "{token}"
-#define FMU_CHAIN {int(frozen.chain)}
-#define FMU_INPUTS {count["input"]}
-#define FMU_PARAMETERS {len(parameters(frozen))}
-#define FMU_FAILURES {FAILURES}
-#define FMU_OUTPUTS {count["output"]}
-static const double fmu_starts[] = {{{starts}}};
-static const short fmu_outputs[][2] = {{{", ".join(places)}}};
-"""
+    numbers = {
+        "TOKEN": f'"{{{frozen.digest}}}"',
+        "CHAIN": int(frozen.chain),
+        "INPUTS": count["input"],
+        "PARAMETERS": len(parameters(frozen)),
+        "FAILURES": FAILURES,
+        "OUTPUTS": count["output"],
+    }
+    lines = ["/* One machine as an FMU. */", *defines("FMU", numbers)]
+    lines.append(f"static const double fmu_starts[] = {{{starts}}};")
+    lines.append(f"static const short fmu_outputs[][2] = {{{', '.join(places)}}};\n")
+    return machine_files(frozen) | sources("fmu") | {"cmf_fmu.h": "\n".join(lines)}
 
 
 def _described(frozen: Frozen, listed: list[Variable], fmi: int, token: str) -> Element:
@@ -283,14 +274,15 @@ def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> No
 
 def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
-    run = frozen.run._replace(frames=None, window=None)
+    duration = rows.shape[0] * frozen.plant.machine.frame
+    run = frozen.run.but(duration=duration, operation=None, source=LegDemand(rows))
     if not frozen.chain:
-        return run._replace(source=LegDemand(rows) if run.law else ValveCommands(rows)).record()
-    block = demand.make_demand(run.plant.machine)
+        return run.but(source=LegDemand(rows) if run.law else ValveCommands(rows)).record()
+    block = demand.make_demand(frozen.plant.machine)
     motion, legs = np.zeros((2, 3, 6))
     table = np.empty((rows.shape[0], 6))
     for frame, pose in enumerate(rows[:, :6]):
         motion[0] = pose
         demand.step(block, motion, legs)
         table[frame] = legs[0]
-    return run._replace(source=LegDemand(table), start=np.zeros(6)).record()
+    return run.but(source=LegDemand(table), start=np.zeros(6)).record()

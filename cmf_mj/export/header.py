@@ -1,6 +1,6 @@
 """What the C source must know of one machine: its header, and its data as bytes."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -133,8 +133,8 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     if frozen.chain:
         begin, end = (image.at[f"controller.source.{name}"] for name in _DEMAND)
         numbers["DEMAND_SLOTS"] = end - begin
-    text = [f"#define CMF_{name} {value}" for name, value in numbers.items()]
-    text += [f"#define AT_{path.replace('.', '_')} {slot}" for path, slot in image.at.items()]
+    text = defines("CMF", numbers)
+    text += defines("AT", {path.replace(".", "_"): slot for path, slot in image.at.items()})
     inertia = model.body_inertia[payload_body(frozen)].tolist()
     text += [
         _array("int cmf_pointers", map(str, image.pointers)),
@@ -152,6 +152,11 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
 
 _DEMAND = ("blocks.demand.geometry.upper", "blocks.states.fade")
 """First of the demand block, and what follows it."""
+
+
+def defines(prefix: str, numbers: Mapping[str, object]) -> list[str]:
+    """Lines of a header that define numbers."""
+    return [f"#define {prefix}_{name} {value}" for name, value in numbers.items()]
 
 
 def _upper(name: str) -> str:

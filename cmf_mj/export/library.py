@@ -8,7 +8,7 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from cmf_mj.control.law import SIGNALS, Law, load_law
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.header import contents
+from cmf_mj.export.header import contents, defines
 from cmf_mj.export.machine import Frozen, Image, freeze, make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.machine.cab import Cab, load_cab
@@ -34,6 +34,9 @@ from cmf_mj.plant.plant import Plant
 
 _SOURCES = Path(__file__).with_name("c")
 """What is the same in every export."""
+
+Files = dict[str, bytes | str | Path]
+"""Files of an export by their names: content, or the file or folder to copy."""
 
 
 def export_library(
@@ -50,63 +53,72 @@ def export_library(
     compiler or the law does not fit the plant, `RunError` where the compiler refuses the code.
     """
     frozen = freeze(plant, None if law is None else load_law(law), electronics)
-    files = [*copy_sources("library", out), *write_machine(frozen, out), *copy_mujoco(out)]
-    library = out / "libcmf.so"
-    build(out, library, ["cmf.c"], [path.name for path in files if path.suffix == ".o"])
-    return [*files, library]
+    return make(machine_files(frozen), out, "libcmf.so", ["cmf.c"])
 
 
-def copy_sources(kind: str, out: Path) -> list[Path]:
-    """Copy what is the same in every export of a kind; first of all, nothing lies there before."""
-    check_target(out / "any", "out")
-    _compiler()
-    out.mkdir(parents=True, exist_ok=True)
-    return [Path(shutil.copy(path, out)) for path in sorted((_SOURCES / kind).iterdir())]
-
-
-def write_machine(frozen: Frozen, out: Path) -> list[Path]:
-    """Write header and object files of a machine."""
+def machine_files(frozen: Frozen) -> Files:
+    """All that a machine's library is built of."""
     blocks, header = contents(frozen)
-    files = write_objects(frozen.objects() | {"cmf_data": constant_data(blocks)}, out)
-    return [*files, write_text(out / "cmf_machine.h", header)]
+    code: Files = {f"{name}.o": code for name, code in frozen.objects().items()}
+    own: Files = {"cmf_data.o": constant_data(blocks), "cmf_machine.h": header}
+    return sources("library") | code | own | mujoco_files()
 
 
-def write_objects(objects: Mapping[str, bytes], out: Path) -> list[Path]:
-    """Write object files by their names."""
-    for name, code in objects.items():
-        (out / f"{name}.o").write_bytes(code)
-    return [out / f"{name}.o" for name in objects]
+def sources(kind: str) -> Files:
+    """What is the same in every export of a kind."""
+    return {path.name: path for path in sorted((_SOURCES / kind).iterdir())}
 
 
-def copy_mujoco(out: Path) -> list[Path]:
-    """Copy MuJoCo's library and headers, with the licences."""
+def mujoco_files() -> Files:
+    """MuJoCo's library and headers, with the licences."""
     home = Path(mujoco.__file__).parent
     library = next(home.glob("libmujoco.so.*"))
-    shutil.copytree(home / "include", out / "include", dirs_exist_ok=True)
-    return [Path(shutil.copy(library, out)), *copy_licences(out, ["mujoco", "cmf-mj"])]
+    return {library.name: library, "include": home / "include"} | licences("mujoco", "cmf-mj")
 
 
-def copy_licences(out: Path, packages: Iterable[str]) -> list[Path]:
-    """Copy the licences of packages that travel along, named after them."""
-    licences = out / "licences"
-    licences.mkdir(exist_ok=True)
-    return [
-        Path(shutil.copy(file.locate(), licences / f"{package}_{file.name}"))
+def licences(*packages: str) -> Files:
+    """The licences of packages that travel along, named after them."""
+    return {
+        f"licences/{package}_{file.name}": Path(str(file.locate()))
         for package in packages
         for file in distribution(package).files or ()
         if "licenses" in file.parts
-    ]
+    }
 
 
-def build(folder: Path, library: Path, sources: list[str], objects: Iterable[str]) -> None:
-    """Build a shared library of C sources and object files in their folder."""
-    command = [_compiler(), "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
-    command += ["-shared", "-s", "-isystem", "include", *sources, *sorted(objects)]
+def make(files: Files, out: Path, library: str, chosen: Sequence[str]) -> list[Path]:
+    """Write files into a folder and build a shared library of the chosen sources and all objects.
+
+    The files written, the library last. Nothing is written where there is no C compiler.
+    """
+    compiler = _compiler()
+    paths = write_files(files, out)
+    command = [compiler, "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
+    command += ["-shared", "-s", "-isystem", "include", *chosen]
+    command += sorted(name for name in files if name.endswith(".o"))
     command += ["-Wl,-z,defs,-z,text,-z,now", "-Wl,-rpath,$ORIGIN", "-lm"]
-    command += [path.name for path in folder.glob("libmujoco.so.*")] + ["-o", library.name]
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    command += [path.name for path in out.glob("libmujoco.so.*")] + ["-o", library]
+    run = subprocess.run(command, cwd=out, capture_output=True, text=True)
     if run.returncode:
         raise RunError(f"cc: {run.stderr.strip()[:1000]}")
+    return [*paths, out / library]
+
+
+def write_files(files: Files, out: Path) -> list[Path]:
+    """Write or copy files into a folder; the paths, folders left out."""
+    check_target(out / "any", "out")
+    for name, content in files.items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        elif isinstance(content, str):
+            write_text(path, content)
+        elif content.is_dir():
+            shutil.copytree(content, path, dirs_exist_ok=True)
+        else:
+            shutil.copy(content, path)
+    return [out / name for name in files if not (out / name).is_dir()]
 
 
 def _compiler() -> str:
@@ -157,21 +169,16 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     are those of the cab's machine. The library depends on the C library alone. Raises `InputError`
     where there is no such law or cab, or no C compiler.
     """
-    carried = load_cab(cab)
-    chosen = bound(load_law(law), carried.known_as)
+    chosen = bound(load_law(law), load_cab(cab).known_as)
     parts = law_parts(chosen)
-    image, code = make_image(parts), law_code(parts)  # refused before anything is written
-    files = copy_sources("law", out)
+    image = make_image(parts)
     blocks = {
         "cmf_law_slots_data": np.frombuffer(image.slots.tobytes(), dtype=np.uint8),
         "cmf_law_memory_data": image.block,
     }
-    objects = {"cmf_law_code": code, "cmf_law_data": constant_data(blocks)}
-    files += write_objects(objects, out)
-    files.append(write_text(out / "cmf_law_data.h", _header(chosen, parts, image)))
-    files += copy_licences(out, ["cmf-mj"])
-    build(out, out / "libcmf_law.so", ["cmf_law.c"], [f"{name}.o" for name in objects])
-    return [*files, out / "libcmf_law.so"]
+    own: Files = {"cmf_law_code.o": law_code(parts), "cmf_law_data.o": constant_data(blocks)}
+    own["cmf_law_data.h"] = _header(chosen, parts, image)
+    return make(sources("law") | own | licences("cmf-mj"), out, "libcmf_law.so", ["cmf_law.c"])
 
 
 def _header(law: Law, parts: LawParts, image: Image) -> str:
@@ -197,5 +204,5 @@ def _header(law: Law, parts: LawParts, image: Image) -> str:
         values = {name: getattr(gains, name) for name in SIGNALS}
         lines += [f" * {letter} {name} {gain}" for name, gain in values.items() if np.any(gain)]
     lines += [" */", "#ifndef CMF_LAW_DATA_H", "#define CMF_LAW_DATA_H"]
-    lines += [f"#define CMF_LAW_{name} {value}" for name, value in numbers.items()]
+    lines += defines("CMF_LAW", numbers)
     return "\n".join([*lines, "#endif", ""])

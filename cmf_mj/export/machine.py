@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from cmf_mj.control import demand
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law
-from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.machine_code import leaves, machine_code
@@ -27,6 +26,7 @@ from cmf_mj.facility.host.handover import NEVER, make_log
 from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, run
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
+from cmf_mj.facility.settings import HostChain
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.plant.native import saved
@@ -146,7 +146,7 @@ class Frozen(NamedTuple):
     @property
     def plant(self) -> Plant:
         """The plant of the run."""
-        return self.run.plant
+        return self.session.plant
 
     @property
     def chain(self) -> bool:
@@ -176,11 +176,11 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
     of extensions, or without law one of valve commands.
     """
     run = _run(plant, law, electronics)
-    session = run.session()
+    session = run.session(keep=plant.machine.frame)
     first = session.dynamics.mechanics.sensordata.copy()
     session.run(1)
     row = session.rows(0, 1)
-    session = run.session()
+    session = run.session(keep=plant.machine.frame)
     size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
     mechanics = np.empty(size)
     mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -190,10 +190,10 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
     kind, leg, valve = np.zeros((3, EVENTS), dtype=np.int64)
     dynamics = dynamics._replace(timeline=Timeline(never, kind, leg, valve, np.zeros(EVENTS)))
     if controller.source.hosted:
-        controller.source.request_frame[:] = -1
         poses = np.zeros((1, 6))
         poses.flags.writeable = False
-        resting = controller.source._replace(hosted=False, poses=poses)
+        asked: Any = {"request_frame": np.full(1, -1), "request": np.zeros(1, dtype=np.int64)}
+        resting = controller.source._replace(hosted=False, poses=poses, **asked)
         controller = controller._replace(source=resting)
     parts = Parts(dynamics, controller, memory, recorder, np.full(3, -1))
     image = make_image(parts, IN_MUJOCO)
@@ -202,12 +202,13 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
 
 
 def _run(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None) -> Run:
-    still = from_table(np.zeros((1, plant.legs)))
-    run = Run(plant, law, still, electronics=electronics, frames=1, window=1)
+    given: dict[str, Any] = {"protection": "default", "source": make_log(ARRIVALS)}
     if law is None:
-        return run._replace(command_delay=0)
-    run = run._replace(protection="default")
-    if plant.name in PLANTS:
-        return run._replace(source=make_log(ARRIVALS), requests=[(0.0, Request.NONE)])
-    plant.start()
-    return run._replace(source=from_table(np.array([plant.extensions()])))
+        given = {"command_delay": 0, "source": from_table(np.zeros((1, plant.legs)))}
+    elif plant.name in PLANTS:
+        given["operation"] = HostChain(begin="engaged", requests=())
+    else:
+        plant.start()
+        given["source"] = from_table(np.array([plant.extensions()]))
+    frame = plant.machine.frame
+    return Run(plant=plant, law=law, electronics=electronics, duration=frame, **given)

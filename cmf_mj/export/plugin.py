@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import write_text
-from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_objects
+from cmf_mj.export.header import defines
+from cmf_mj.export.library import Files, make, mujoco_files, sources
 from cmf_mj.export.machine import make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.plant.attach import attach_hydraulics, equipped
@@ -96,7 +96,6 @@ def export_plugin(
         "cmf_fixed_data": images[0].block,
         "cmf_moving_data": images[1].block,
     }
-    files = [*copy_sources("plugin", out), *copy_mujoco(out)]
     numbers = {
         "NAME": f'"{plant.name}"',
         "LEGS": legs,
@@ -108,14 +107,13 @@ def export_plugin(
         "NEUTRAL": images[0].at["neutral"],
     }
     numbers |= {name.upper(): shift + images[1].at[name] for name in Moving._fields[1:]}
-    text = [f"#define CMF_{name} {value}" for name, value in numbers.items()]
-    text.append(f"static const int cmf_pointers[] = {{{', '.join(map(str, pointers))}}};\n")
-    files.append(write_text(out / "cmf_cylinders.h", "\n".join(text)))
+    places = f"static const int cmf_pointers[] = {{{', '.join(map(str, pointers))}}};\n"
     code = machine_code("cmf_push", push, numba.typeof(_Both(fixed, moving)))
-    files += write_objects({"cmf_push": code, "cmf_data": constant_data(blocks)}, out)
-    library = out / "libcmf_cylinders.so"
-    build(out, library, ["cmf_cylinders.c"], ["cmf_push.o", "cmf_data.o"])
-    return [*files, library, write_text(written, _mjcf(plant, model, spec))]
+    own: Files = {"cmf_cylinders.h": "\n".join([*defines("CMF", numbers), places])}
+    own |= {"cmf_push.o": code, "cmf_data.o": constant_data(blocks)}
+    own[written.name] = _mjcf(plant, model, spec)
+    files = sources("plugin") | mujoco_files() | own
+    return make(files, out, "libcmf_cylinders.so", ["cmf_cylinders.c"])
 
 
 def _mjcf(plant: Plant, model: Path, equipment: mujoco.MjSpec) -> str:

@@ -16,23 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME, LONGEST
-from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
-from cmf_mj.facility.run import OPERATION, Run, check_options
+from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.machine import kinematics
-from cmf_mj.machine.limits import MotionLimits
-from cmf_mj.machine.machine import Machine
-from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.facility.settings import dcu_of, starting_pose
+from cmf_mj.facility.simulate import check_options
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
+
+CHAIN = ("begin", "requests", "dcu", "limits", "states", "demand")
+"""Fields of `HostChain` that are options here."""
+
+OPTIONS = (*CHAIN, "events", "electronics", "protection", "record_every", "command_delay")
+"""All options, the others those of `Run`."""
 
 
 class Timing(NamedTuple):
@@ -102,12 +105,10 @@ def operate(
     arrivals = arrivals_of(frames, rate=rate) if isinstance(frames, HostStream) else frames
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
-    run = _hosted(plant, law, arrivals, options)
-    last = arrivals.frame[-1] / rate + sum(run.unit().delay.parts(rate).values())
-    count = _count(last if seconds is None else seconds, rate)
-    limits = load_motion_limits(run.limits, plant.machine)
-    start = starting_pose(arrivals.values[0, 0], limits, plant.machine)
-    run = run._replace(frames=count, start=start)
+    if seconds is None:
+        parts = dcu_of(plant.machine, options.get("dcu")).delay.parts(rate)
+        seconds = float(arrivals.frame[-1] / rate + sum(parts.values()))
+    run = _hosted(plant, law, arrivals, seconds, options)
     session = run.session()
     _advance(session, progress)
     return _operation(session, run, arrivals, {}, None)
@@ -133,13 +134,12 @@ def serve(
     `operate`; every 16th frame is recorded by default. Raises `OSError` on systems without a
     monotonic clock to keep time by.
     """
-    machine, start = plant.machine, np.zeros(6)
-    log = make_log(capacity_for(8, machine.rate))
-    run = _hosted(plant, law, log, {"record_every": 16, **options})
-    run = run._replace(frames=8, start=start)
-    run.session(ring=make_ring(2), pace=make_pace(8, machine.frame)).run()
-    count = _count(seconds, machine.rate)
-    run = run._replace(frames=count, source=make_log(capacity_for(count, machine.rate)))
+    machine, log = plant.machine, make_log(capacity_for(8, plant.machine.rate))
+    run = _hosted(plant, law, log, seconds, {"record_every": 16, **options})
+    warm = run.but(duration=8 / machine.rate)
+    warm.session(ring=make_ring(2), pace=make_pace(8, machine.frame)).run()
+    count = max(round(seconds * machine.rate), 1)
+    run = run.but(source=make_log(capacity_for(count, machine.rate)))
     pace = make_pace(count, machine.frame) if paced else None
     session = run.session(ring=ring, pace=pace)
     if progress is not None:
@@ -156,12 +156,23 @@ def serve(
 
 
 def _hosted(
-    plant: Hexapod, law: str | Path | Law, frames: Arrivals, options: Mapping[str, Any]
+    plant: Hexapod,
+    law: str | Path | Law,
+    frames: Arrivals,
+    seconds: float,
+    options: Mapping[str, Any],
 ) -> Run:
     """A run on a host's frames, by default with noisy electronics and the protection."""
-    check_options(plant, options, OPERATION)
-    usual: dict[str, Any] = {"electronics": ElectronicsSettings(), "protection": "default"}
-    return Run(plant, load_law(law), frames, **(usual | dict(options)))
+    check_options(plant, options, OPTIONS)
+    if not 0.0 < seconds <= LONGEST:
+        raise InputError(f"seconds: {seconds} is refused; allowed: above 0, up to {LONGEST:g}")
+    chain = {name: value for name, value in options.items() if name in CHAIN}
+    others = {name: value for name, value in options.items() if name not in CHAIN}
+    usual: dict[str, Any] = {"electronics": {}, "protection": "default", "duration": seconds}
+    usual["operation"] = {"begin": "engaged", "requests": ()} | chain
+    run = Run(plant=plant, law=law, source=frames, **usual | others)
+    assert run.operation is not None
+    return run.but(start=starting_pose(run.operation, frames, plant.machine))
 
 
 def _advance(
@@ -178,25 +189,6 @@ def _advance(
             progress(session.frame / session.rate)
 
 
-def starting_pose(
-    pose: NDArray[np.float64], limits: MotionLimits, machine: Machine
-) -> NDArray[np.float64]:
-    """The pose, or neutral where the limits forbid it."""
-    low, high = limits.operational.T
-    inside = bool(((pose >= low) & (pose <= high)).all())
-    if inside and np.abs(kinematics.pose_to_legs(pose, machine)).max() <= limits.leg.position.si:
-        return np.array(pose)
-    return np.zeros(6)
-
-
-def _count(seconds: float, rate: int) -> int:
-    if not (np.isfinite(seconds) and seconds > 0.0):
-        raise InputError(f"seconds: {seconds} must be greater than 0")
-    if seconds > LONGEST:
-        raise InputError(f"seconds: {seconds} must be at most {LONGEST:g}")
-    return max(round(seconds * rate), 1)
-
-
 def _operation(
     session: Session,
     run: Run,
@@ -204,15 +196,13 @@ def _operation(
     unused: dict[str, int],
     timing: Timing | None,
 ) -> Operation:
+    assert run.operation is not None
     time, channels, units = session.history()
-    state, unit = session.source.dcu_state, run.unit()
+    state, unit = session.source.dcu_state, dcu_of(session.plant.machine, run.operation.dcu)
+    late = float(channels["host_late"].mean()) * session.frame / session.rate
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
-        "seed": None,
-        "dcu": unit.model_dump(mode="json"),
-        "host_counts": state.counts,
-        "host_rejections": state.rejections,
-        "host_late": float(channels["host_late"].mean()) * session.frame / session.rate,
+        "host_late": late,
     }
     record = Record(time, channels, units, session.describe() | context)
     played = HostSession(arrivals, session.frame, np.array(run.start), unit)

@@ -81,8 +81,10 @@ def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-un
         output[frame] = dcl.workspace.output
 
 
-def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = None) -> Replay:
-    """Run a law on the recorded demand and feedback of a run.
+def replay(
+    record: Record, law: str | Law | None = None, feedback: Mapping[str, str] | None = None
+) -> Replay:
+    """Run a law on the recorded demand and feedback of a run, by default the law that made it.
 
     The record has `leg_reference`, `leg_position` and whatever else the law reads, at the control
     rate or a whole fraction of it. `feedback` names the recorded channel of a feedback where it is
@@ -91,8 +93,16 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     made = record.metadata
     cab = recorded_cab(made)
     carrier = recorded_machine(made)
+    if law is None:
+        if "law_parameters" not in made:
+            raise InputError("law: the recording does not say which law made it; name one")
+        law = validated(Law, made["law_parameters"], "law_parameters")
     loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
-    loaded, every = loaded.on(carrier), _every(record, carrier.rate)
+    loaded, each = loaded.on(carrier), carrier.rate / record.rate
+    if not (each >= 1.0 and each.is_integer()):
+        allowed = f"allowed: {carrier.rate} Hz over an integer"
+        raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
+    every = int(each)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
     if every > 1:
@@ -120,13 +130,6 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     begun = {name: real(f"law_state: {name}", values) for name, values in said.items()}
     fits = begun.keys() == known.keys() and all(v.shape == (legs,) for v in begun.values())
     return control.DclState.of(begun) if fits else None
-
-
-def _every(record: Record, rate: int) -> int:
-    every = rate / record.rate
-    if not (every >= 1.0 and every.is_integer()):
-        raise InputError(f"sample_rate: {record.rate} Hz; allowed: {rate} Hz over an integer")
-    return int(every)
 
 
 def _legs(record: Record, channel: str) -> NDArray[np.float64]:
@@ -162,25 +165,15 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
     read = LegFeedback(*histories)
-    if "acceleration" not in names and FEEDBACK["acceleration"] in record.channels:
-        shift = int(_compensated(record)) - int(law.gravity_compensation)
-        if shift:
-            read.acceleration[:] += shift * _felt(record)
+    made = record.metadata
+    sensors = (made.get("electronics") or {}).get("sensors", {})
+    without = made.get("law_parameters", {}).get("gravity_compensation", True)
+    shift = int(bool(without)) - int(law.gravity_compensation)
+    recorded = "acceleration" not in names and FEEDBACK["acceleration"] in record.channels
+    if shift and recorded and sensors.get("gravity", False):
+        felt = gravity_history(_legs(record, "leg_position"), recorded_machine(made))
+        read.acceleration[:] += shift * felt
     return read
-
-
-def _compensated(record: Record) -> bool:
-    """Whether the recorded leg accelerations, those that the law read, are without gravity."""
-    return bool(record.metadata.get("law_parameters", {}).get("gravity_compensation", True))
-
-
-def _felt(record: Record) -> NDArray[np.float64]:
-    """Gravity that the accelerometers of a run felt, (N, n) [m/s^2]; 0 where it does not say."""
-    electronics = record.metadata.get("electronics") or {}
-    position = _legs(record, "leg_position")
-    if not electronics.get("sensors", {}).get("gravity", False):
-        return np.zeros(position.shape)
-    return gravity_history(position, recorded_machine(record.metadata))
 
 
 def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
@@ -188,10 +181,3 @@ def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
     coarse = np.arange(values.shape[0])
     fine = np.arange((values.shape[0] - 1) * every + 1) / every
     return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))
-
-
-def law_of(record: Record) -> Law:
-    """The law a record was made with, gains and all."""
-    if "law_parameters" not in record.metadata:
-        raise InputError("law: the recording does not say which law made it; name one")
-    return validated(Law, record.metadata["law_parameters"], "law_parameters")

@@ -1,129 +1,238 @@
-"""A run: everything that determines a record, and the one place where a session is made of it.
+"""A run: everything that determines a record, and the sessions that are made of it.
 
-`simulate` closes the loop of command, DCL, valves, cylinders, mechanics and sensors; `drive` opens
-it at the valves. Both are the one loop of `loop.run`, whose docstring gives the order.
+The settings of a run are those of a scenario's file. What no file holds, a plant that was built, a
+command, frames of a host, is given to the same settings by a program.
+
+The demand of signals is made in blocks of frames. A block begins at a multiple of its length
+whatever the parts a session is run in, so that a live session and the scenario it leaves behind
+compute the same numbers in the same arrays: the same bits.
 """
 
-from collections.abc import Mapping, Sequence
-from operator import itemgetter
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
-from cmf_mj.control import limiter, states
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
-from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
-from cmf_mj.core.arrays import real, whole
-from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.units import INCH, LONGEST, MOST_FRAMES, RATE
+from cmf_mj.control.states import Request
+from cmf_mj.core.arrays import check_memory
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import Arguments, Seed, in_range, name_or
+from cmf_mj.core.units import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.front import Blocks, Source, from_host, from_table
+from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import Ring
 from cmf_mj.facility.pace import Pace
 from cmf_mj.facility.session import Session
-from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
-from cmf_mj.machine.limits import MotionLimits
-from cmf_mj.machine.machine import Machine
-from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.facility.settings import (
+    Change,
+    Gains,
+    HostChain,
+    Outputs,
+    SessionSettings,
+    Signals,
+    built_or_named,
+    changed_law,
+    check_change,
+    check_leg,
+    check_order,
+    dcu_of,
+    listed,
+    overlaid_law,
+    plural,
+    whole_number,
+)
+from cmf_mj.facility.signal import BLOCK, HostFeed, LayeredDemand, TableFeed, added, taken
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.events import Event
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.hexapod import PLANTS, make_plant
+from cmf_mj.plant.parameters.loading import fitting, hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Command, commanded
+from cmf_mj.signals.signal import Motion
 
-OPTIONS = ("start", "events", "record_every", "command_delay")
-"""Fields of `Run` that `simulate` and `drive` take as options."""
-
-OPERATION = (
-    *("begin", "requests", "events", "dcu", "limits", "states", "demand"),
-    *("electronics", "protection", "record_every", "command_delay"),
-)
-"""Those that `operate` and `serve` take."""
-
-_NUMBERS = (
-    *(("record_every", 1, MOST_FRAMES), ("window", 1, MOST_FRAMES), ("frames", 1, MOST_FRAMES)),
-    ("command_delay", 0, RATE),
-)
-"""Numbers of frames, each with the least and most allowed."""
-
-_RESTING = 0.05
-"""What a leg on the stops is above its mechanical end [in]."""
+_IN_NO_FILE: Any = Field(None, exclude=True)
 
 
-class LegDemand(NamedTuple):
-    """A demand of leg extensions."""
-
-    rows: ArrayLike  #: At the control rate, (N, n) [m].
-
-
-class ValveCommands(NamedTuple):
-    """Valve commands of an open loop."""
-
-    rows: ArrayLike  #: Fractions, -1 to 1, positive extending, each held over its frame, (N, n).
-
-
-class _Given(NamedTuple):
-    law: Law | None
-    source: Source | Arrivals
-    start: ArrayLike | None
-    context: dict[str, Any]  #: What a record says of the source.
-
-
-class Run(NamedTuple):
+class Run(Arguments):
     """Everything that determines a record; settings by name, TOML file or loaded.
 
     >>> command = cmf_mj.signals.sine("heave", 0.01, frequency=2.0, cycles=1)
-    >>> run = cmf_mj.Run(cmf_mj.Hexapod(), "velocity", command, record_every=16)
+    >>> run = cmf_mj.Run(plant=cmf_mj.Hexapod(), source=command, record_every=16)
     >>> record = run.record()  # what `simulate` gives
-    >>> session = run._replace(law="position").session()
+    >>> session = run.but(law="original").session()
     >>> session.run(100)  # and then look at it, push it, exchange its law
     >>> session.look().law
-    'position'
+    'original'
     """
 
-    plant: Plant
-    law: str | Path | Law | None  #: None opens the loop: the source holds valve commands.
-    source: Command | ArrayLike | LegDemand | ValveCommands | Source | Arrivals
-    """A command or poses (N, 6) [m, rad], z down, leg extensions, valve commands, a table of any of
-    them; or the host's frames, which take the whole chain."""
-    start: ArrayLike | None = None
+    title: str = ""  #: What it shows.
+    plant: Annotated[
+        str | Plant, PlainValidator(built_or_named, json_schema_input_type=Literal[PLANTS])
+    ] = "hexapod"
+    """The whole machine, its legs alone, or a plant that was built; that one has its own machine,
+    cab and hydraulics."""
+    machine: str = CMF  #: The motion base by name or TOML file.
+    cab: str | None = None
+    """Its cab by name or TOML file, default its first, of the CMF `gfd`; single legs have none."""
+    hydraulics: str | None = None
+    """`report`, `hardware`, `lossy` or a TOML file; default the machine's own, here `hardware`."""
+    law: Annotated[str | Path | Law, name_or(Law)] | None = "velocity"
+    """Control law by name or TOML file; default the machine's. None opens the loop: the source
+    holds valve commands."""
+    gains: Gains = {}  #: Fields of the law to replace.
+    signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
+    source: SkipJsonSchema[Any] = _IN_NO_FILE
+    """In place of signals a `Command`, poses (N, 6) [m, rad], z down, `LegDemand`, `ValveCommands`,
+    a table of any of them, or the frames of a host."""
+    start: SkipJsonSchema[Any] = _IN_NO_FILE
     """Configuration to start from, as `plant.place` takes it, by default the first pose of the
-    command, else the model's own; with a host the pose of the demand at the start."""
-    events: Sequence[Event] = ()  #: Failures on the time line.
-    record_every: int = 1  #: Keep one frame in this many.
-    command_delay: int = 1  #: Frames from a DCL frame to its command at the valves.
-    protection: str | Path | ProtectionSettings | None = None
-    """Conditions that make an emergency stop; None for none."""
+    demand, else the model's own; with a host the pose at which the demand begins."""
+    events: Annotated[tuple[Event, ...], BeforeValidator(listed)] = plural("event", "events")
+    """Failures on the time line."""
     electronics: ElectronicsSettings | None = None
-    """Sensors, converters, servo electronics; None for ideal ones."""
-    begin: State = State.ENGAGED
-    """Operating state to begin in, with a host: off, settled, hold or engaged. Off and settled
-    begin on the stops, the others at the demand's pose. Settled has its valves open from the first
-    frame, so that a law whose balance is elsewhere jumps; off fades them in."""
-    requests: Sequence[tuple[float, Request]] = ()
-    """Operator's requests and their times [s]; of one instant the last counts, after any trip."""
-    dcu: str | Path | DcuSettings | None = None  #: Digital Control Unit; default the machine's.
-    limits: str | Path | MotionLimits | None = None
-    """Limits of platform and legs; default Table 2-1 with the assumed rates."""
-    states: str | Path | StateSettings | None = None  #: Operating states.
-    demand: Demand | None = None  #: Leg demand, with body flexibility or without; default rigid.
-    frames: int | None = None  #: Control frames of the run; default the rows of the table.
-    window: int | None = None
-    """Control frames whose `rows` are kept, the latest; default all, as `history`."""
+    """Noisy sensors and servo electronics; default ideal ones."""
+    protection: Annotated[str | ProtectionSettings, name_or(ProtectionSettings)] | None = None
+    """Fault detection that makes an emergency stop, `default` or a file; default none."""
+    operation: HostChain | None = None
+    """The chain from host to valves; without it the signal is the demand itself."""
+    duration: Annotated[float, Field(gt=0.0, le=LONGEST)] | Literal["open"] = 10.0
+    """Length [s], by default of a table that of its rows; an `open` run goes on until it is ended,
+    and can only be run live."""
+    seed: Seed = 0  #: Of noise and random phases.
+    record_every: Annotated[int, BeforeValidator(whole_number), Field(ge=1, le=MOST_FRAMES)] = 1
+    """Keep one control frame in this many."""
+    command_delay: Annotated[int, BeforeValidator(whole_number), Field(ge=0, le=RATE)] = 1
+    """Control frames from the DCL to the valves."""
+    outputs: Outputs = Outputs()  #: What `cmf run` writes.
+    change: tuple[Change, ...] = ()  #: What changes, in order of time; of signals.
 
-    def session(self, *, ring: Ring | None = None, pace: Pace | None = None) -> Session:
+    @field_validator("*")
+    @classmethod
+    def _numbers(cls, value: Any, info: Any) -> Any:  # type: ignore[override]
+        return value if info.field_name in ("source", "start") else in_range(value)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_law(cls, table: Any) -> Any:
+        named = isinstance(table, dict) and isinstance(table.get("machine"), str)
+        return {"law": load_machine(table["machine"]).law} | table if named else table
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        hosted = self.operation is not None
+        if hosted != isinstance(self.source, Arrivals) and self.source is not None:
+            raise InputError("operation: goes with signals or a host's frames, and these with it")
+        if self.source is not None and (self.signal or self.change):
+            raise InputError("source: is given; allowed beside it: neither `signal` nor `change`")
+        if self.source is None and self.law is None:
+            raise InputError("law: None opens the loop; allowed with a `source` of valve commands")
+        if isinstance(self.plant, str):
+            self._files()
+        if self.source is None:
+            self._signals()
+        return self
+
+    def _files(self) -> None:
+        """Refuse settings of a named plant that cannot be loaded."""
+        machine = self.carried.machine
+        hydraulics_of(machine, self.hydraulics)
+        if self.protection is not None:
+            load_protection(self.protection)
+        if self.electronics is not None:
+            self.electronics.of(machine)
+        if self.operation is not None:
+            self.operation.check(self.plant, machine)
+        for event in self.events:
+            check_leg(event)
+
+    def _signals(self) -> None:
+        """Refuse what is too much to hold, never happens or cannot be made."""
+        rate, signals = self.rate, list(self.signal)
+        signals += [one for change in self.change for one in change.signal or ()]
+        seconds = sum(signal.at_rate(rate).length for signal in signals)
+        check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * rate * seconds)
+        requests = () if self.operation is None else self.operation.requests
+        check_order(self.change, self.events, requests, self.frames or MOST_FRAMES, rate)
+        law, load = self.begun_law(), cache(load_law)
+        for change in self.change:
+            check_change(change, self.plant, self.operation is not None)
+            named = None if change.law is None else load(change.law)
+            law = bound(changed_law(law, change, named), self._bound_to)
+        if self.outputs.video is not None:
+            self.outputs.video.check(self.plant, self.frames, self.record_every)
+
+    def table(self) -> dict[str, Any]:
+        """The run as a file has it, defaults left out."""
+        if self.source is not None or isinstance(self.plant, Plant) or isinstance(self.law, Law):
+            raise InputError("plant, law, source: a file holds names and signals, not what is made")
+        return self.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude_none=True)
+
+    def but(self, **fields: Any) -> "Run":
+        """The same run with other `fields`, checked again."""
+        return Run(**{name: getattr(self, name) for name in self.model_fields_set} | fields)
+
+    @property
+    def carried(self) -> Cab:
+        """The cab on the machine that are named."""
+        return load_cab(self.cab, self.machine)
+
+    @property
+    def rate(self) -> int:
+        """Control frames a second [Hz]."""
+        return self._base.rate
+
+    @property
+    def _base(self) -> Machine:
+        return self.carried.machine if isinstance(self.plant, str) else self.plant.machine
+
+    @property
+    def _bound_to(self) -> str | Cab | Plant:
+        """What laws are bound to."""
+        return self.carried.known_as if self.plant == "hexapod" else self.plant
+
+    def begun_law(self) -> Law:
+        """The law at the start, bound to the machine."""
+        assert self.law is not None
+        return bound(overlaid_law(load_law(self.law), self.gains), self._bound_to).on(self._base)
+
+    @property
+    def frames(self) -> int | None:
+        """Control frames of the run; None for ever, or as many as the rows of its table."""
+        tabled = self.source is not None and self.operation is None
+        if self.duration == "open" or (tabled and "duration" not in self.model_fields_set):
+            return None
+        return max(round(self.duration * self.rate), 1)
+
+    def session(
+        self, *, keep: float | None = None, ring: Ring | None = None, pace: Pace | None = None
+    ) -> Session:
         """The run before its first frame, to be run in parts.
 
-        With a ring of live frames the source is the log that they are collected in; without pace
-        the run goes as fast as possible.
+        Of all frames, or of the latest that are so many seconds, `keep`, the rows are kept. With a
+        `ring` of live frames the source is the log that they are collected in. Without `pace` the
+        run goes as fast as possible.
         """
-        return self._session(self._given(), ring, pace)
+        if self.source is None:
+            return SignalSession(self, keep)
+        plant = self._built()
+        law = None if self.law is None else overlaid_law(load_law(self.law), self.gains)
+        source, start, context = taken(self.source, plant, self.start)
+        if self.operation is not None:
+            source, start = self.operation.source(plant.machine, source, self.start, ring)
+        settings, frames = self._settled(plant.machine), self.frames
+        how: Any = {"frames": frames, "context": context, "keep": keep, "pace": pace}
+        return Session(plant, law, source, start, settings, **how)
 
     def record(self) -> Record:
         """All signals from beginning to end.
@@ -131,204 +240,161 @@ class Run(NamedTuple):
         Raises `InputError`, an argument out of range, named, and `OutOfBounds`: the state left its
         physical bounds; leg, time and value are named.
         """
-        given = self._given()
-        session = self._session(given)
+        if self.duration == "open":
+            raise InputError("duration: is open; a run to the end needs one in s")
+        session = self.session()
         session.run()
-        time, channels, units = session.history()
-        return Record(time, channels, units, session.describe() | given.context)
+        return session.record()
 
-    def unit(self) -> DcuSettings:
-        """The DCU, fitted to the machine."""
-        return dcu_of(self.plant.machine, self.dcu)
+    def _built(self) -> Plant:
+        if isinstance(self.plant, Plant):
+            return self.plant
+        return make_plant(self.plant, self.carried, self.hydraulics)
 
-    def _given(self) -> _Given:
-        """Law and source as the loop takes them."""
-        law = None if self.law is None else load_law(self.law)
-        said = "table"
-        match self.source:
-            case Source() | Arrivals() as source:
-                pass
-            case LegDemand(rows):
-                source, said = self._legs(rows), "leg extensions"
-            case ValveCommands(rows):
-                source, said = self._valves(rows), "valve commands"
-            case command:
-                demanded = commanded(command, self.plant.machine.rate)
-                legs = pose_to_legs(demanded.pose, self.plant.machine)
-                start = demanded.pose[0] if self.start is None else self.start
-                context = {"command": demanded.description, "seed": demanded.seed}
-                return _Given(law, from_table(legs, demanded.pose), start, context)
-        return _Given(law, source, self.start, {"command": {"signal": said}, "seed": None})
-
-    def _session(
-        self, given: _Given, ring: Ring | None = None, pace: Pace | None = None
-    ) -> Session:
-        machine, source, start = self.plant.machine, given.source, given.start
-        numbers: dict[str, Any] = {}  # of Python, which alone share a compiled loop
-        for field, least, most in _NUMBERS:
-            value = getattr(self, field)
-            numbers[field] = None if value is None else whole(field, value, least, most)
-        guard = self.protection
-        loaded = None if guard is None else load_protection(guard, fitting(machine))
-        on_stops = isinstance(source, Arrivals) and self.begin in (State.OFF, State.SETTLED)
-        if isinstance(source, Arrivals):
-            pose = np.zeros(6) if start is None else np.array(start)
-            start = pose
-            legs = pose_to_legs(pose, machine)
-            if on_stops:
-                legs = np.full(6, -round(machine.half_stroke / INCH - _RESTING, 9) * INCH)
-                start = legs_to_pose(legs, machine)
-            source = self._chain(source, pose, legs, ring)
-        session = Session(
-            self.plant,
-            given.law,
-            source,
-            start,
-            events=self.events,
-            protection=loaded,
-            electronics=self.electronics,
-            pace=pace,
-            **numbers,
-        )
-        if on_stops:
-            session.controller.state.error.integral[:] = 0.0
-        return session
-
-    def _legs(self, rows: ArrayLike) -> Source:
-        reference = np.atleast_2d(real("command", rows))
-        if reference.shape[1] != self.plant.legs:
-            raise InputError(
-                f"command: has {reference.shape[1]} columns; allowed: {self.plant.legs}, one a leg"
-            )
-        return from_table(reference)
-
-    def _valves(self, rows: ArrayLike) -> Source:
-        table = np.atleast_2d(real("valves", rows))
-        if table.ndim != 2 or table.shape[1] != self.plant.legs:
-            raise InputError(f"valves: has shape {table.shape}; allowed: (N, {self.plant.legs})")
-        if not (np.abs(table) <= 1.0).all():
-            row, leg = np.argwhere(~(np.abs(table) <= 1.0))[0]
-            raise InputError(
-                f"valves: {table[row, leg]} of leg {leg + 1} in row {row} is not between -1 and 1"
-            )
-        return from_table(table)
-
-    def _chain(
-        self,
-        arrivals: Arrivals,
-        pose: NDArray[np.float64],
-        legs: NDArray[np.float64],
-        ring: Ring | None,
-    ) -> Source:
-        """The chain from host to leg reference, before any frame."""
-        for one in self.requests:
-            match one:
-                case (int() | float() | np.integer() as at, Request()) if 0.0 <= at <= LONGEST:
-                    continue
-            allowed = f"a time of 0 to {LONGEST:g} s and a Request"
-            raise InputError(f"requests: {one!r} is refused; allowed: {allowed}")
-        machine = self.plant.machine
-        frame, limits = machine.frame, load_motion_limits(self.limits, machine)
-        operating = load_state_settings(self.states, fitting(machine))
-        blocks = Blocks(
-            make_dcu(self.unit(), frame),
-            limiter.make_pose_limiter(limits, frame),
-            self.demand or make_demand(machine),
-            states.make_states(operating, machine),
-            limiter.make_leg_limiter(limits, frame=frame),
-        )
-        timed = ((round(at * machine.rate), code) for at, code in self.requests)
-        requests = sorted(timed, key=itemgetter(0))
-        return from_host(
-            blocks, arrivals, requests, self.begin, position=legs, pose=pose, ring=ring
+    def _settled(self, machine: Machine) -> SessionSettings:
+        """Settings of the run as its session takes them."""
+        guard, electronics = self.protection, self.electronics
+        if electronics is not None and electronics.seed is None:
+            electronics = electronics.model_copy(update={"seed": self.seed})
+        return SessionSettings(
+            self.events,
+            self.record_every,
+            self.command_delay,
+            None if guard is None else load_protection(guard, fitting(machine)),
+            electronics,
+            None if self.operation is None else dcu_of(machine, self.operation.dcu),
         )
 
 
-def simulate(
-    plant: Plant,
-    law: str | Law,
-    command: Command | ArrayLike,
-    *,
-    legs: bool = False,
-    protection: str | Path | ProtectionSettings | None = None,
-    electronics: ElectronicsSettings | None = None,
-    **options: Any,
-) -> Record:
-    """Run a control law on a plant and record all signals.
-
-    The run starts at rest at the first pose of the command, in static equilibrium, with the DCL
-    engaged there. The same arguments give the same bits on one kind of processor.
-
-    Args:
-        plant: `Hexapod`, `SingleLegs`, or any `Plant`; its mechanical step must divide the
-            control frame.
-        law: name, TOML file or loaded `Law`.
-        command: a `Command`, platform poses (N, 6) at the control rate [m, rad], z down, or with
-            `legs` extensions of the actuators (N, n) [m].
-        legs: whether `command` are extensions.
-        protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
-            tell the `fault` and its time. Default none.
-        electronics: sensors, converters and servo electronics; default ideal, to the bit.
-        **options: `start`, by default the command's first pose, with `legs` the model's `qpos0`
-            (`plant.configuration` gives that of extensions); `events` on the time line;
-            `record_every`, keep one frame in this many; `command_delay`, frames from a DCL frame
-            to its command at the valves, by default 1.
-
-    Returns:
-        Channels of the demand, the legs, the hydraulics, the supply, `energy` passed since the
-        start (columns `plant.hydraulics.ENERGIES`), the sensors, `generalised_position` (MuJoCo's
-        qpos, to replay), the platform's true pose and `gimbal_error`, the largest distance between
-        the halves of a closed gimbal since the row before. `leg_position` is what the sensors
-        read, `leg_extension` what is true.
-
-    Raises:
-        InputError: an argument out of range, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
-
-    >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=2.0, cycles=1)
-    >>> record = cmf_mj.simulate(cmf_mj.Hexapod(), "velocity", command)
-    >>> bool(record["gimbal_error"].max() < 1e-5)
-    True
-    """
-    check_options(plant, options, OPTIONS)
-    guarded: Any = {"protection": protection, "electronics": electronics}
-    source = LegDemand(cast("ArrayLike", command)) if legs else command
-    return Run(plant, law, source, **options, **guarded).record()
+class _Due(NamedTuple):
+    frame: int
+    change: Change
+    motion: Motion | None
+    law: Law | None  #: That the change names, read when it was applied.
 
 
-def drive(plant: Plant, valves: ArrayLike, **options: Any) -> Record:
-    """Run a plant open loop on given valve commands and record all signals.
+class SignalSession(Session):
+    """A session on signals: change it as it goes, and take away what was done."""
 
-    Args:
-        plant: any `Plant`.
-        valves: valve commands as fractions, -1 to 1, positive extending, (N, n), each held
-            over its control frame.
-        **options: as for `simulate`; `command_delay` is that from a row to the valves, by
-            default 0.
+    def __init__(self, run: Run, keep: float | None = None) -> None:
+        """Put the plant at rest at the first pose of the demand and engage the law.
 
-    Returns:
-        The channels of `simulate` without those of demand and DCL.
+        The latest `keep` seconds are kept, by default all, of an `open` run 600 s.
+        """
+        if run.source is not None:
+            raise InputError("source: is a table or a host's; allowed: a run of signals")
+        plant, operation = run._built(), run.operation
+        self._begun_as, rate, frames = run, plant.machine.rate, run.frames
+        self._demand = LayeredDemand(added(run.signal, run.seed, rate))
+        if operation is None:
+            table = TableFeed(self._demand, plant.machine)
+            self._feed: TableFeed | HostFeed = table
+            source = from_table(table.legs, table.poses)
+            start = table.poses[0] if run.start is None else run.start
+        else:
+            hosted = HostFeed(self._demand, rate, operation.host_every, frames)
+            self._feed = hosted
+            source, start = operation.source(plant.machine, hosted.log, run.start)
+        keep = 600.0 if frames is None and keep is None else keep
+        settings, frames = run._settled(plant.machine), frames or MOST_FRAMES
+        super().__init__(plant, run.begun_law(), source, start, settings, frames=frames, keep=keep)
+        self._filled = 0
+        load = cache(load_law)
+        self._due = deque(self._checked(one.when(rate), one, load) for one in run.change)
+        self._laws(self._due)
+        self._done: list[Change] = []
+        self._pushes: dict[int, tuple[float, ...]] = {}
+        self._strikes = sorted(round(event.at * rate) + 1 for event in run.events)
 
-    Raises:
-        InputError: an argument out of range, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    def run(self, frames: int | None = None) -> None:
+        """Run a number of control frames, at most to the end; refusals as of any session."""
+        target = self.frames if frames is None else min(self.frame + frames, self.frames)
+        while self.frame < target:
+            while self._due and self._due[0].frame <= self.frame:
+                self._happen(self._due.popleft())
+            if self.frame % BLOCK == 0:
+                self._fill(self.frame)
+            self.push(self._pushes)
+            ends = [target, (self.frame // BLOCK + 1) * BLOCK]
+            ends += [due.frame for due in self._due]
+            ends += [strike for strike in self._strikes if strike > self.frame]
+            super().run(min(ends) - self.frame)
 
-    >>> record = cmf_mj.drive(cmf_mj.SingleLegs(), np.full((200, 6), 0.1))
-    >>> bool((record["leg_extension"][-1] > 0.0).all())
-    True
-    """
-    check_options(plant, options, OPTIONS)
-    return Run(plant, None, ValveCommands(valves), **{"command_delay": 0, **options}).record()
+    def apply(self, change: Change) -> None:
+        """Change something from the next frame on.
 
+        A law takes over as `control.engage` says, signals as `LayeredDemand` says. A change with a
+        time is refused.
+        """
+        for field in ("at", "frame"):
+            if getattr(change, field) is not None:
+                raise InputError(
+                    f"{field}: {getattr(change, field)} is refused; a change applied live happens "
+                    "in the next frame"
+                )
+        at = sum(due.frame <= self.frame for due in self._due)
+        coming = list(self._due)
+        coming.insert(at, self._checked(self.frame, change, load_law))
+        self._laws(coming)
+        self._due = deque(coming)
 
-def check_options(plant: object, options: Mapping[str, Any], allowed: Sequence[str]) -> None:
-    """Refuse what is no plant, and what is no option, by its name."""
-    if not isinstance(plant, Plant):
-        raise InputError(f"plant: {plant!r} is refused; allowed: a Plant, such as Hexapod('gfd')")
-    for name in options:
-        check_name("option", name, allowed)
+    def done(self) -> Run:
+        """What has been done so far, as a run that does it again bit for bit."""
+        frames, begun, rate = max(self.frame, 1), self._begun_as, self.rate
+        past: dict[str, Any] = {
+            "change": tuple(change for change in self._done if change.when(rate) < frames),
+            "events": tuple(event for event in begun.events if round(event.at * rate) < frames),
+            "duration": frames / rate,
+        }
+        if begun.operation is not None:
+            asked = tuple(r for r in begun.operation.requests if round(r.at * rate) < frames)
+            past["operation"] = begun.operation.model_copy(update={"requests": asked})
+        return begun.model_copy(update=past)
 
+    def describe(self) -> dict[str, Any]:
+        """What a record keeps of the run, the scenario among it."""
+        done, command = self.done(), {"kind": "scenario"}
+        if len(done.signal) == 1 and all(change.signal is None for change in done.change):
+            command = done.signal[0].described()
+        said: dict[str, Any] = {"command": command, "seed": done.seed}
+        with suppress(InputError):  # of a plant or law that was made
+            said["scenario"] = done.table()
+        return said | super().describe()
 
-def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> DcuSettings:
-    """A DCU fitted to a machine, by default the machine's."""
-    return load_dcu(machine.dcu if source is None else source, fitting(machine))
+    def _checked(self, frame: int, change: Change, load: Any) -> _Due:
+        """The change with its motion, after a check that all of it is possible."""
+        run, signal = self._begun_as, change.signal
+        check_change(change, run.plant, run.operation is not None)
+        motion = None if signal is None else added(signal, run.seed, self.rate)
+        return _Due(frame, change, motion, None if change.law is None else load(change.law))
+
+    def _laws(self, coming: Sequence[_Due]) -> list[Law]:
+        """The law after each of the coming changes; one may make the next impossible."""
+        laws = [] if self._engaged is None else [self._engaged]
+        for due in coming:
+            laws.append(bound(changed_law(laws[-1], due.change, due.law), self.plant))
+        return laws[1:]
+
+    def _happen(self, due: _Due) -> None:
+        change = due.change
+        self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
+        if change.law is not None or change.gains:
+            self.engage(self._laws([due])[0])
+        if due.motion is not None:
+            self._demand.change(self.frame, due.motion, round(change.fade * self.rate))
+            if self.frame % BLOCK:
+                self._fill(self._filled)
+        for failure in change.failure:
+            self.inject(Event(at=self.frame / self.rate, **dict(failure)))
+            self._strikes.append(self.frame + 1)
+        if change.push is not None:
+            push = change.push
+            self._pushes[self.body(push.body)] = (*push.force, *push.torque)
+        if change.request is not None:
+            self.request(Request[change.request.upper()])
+
+    def _fill(self, first: int) -> None:
+        self._feed.fill(first)
+        if isinstance(self._feed, HostFeed):
+            self.exchange(arrivals=self._feed.log)
+        self._filled = first

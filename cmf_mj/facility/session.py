@@ -14,17 +14,15 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
-    ProtectionSettings,
     latched,
     load_protection,
     make_protection,
     protection_state,
 )
-from cmf_mj.control.states import State
+from cmf_mj.control.states import Request, State
 from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.electronics.chain import (
-    ElectronicsSettings,
     ideal_electronics,
     make_electronics,
     measure,
@@ -45,12 +43,14 @@ from cmf_mj.facility.loop import (
 )
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.record_layout import CHAIN, LAW, make_layout
+from cmf_mj.facility.settings import SessionSettings
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
 from cmf_mj.plant.native import untimed
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
+from cmf_mj.record.record import Record
 
 _VERSIONS = {name: version(name) for name in ("cmf-mj", "mujoco", "numpy", "numba")}
 
@@ -97,33 +97,22 @@ class Session:
         plant: Plant,
         law: Law | None,
         source: Source,
-        start: ArrayLike | None = None,
+        start: ArrayLike | None,
+        settings: SessionSettings,
         *,
-        events: Sequence[Event] = (),
-        record_every: int = 1,
-        command_delay: int = 1,
-        protection: ProtectionSettings | None = None,
-        electronics: ElectronicsSettings | None = None,
         frames: int | None = None,
-        window: int | None = None,
+        keep: float | None = None,
         pace: Pace | None = None,
+        context: Mapping[str, Any] | None = None,
     ) -> None:
         """Put the plant at rest and engage the law there; see `run.Run`, which makes sessions."""
-        self.rate = plant.machine.rate
-        """Control frames a second [Hz]."""
-        step, frame = float(plant.model.opt.timestep), plant.machine.frame
-        steps = round(frame / step)
-        if steps < 1 or abs(steps * step - frame) > 1e-12:
-            raise InputError(f"timestep: {step} s must divide the control frame of {frame} s")
-        law = None if law is None else bound(law, plant)
-        self.plant = plant
-        self._law = self._engaged = law
-        self._electronics = electronics
-        self._events = tuple(events)
+        self.plant, self.rate = plant, plant.machine.rate
+        self._law = self._engaged = None if law is None else bound(law, plant)
+        self._settings, self._context = settings, dict(context or {})
+        self._events, self.every = settings.events, settings.record_every
         self.frames = source.table.shape[0] if frames is None else frames
         self.frame = 0
         """Control frames run so far."""
-        self.every = record_every
         state = plant.start(start)
         self.dynamics = Dynamics(
             plant.mechanics(),
@@ -132,41 +121,60 @@ class Session:
             no_faults(plant.legs),
             make_timeline(self._events, plant.legs, self.rate),
         )
-        self.memory = make_memory(self.dynamics, command_delay)
-        at_rest, feedback = self.memory.truth, self.memory.feedback
-        parts = ideal_electronics(plant.legs)
-        if electronics is not None:
-            parts = make_electronics(electronics, at_rest, plant.machine)
-        dcl = control.make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
-        compensated = dcl.feedback.gravity_compensation
-        measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
-        self.controller = Controller(
-            closed=law is not None,
-            dcl=dcl,
-            state=engaged(dcl, source.table[0].copy() if law else feedback.position, feedback),
-            source=source,
-            delay=command_delay,
-            guarded=protection is not None,
-            protection=make_protection(protection or load_protection(), frame),
-            guard=protection_state(feedback.position),
-            electronics=parts,
-            pace=pace or make_pace(),
-        )
+        self.memory = make_memory(self.dynamics, settings.command_delay)
+        self.controller = self._controller(source, pace)
         self._started = plant.started
         self._begun: dict[str, list[float]] = {}
         posed = {"demand_pose"} if source.poses.size else set()
         absent = set() if source.hosted else set(CHAIN) - posed
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
-        rows = -(-(window or self.frames) // self.every)
-        part = f"a record of {rows} rows with {self.layout.width} numbers"
-        check_memory("record_every", part, 1.0 * rows * self.layout.width)
         self._taken = 0
         self._kept: dict[str, NDArray[np.float64]] = {}
-        if window is None:
+        self._recorder = self._make_recorder(keep)
+
+    def _controller(self, source: Source, pace: Pace | None) -> Controller:
+        """The controller, engaged at rest."""
+        plant, law, settings = self.plant, self._law, self._settings
+        at_rest, feedback = self.memory.truth, self.memory.feedback
+        parts = ideal_electronics(plant.legs)
+        if settings.electronics is not None:
+            parts = make_electronics(settings.electronics, at_rest, plant.machine)
+        dcl = control.make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
+        compensated = dcl.feedback.gravity_compensation
+        measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
+        state = engaged(dcl, source.table[0].copy() if law else feedback.position, feedback)
+        if source.hosted and source.progress[0].state in (State.OFF, State.SETTLED):
+            state.error.integral[:] = 0.0
+        guard = settings.protection
+        return Controller(
+            closed=law is not None,
+            dcl=dcl,
+            state=state,
+            source=source,
+            delay=settings.command_delay,
+            guarded=guard is not None,
+            protection=make_protection(guard or load_protection(), plant.machine.frame),
+            guard=protection_state(feedback.position),
+            electronics=parts,
+            pace=pace or make_pace(),
+        )
+
+    def _make_recorder(self, keep: float | None) -> Recorder:
+        """A recorder of all rows, a block at a time, or of the latest of some seconds."""
+        plant, step = self.plant, float(self.plant.model.opt.timestep)
+        steps = round(plant.machine.frame / step)
+        if steps < 1 or abs(steps * step - plant.machine.frame) > 1e-12:
+            frame = plant.machine.frame
+            raise InputError(f"timestep: {step} s must divide the control frame of {frame} s")
+        window = self.frames if keep is None else min(round(keep * self.rate), self.frames)
+        rows = -(-max(window, 1) // self.every)
+        part = f"a record of {rows} rows with {self.layout.width} numbers"
+        check_memory("record_every", part, 1.0 * rows * self.layout.width)
+        if keep is None:
             for name, _, _, width in self.layout.channels:
                 self._kept[name] = np.empty(rows if width is None else (rows, width))
             rows = min(rows, _ROWS)
-        self._recorder = Recorder(
+        return Recorder(
             sensors=np.concatenate([*plant.sensors.values(), np.empty(0, dtype=np.int64)]),
             gimbals=plant.gimbal_sites,
             steps=steps,
@@ -251,7 +259,11 @@ class Session:
         detected = None
         if fault is not None:
             detected = {"name": fault.name, "leg": fault.leg, "time": fault.frame / self.rate}
-        electronics = self._electronics
+        electronics, state = self._settings.electronics, self.source.dcu_state
+        hosted: dict[str, Any] = {}
+        if self._settings.dcu is not None:
+            hosted["dcu"] = self._settings.dcu.model_dump(mode="json")
+            hosted |= {"host_counts": state.counts, "host_rejections": state.rejections}
         return {
             **self.plant.describe(),
             "law": law.name if law else "",
@@ -263,6 +275,8 @@ class Session:
             "sample_rate": self.rate / self.every,
             "command_delay": self.controller.delay,
             "versions": dict(_VERSIONS),
+            **self._context,
+            **hosted,
         }
 
     def look(self) -> Live:
@@ -314,6 +328,14 @@ class Session:
         """Continue with other parts of the source, by their field in `Source`."""
         self.controller = self.controller._replace(source=self.source._replace(**parts))
 
+    def request(self, code: Request) -> None:
+        """Let the operator request something from the next frame on, of a run with a host."""
+        source = self.source
+        self.exchange(
+            request_frame=np.append(source.request_frame, self.frame),
+            request=np.append(source.request, int(code)),
+        )
+
     def body(self, name: str = "") -> int:
         """Number of a body of the model, by default the first that carries the payload."""
         model = self.plant.model
@@ -349,13 +371,17 @@ class Session:
         return out[np.arange(first, last) % out.shape[0]]
 
     def history(
-        self, rows: NDArray[np.float64] | None = None, first: int = 0
+        self,
     ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
-        """Times, channels and units of rows from the `first` on, by default of all so far.
+        """Times, channels and units of all rows so far that are kept.
 
         Those of a run that has ended are read-only, and a record takes them without a copy.
         """
-        if rows is not None:
+        first = 0
+        if not self._kept:
+            last = -(-self.frame // self.every)
+            first = max(last - self._recorder.out.shape[0], 0)
+            rows = self.rows(first, last)
             channels = {channel.name: channel.of(rows) for channel in self.layout.channels}
         elif self.frame < self.frames:
             channels = {name: values[: self._taken] for name, values in self._kept.items()}
@@ -367,3 +393,7 @@ class Session:
         count = channels["leg_position"].shape[0]
         time = np.arange(first, first + count, dtype=np.float64) * self.every / self.rate
         return time, channels, units
+
+    def record(self) -> Record:
+        """All signals so far that are kept, and what determined them."""
+        return Record(*self.history(), self.describe())

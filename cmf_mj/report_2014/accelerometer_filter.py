@@ -25,7 +25,7 @@ from cmf_mj.core.units import FRAME, STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record

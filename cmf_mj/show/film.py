@@ -17,8 +17,8 @@ from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
-from cmf_mj.facility.scenario.library import save_scenario
-from cmf_mj.facility.scenario.settings import Scenario
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import save_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
@@ -286,7 +286,7 @@ def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
 
 def save_run(
     record: Record,
-    scenario: Scenario,
+    scenario: Run,
     folder: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -300,7 +300,7 @@ def save_run(
         paths.append(record.save(folder / outputs.record))
     if outputs.plot:
         changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
-        events = [event.at for event in scenario.event]
+        events = [event.at for event in scenario.events]
         figure = overview_figure(record, scenario.title, changes, events)
         paths.append(save_figure(figure, folder / outputs.plot))
     if outputs.video is not None:

@@ -24,8 +24,8 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
-from cmf_mj.facility.run import simulate
-from cmf_mj.facility.scenario.signal import HostFile
+from cmf_mj.facility.signal import HostFile
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import dof_unit
 from cmf_mj.plant.hexapod import Hexapod

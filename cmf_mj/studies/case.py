@@ -5,7 +5,7 @@ both on a machine built for the case, so that cases share nothing and may run an
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,8 @@ from cmf_mj.core.files import in_folder
 from cmf_mj.core.result import Field
 from cmf_mj.core.units import RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.run import Run, simulate
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.machine import Machine, load_machine
@@ -121,9 +122,14 @@ class Case:
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
         moved = Command(pose, command.signal, command.seed)
-        run = Run(self.build() if plant is None else plant, self.law, moved, record_every=every)
-        own = run._replace(electronics=self.electronics, command_delay=self.command_delay)
-        return own.record()
+        return Run(
+            plant=self.build() if plant is None else plant,
+            law=self.law,
+            source=moved,
+            electronics=self.electronics,
+            command_delay=self.command_delay,
+            record_every=every,
+        ).record()
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
         """Run the report's chirp and its step, at 128 and 256 Hz."""
@@ -154,6 +160,8 @@ def make_case(
     """
     dof_index(dof)
     check_name("plant", plant, PLANTS)
+    for name in options:
+        check_name("option", name, [one.name for one in fields(Case)][6:])
     if amplitude is not None:
         check_positive(amplitude=amplitude)
     chosen, loaded = load_cab(cab), load_law(law)

@@ -27,8 +27,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.result import Field
-from cmf_mj.facility.scenario.library import load_scenario
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario import load_scenario, run_scenario
 from cmf_mj.facility.unknowns import Unknowns, cube
 from cmf_mj.machine.geometry import DOFS, pose_text
 from cmf_mj.plant.hexapod import Hexapod

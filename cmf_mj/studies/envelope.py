@@ -28,7 +28,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import RATE
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.plant.hexapod import Hexapod

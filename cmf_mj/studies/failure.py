@@ -33,8 +33,8 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field, Result
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.run import simulate
 from cmf_mj.facility.session import OutOfBounds
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.geometry import by_kind
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host import moog
 from cmf_mj.facility.host.stream import HostFrame
-from cmf_mj.facility.host.udp import encode
+from cmf_mj.facility.host.udp import encode_frame
 from cmf_mj.machine.geometry import DOFS
 from faults.plans import ODDITIES, Oddity, Plan
 
@@ -170,7 +170,7 @@ def says(plan: Plan, time: Array) -> Array:
 
 def _octets(plan: Plan, number: int, stamp: float, values: Array) -> bytes:
     if plan.door == "native":
-        return encode(HostFrame(number, stamp, *values))
+        return encode_frame(HostFrame(number, stamp, *values))
     if plan.door == "moog":
         return struct.pack(">6f", *values[0][list(moog.ORDER)])
     # An aircraft that is pushed to and fro along an axis; the washout makes poses of it.

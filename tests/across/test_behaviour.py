@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario import run_scenario, scenario_of
 
 SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "compare_behaviour.py"))
 REFERENCES = Path(__file__).parents[1] / "references"

@@ -28,10 +28,8 @@ from cmf_mj import Hexapod, Record, signals  # noqa: E402
 from cmf_mj.cli.facility import _end  # noqa: E402
 from cmf_mj.control.dcu.play import upsample  # noqa: E402
 from cmf_mj.control.dcu.state import resting  # noqa: E402
-from cmf_mj.control.law import load_law  # noqa: E402
 from cmf_mj.control.states import State  # noqa: E402
 from cmf_mj.core.units import STANDARD_GRAVITY  # noqa: E402
-from cmf_mj.electronics.chain import ElectronicsSettings  # noqa: E402
 from cmf_mj.facility.host.moog import MoogServer  # noqa: E402
 from cmf_mj.facility.host.stream import (  # noqa: E402
     HostStream,
@@ -41,7 +39,7 @@ from cmf_mj.facility.host.stream import (  # noqa: E402
 )
 from cmf_mj.facility.host.udp import (  # noqa: E402
     UdpReceiver,
-    encode,
+    encode_frame,
 )
 from cmf_mj.facility.operation import (  # noqa: E402
     Operation,
@@ -50,6 +48,7 @@ from cmf_mj.facility.operation import (  # noqa: E402
 )
 from cmf_mj.facility.run import Run  # noqa: E402
 from cmf_mj.facility.session import Session  # noqa: E402
+from cmf_mj.facility.settings import HostChain  # noqa: E402
 from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot import telemetry as live  # noqa: E402
 from cmf_mj.pilot.washout import Washout  # noqa: E402
@@ -295,7 +294,7 @@ def test_a_host_of_80_hz_that_comes_at_72_is_followed_over_udp() -> None:
         door = Native(receiver)
 
         def send(_: float) -> None:
-            line.sendto(encode(next(rows)), receiver.address)
+            line.sendto(encode_frame(next(rows)), receiver.address)
             door.sent += 1
 
         record = over_udp(ticks(72.0), send, door, 9.0).record
@@ -330,9 +329,11 @@ def test_telemetry_that_stutters_is_followed_over_udp() -> None:
 def test_a_demand_that_leaves_its_hosts_range_is_a_fault() -> None:
     """It cannot: the gap is pulled open behind the DCU's back."""
     stream = sine(0.005, 80.0)
-    run = Run(Hexapod(), load_law("velocity"), arrivals(stream), frames=8192)
-    guarded = run._replace(electronics=ElectronicsSettings(), protection="default")
-    session = guarded.session()
+    run = Run(
+        plant=Hexapod(), source=arrivals(stream), operation=HostChain(begin="engaged", requests=()),
+        duration=4.0, electronics={}, protection="default",
+    )  # fmt: skip
+    session = run.session()
     session.run(4096)
     assert session.fault is None
     for frame in range(40):

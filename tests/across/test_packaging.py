@@ -19,12 +19,12 @@ assert all(load_flight(name).motion.rate > 79.0 for name in flight_names()), fli
 assert len(flight_names()) == 7
 record = cmf_mj.simulate(plant, "velocity", np.zeros((20, 6)))
 assert record["leg_position"].shape == (20, 6)
-from cmf_mj.facility.scenario.library import load_scenario, scenario_names
-from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.scenario import load_scenario, scenario_names
+from cmf_mj.facility.run import SignalSession
 assert len(scenario_names()) >= 12
-run = ScenarioRun(load_scenario("heave_sine"))
-run.advance(20)
-assert run.latest().time == 20 / 2048
+run = SignalSession(load_scenario("heave_sine"))
+run.run(20)
+assert run.look().time == 20 / 2048
 assert (pathlib.Path(cmf_mj.__file__).parent / "py.typed").is_file()
 for name in ("README.md", "LICENSE", "CHANGELOG.md", "cmf_hexapod.png"):
     assert cmf_mj.machine.models.model_path(name).is_file()

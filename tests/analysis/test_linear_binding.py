@@ -11,10 +11,11 @@ from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.coordinates import make_shape, mode_mass
 from cmf_mj.control.law import Law
-from cmf_mj.facility.replay import law_of, replay
-from cmf_mj.facility.scenario.library import scenario_of
+from cmf_mj.facility.replay import replay
+from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine.cab import load_cab, recorded_cab
 from cmf_mj.record.record import Record
+from cmf_mj.report_2014.calibration.trial import law_of
 
 MODAL = load_law("modal_plan")
 HEAVY = load_cab("ifd").changed("heavy", mass=14e3, centre_of_mass=(0.2, 0.1, 1.1))

@@ -58,8 +58,8 @@ HELD = 8  # frames that a force is held
 
 def pushed(law: str | Law, axis: int, force: NDArray[np.float64]) -> NDArray[np.float64]:
     """Motion (N,) along an axis in the simulation, of a wrench (N,) about the centroid."""
-    run = Run(PLANT, load_law(law), from_table(np.zeros((1, 6))), record_every=HELD)
-    session = run._replace(frames=force.size * HELD).session()
+    run = Run(plant=PLANT, law=law, source=from_table(np.zeros((1, 6))), record_every=HELD)
+    session = run.but(duration=force.size * HELD / 2048).session()
     body = PLANT.model.body("platform").id
     data, wrench = PLANT.data, np.zeros(6)
     for now in force:

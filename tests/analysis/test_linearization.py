@@ -22,7 +22,7 @@ from cmf_mj.analysis.linear.poles import dof_model, leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
 from cmf_mj.analysis.response.periodic import fit_sines
 from cmf_mj.core import units
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.events import no_faults

@@ -12,10 +12,9 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.front import from_table
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import change_of
-from cmf_mj.facility.session import Session
+from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import change_of
 from cmf_mj.machine import kinematics
 
 INCH = 0.0254
@@ -113,30 +112,30 @@ def test_the_valve_command_is_continuous_between_all_laws_in_a_moving_run() -> N
     """
     way = circuit(tuple(name for name in LAWS if name != "original_as_printed"))
     assert len(way) == (len(LAWS) - 1) * (len(LAWS) - 2) + 1
-    run = ScenarioRun(
+    run = SignalSession(
         scenario_of(
             {"law": way[0], "signal": MOVING, "duration": "open", "protection": "default"}, "test"
         )
     )
-    run.advance(1024)
+    run.run(1024)
     for name in way[1:]:
-        earlier = run.latest().valve_command
-        run.advance(1)
-        before = run.latest().valve_command
+        earlier = run.look().valve_command
+        run.run(1)
+        before = run.look().valve_command
         run.apply(change_of({"law": name}))
-        run.advance(1)
-        jump = np.abs(run.latest().valve_command - 2.0 * before + earlier).max()
+        run.run(1)
+        jump = np.abs(run.look().valve_command - 2.0 * before + earlier).max()
         assert jump < 0.005, (name, run.frame)
-        run.advance(1023 if name == "modal_plan" else 162)
-    assert run.latest().fault is None
-    assert np.abs(run.latest().reference - run.latest().extension).max() < 0.03
+        run.run(1023 if name == "modal_plan" else 162)
+    assert run.look().fault is None
+    assert np.abs(run.look().reference - run.look().extension).max() < 0.03
 
 
 def kick(*laws: str, hertz: float = 10.0) -> float:
     """Largest leg acceleration [m/s^2] of 6.35 mm of heave at 1 Hz under laws in turns."""
     motion = signals.sine("heave", 0.25 * INCH, 1.0, cycles=4.0)
     legs = kinematics.pose_to_legs(motion.pose)
-    session = Session(Hexapod(), load_law(laws[0]), from_table(legs, motion.pose))
+    session = Run(plant=Hexapod(), law=laws[0], source=from_table(legs, motion.pose)).session()
     session.run(2048)
     for turn in range(1, 1 + round(6.0 * hertz)):
         if len(laws) > 1:

@@ -14,11 +14,11 @@ from numba.core.runtime import rtsys
 from numba.core.runtime._nrt_python import memsys_disable_stats, memsys_enable_stats
 
 import cmf_mj
-from cmf_mj import SingleLegs, load_law, signals, simulate
+from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.core.compiled import kernel_sources
 from cmf_mj.core.numba_inside import InTree
 from cmf_mj.facility.front import from_table
-from cmf_mj.facility.session import Session
+from cmf_mj.facility.run import Run
 from cmf_mj.machine import kinematics
 
 FORCES = """
@@ -174,7 +174,7 @@ def test_what_counts_no_references_calls_nothing_that_makes_arrays() -> None:
 
 
 def test_the_loop_allocates_nothing() -> None:
-    session = Session(SingleLegs(), load_law("velocity"), from_table(np.zeros((64, 6))))
+    session = Run(plant=SingleLegs(), source=from_table(np.zeros((64, 6)))).session()
     session.run(32)
     memsys_enable_stats()
     try:

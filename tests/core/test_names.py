@@ -19,8 +19,8 @@ from cmf_mj.core.files import in_folder
 from cmf_mj.core.settings import checked_name, validated
 from cmf_mj.electronics.converter import load_converters
 from cmf_mj.electronics.sensors.channel import load_sensors
-from cmf_mj.facility.scenario.library import scenario_names
-from cmf_mj.facility.scenario.settings import Outputs
+from cmf_mj.facility.scenario import scenario_names
+from cmf_mj.facility.settings import Outputs
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.models import CABS

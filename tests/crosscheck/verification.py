@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

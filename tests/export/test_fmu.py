@@ -18,7 +18,8 @@ from lengths import examples
 
 from cmf_mj import Hexapod, load_law
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.fmu import export_fmu, variables, write_fmu_sources
+from cmf_mj.export.fmu import export_fmu, fmu_files, variables
+from cmf_mj.export.library import write_files
 from cmf_mj.export.machine import freeze
 
 pytestmark = pytest.mark.slow
@@ -228,7 +229,7 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pope
     """A process that calls an FMU as it is told, under AddressSanitizer."""
     out = tmp_path_factory.mktemp("fuzz")
     frozen = freeze(Hexapod(), load_law("velocity"), ElectronicsSettings())
-    write_fmu_sources(frozen, variables(frozen), out)
+    write_files(fmu_files(frozen, variables(frozen)), out)
     command = ["cc", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command += ["-I.", "-isystem", "include", FUZZ, "cmf.c", *sorted(out.glob("*.o")), "-o", "fuzz"]
     command += [next(out.glob("libmujoco.so.*")).name, "-lm", "-Wl,-rpath,$ORIGIN"]

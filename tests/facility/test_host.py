@@ -50,8 +50,8 @@ from cmf_mj.facility.host.udp import (
     SIZE,
     DatagramError,
     UdpReceiver,
-    decode,
-    encode,
+    decode_frame,
+    encode_frame,
     read_key,
     send_stream,
 )
@@ -248,7 +248,7 @@ def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
 def test_a_datagram_is_laid_out_as_documented() -> None:
     """Against the struct module: another reading of the same table."""
     sent = frame()
-    data = encode(sent)
+    data = encode_frame(sent)
     body = struct.pack(
         "<4sHHQd18d",
         b"CMFH",
@@ -271,7 +271,7 @@ def test_a_datagram_is_laid_out_as_documented() -> None:
 )
 def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float]) -> None:
     sent = HostFrame(sequence, time, *np.array(values).reshape(3, 6))
-    found = decode(encode(sent))
+    found = decode_frame(encode_frame(sent))
     assert found.sequence == sequence
     assert struct.pack("<d", found.time) == struct.pack("<d", time)
     for name in ("pose", "velocity", "acceleration"):
@@ -280,37 +280,37 @@ def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float
 
 def forged(offset: int, octets: bytes) -> bytes:
     """A datagram with other octets and a checksum that fits them."""
-    body = bytearray(encode(frame())[:-4])
+    body = bytearray(encode_frame(frame())[:-4])
     body[offset : offset + len(octets)] = octets
     return bytes(body) + struct.pack("<I", zlib.crc32(body))
 
 
 MALFORMED = [
     (b"", "wrong_length"),
-    (encode(frame())[:-1], "wrong_length"),
-    (encode(frame()) + b"\0", "wrong_length"),
+    (encode_frame(frame())[:-1], "wrong_length"),
+    (encode_frame(frame()) + b"\0", "wrong_length"),
     (forged(0, b"CMFX"), "wrong_magic"),
     (forged(4, b"\2\0"), "wrong_version"),
     (forged(6, b"\1\0"), "wrong_length"),
     (forged(8, b"\xff" * 8), "wrong_sequence"),
-    (encode(frame())[:-4] + b"\0\0\0\0", "wrong_checksum"),
+    (encode_frame(frame())[:-4] + b"\0\0\0\0", "wrong_checksum"),
 ]
 
 
 @pytest.mark.parametrize(("data", "reason"), MALFORMED)
 def test_a_malformed_datagram_is_refused_with_its_reason(data: bytes, reason: str) -> None:
     with pytest.raises(DatagramError, match=reason) as error:
-        decode(data)
+        decode_frame(data)
     assert error.value.reason == reason
     assert reason in DATAGRAM_REASONS
 
 
 @given(bit=st.integers(0, 8 * SIZE - 1))
 def test_any_flipped_bit_is_noticed(bit: int) -> None:
-    data = bytearray(encode(frame()))
+    data = bytearray(encode_frame(frame()))
     data[bit // 8] ^= 1 << bit % 8
     with pytest.raises(DatagramError):
-        decode(bytes(data))
+        decode_frame(bytes(data))
 
 
 @settings(max_examples=200)
@@ -318,14 +318,14 @@ def test_any_flipped_bit_is_noticed(bit: int) -> None:
 @given(data=st.binary(max_size=400) | st.binary(min_size=SIZE, max_size=SIZE))
 def test_garbage_is_refused(data: bytes) -> None:
     with pytest.raises(DatagramError):
-        decode(data)
+        decode_frame(data)
 
 
 def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
     with pytest.raises(ValueError, match="sequence: -1"):
-        encode(frame(-1))
+        encode_frame(frame(-1))
     with pytest.raises(ValueError, match=r"pose: shape is \(5,\)"):
-        encode(frame()._replace(pose=np.zeros(5)))
+        encode_frame(frame()._replace(pose=np.zeros(5)))
 
 
 # Hand-over
@@ -460,7 +460,7 @@ def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
         for data, reason in MALFORMED:
             raw.sendto(data, receiver.address)
             expected[reason] += 1
-        raw.sendto(encode(frame()), receiver.address)
+        raw.sendto(encode_frame(frame()), receiver.address)
         raw.sendto(b"\0" * 5000, receiver.address)
         expected["wrong_length"] += 1
         wait_for(receiver, len(MALFORMED) + 2)
@@ -481,7 +481,7 @@ def test_other_senders_are_dropped_and_counted() -> None:
         port = mine.getsockname()[1]
         with UdpReceiver(host="127.0.0.1", host_port=port) as receiver:
             for sender in (stranger, neighbour, mine):
-                sender.sendto(encode(frame()), receiver.address)
+                sender.sendto(encode_frame(frame()), receiver.address)
             wait_for(receiver, 3)
             assert receiver.received == 1
             assert receiver.refused["wrong_sender"] == 2
@@ -493,21 +493,21 @@ def test_with_a_session_key_only_its_owner_is_the_host(tmp_path: Path) -> None:
     path.write_text("0123456789abcdef\n")
     key = read_key(path)
     assert key == b"0123456789abcdef"
-    data = encode(frame(), key)
+    data = encode_frame(frame(), key)
     assert len(data) == SIZE + 16 and data[4:8] == b"\2\0\xbc\0"
     assert data[SIZE:] == hashlib.blake2s(data[:SIZE], key=key, digest_size=16).digest()
-    assert np.array_equal(decode(data, key).pose, frame().pose)
+    assert np.array_equal(decode_frame(data, key).pose, frame().pose)
     others = [
-        (encode(frame()), "wrong_length"),
-        (encode(frame(), b"another key 1234"), "wrong_key"),
+        (encode_frame(frame()), "wrong_length"),
+        (encode_frame(frame(), b"another key 1234"), "wrong_key"),
         (data[:-1] + bytes([data[-1] ^ 1]), "wrong_key"),
         (data[:20] + bytes([data[20] ^ 1]) + data[21:], "wrong_key"),
     ]
     for octets, reason in others:
         with pytest.raises(DatagramError, match=reason):
-            decode(octets, key)
+            decode_frame(octets, key)
     with pytest.raises(DatagramError, match="wrong_length"):
-        decode(data)
+        decode_frame(data)
     with (
         UdpReceiver(key=key) as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
@@ -647,7 +647,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
     datagrams=st.lists(
         st.binary(max_size=200)
         | st.builds(
-            lambda n, t, v: encode(HostFrame(n, t, *np.full((3, 6), v))),
+            lambda n, t, v: encode_frame(HostFrame(n, t, *np.full((3, 6), v))),
             st.integers(0, 100),
             st.floats(),
             st.floats(),
@@ -665,7 +665,7 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
     for now in range(len(datagrams) * 26 + 600):
         if now % 26 == 0 and now // 26 < len(datagrams):
             try:
-                put(ring, decode(datagrams[now // 26]))
+                put(ring, decode_frame(datagrams[now // 26]))
             except DatagramError:
                 refused += 1
         filled = collect(ring, log, filled, now)

@@ -1,5 +1,7 @@
 """The facility in operation on the real plant: cycle, faults, delay, bad hosts, replay."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -341,23 +343,20 @@ def test_refusals() -> None:
     empty = Arrivals(np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros((0, 3, 6)))
     with pytest.raises(ValueError, match="frames: the host sends none"):
         operate(plant, law, empty)
-    with pytest.raises(ValueError, match="seconds: nan must be greater than 0"):
-        operate(plant, law, sine(1.0), seconds=float("nan"))
-    with pytest.raises(ValueError, match="seconds: 1e.17 must be at most 1.04858e.06"):
-        operate(plant, law, sine(1.0), seconds=1e17)
-    with pytest.raises(ValueError, match=r"requests: \(1e.300, <Request.HOLD: 4>\) is refused"):
-        operate(plant, law, sine(1.0), requests=[(1e300, Request.HOLD)])
-    for wrong in ((1.0, State.RETURN), (1.0, "TRIP"), (1.0, 99), (Request.TRIP, 1.0), (1.0,)):
-        with pytest.raises(InputError, match=r"requests: \(.* is refused; allowed: a time of 0 to"):
-            operate(plant, law, sine(1.0), requests=[wrong])
-    with pytest.raises(InputError, match="code: 'ENGAGED' is no state to start in"):
-        operate(plant, law, sine(1.0), begin="ENGAGED")
-    with pytest.raises(ValueError, match="record_every: a record of 2097152"):
-        operate(plant, law, sine(1.0), seconds=10_240.0)
-    with pytest.raises(ValueError, match="record_every: 0 is refused; allowed: a whole"):
-        operate(plant, law, sine(1.0), record_every=0)
-    with pytest.raises(ValueError, match="RAISE: 2> is no state to start in"):
-        operate(plant, law, sine(1.0), begin=State.RAISE)
+    pairs = ((1e300, Request.HOLD), (1.0, State.RETURN), (1.0, 99), (Request.TRIP, 1.0), (1.0,))
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"seconds": float("nan")}, "seconds: nan is refused; allowed: above 0, up to 1.04858e"),
+        ({"seconds": 1e17}, "seconds: 1e.17 is refused"),
+        *(({"requests": [pair]}, r"operation\.requests\.0") for pair in pairs),
+        ({"begin": "ENGAGED"}, "begin: 'ENGAGED' is refused: input should be 'off'"),
+        ({"begin": State.RAISE}, "begin: .* is refused: input should be 'off'"),
+        ({"seconds": 10_240.0}, "record_every: a record of 2097152"),
+        ({"record_every": 0}, "record_every: 0 is refused: input should be greater"),
+        ({"electronic": None}, "option: 'electronic' is not one of .*did you mean electronics"),
+    ]
+    for options, said in refused:
+        with pytest.raises(InputError, match=said):
+            operate(plant, law, sine(1.0), **options)
 
 
 def test_a_first_frame_beyond_the_limits_begins_at_neutral() -> None:

@@ -12,14 +12,24 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from cmf_mj import Hexapod, Record, SingleLegs, drive, load_law, signals, simulate, simulate_many
-from cmf_mj.control.states import State
+from cmf_mj import (
+    Hexapod,
+    Record,
+    SingleLegs,
+    compare,
+    drive,
+    load_law,
+    signals,
+    simulate,
+    simulate_many,
+)
 from cmf_mj.core.errors import CmfError, InputError
-from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.pace import make_pace
-from cmf_mj.facility.run import LegDemand, Run, ValveCommands
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.settings import HostChain
+from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.studies.engine import Workers
 
@@ -30,15 +40,15 @@ PLANT = SingleLegs()
 @pytest.mark.parametrize("field", ["record_every", "command_delay"])
 @pytest.mark.parametrize("value", [1.5, True, np.True_, "2", -1, float("nan"), [1], 10**12])
 def test_a_number_of_frames_is_a_whole_number(field: str, value: Any) -> None:
-    with pytest.raises(InputError, match=f"{field}: .* is refused; allowed: a whole number from"):
+    with pytest.raises(InputError, match=f"{field}: .* is refused: input should be"):
         simulate(PLANT, "velocity", STILL, **{field: value})
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64, np.uint8])
 def test_whole_numbers_of_numpy_become_python_s(kind: type) -> None:
     """A number of another type would compile a loop of its own, for 14 to 29 s."""
-    run = Run(PLANT, load_law("velocity"), from_table(STILL), frames=kind(8))
-    session = run._replace(record_every=kind(2), command_delay=kind(1)).session()
+    run = Run(plant=PLANT, source=from_table(STILL), record_every=kind(2), command_delay=kind(1))
+    session = run.session()
     numbers = session.every, session.controller.delay, session.frames
     assert numbers == (2, 1, 8) and {type(number) for number in numbers} == {int}
     one, other = (simulate(PLANT, "velocity", STILL, record_every=every) for every in (2, kind(2)))
@@ -48,15 +58,12 @@ def test_whole_numbers_of_numpy_become_python_s(kind: type) -> None:
 def test_a_run_is_what_simulate_and_drive_make_of_their_arguments() -> None:
     legs, options = 0.01 + STILL, {"record_every": 2, "command_delay": 3}
     pairs = (
-        (simulate(PLANT, "velocity", STILL, **options), (PLANT, "velocity", STILL)),
-        (
-            simulate(PLANT, "velocity", legs, legs=True, **options),
-            (PLANT, "velocity", LegDemand(legs)),
-        ),
-        (drive(PLANT, legs, **options), (PLANT, None, ValveCommands(legs))),
+        (simulate(PLANT, "velocity", STILL, **options), {"source": STILL}),
+        (simulate(PLANT, "velocity", legs, legs=True, **options), {"source": LegDemand(legs)}),
+        (drive(PLANT, legs, **options), {"law": None, "source": ValveCommands(legs)}),
     )
     for record, run in pairs:
-        same = Run(*run, **options).record()
+        same = Run(plant=PLANT, **run, **options).record()
         assert same.metadata == record.metadata
         for name, values in record.channels.items():
             assert same[name].tobytes() == values.tobytes(), name
@@ -64,13 +71,13 @@ def test_a_run_is_what_simulate_and_drive_make_of_their_arguments() -> None:
 
 def test_all_runs_share_one_compiled_loop() -> None:
     """On a table, in open loop, on a host with electronics in real time: the same types."""
-    plant = Hexapod()
-    bare = Run(plant, load_law("velocity"), from_table(STILL), frames=8)
-    hosted = bare._replace(source=make_log(4), electronics=ElectronicsSettings())
+    bare = Run(plant=Hexapod(), source=from_table(STILL))
+    chain = HostChain(begin="off")
+    hosted = bare.but(source=make_log(4), operation=chain, electronics={}, protection="default")
     runs = (
         bare.session(),
-        bare._replace(law=None, source=ValveCommands(STILL)).session(),
-        hosted._replace(protection="default", begin=State.OFF).session(pace=make_pace(8)),
+        bare.but(law=None, source=ValveCommands(STILL)).session(),
+        hosted.but(duration=8 / 2048).session(pace=make_pace(8)),
     )
     assert len({str(typeof(run.parts)) for run in runs}) == 1
 
@@ -85,6 +92,8 @@ def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
     ):
         with pytest.raises(InputError, match=said):
             run()
+    with pytest.raises(InputError, match="option: 'quik' is not one of quick, .*did you mean qui"):
+        compare(["velocity"], ["heave"], quik=True)
 
 
 @pytest.mark.parametrize("plant", ["gfd", None, SingleLegs])

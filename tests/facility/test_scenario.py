@@ -14,15 +14,16 @@ from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME, RATE
-from cmf_mj.facility.scenario.library import (
+from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.scenario import (
     load_scenario,
+    run_scenario,
     save_scenario,
     scenario_names,
     scenario_of,
 )
-from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
-from cmf_mj.facility.scenario.settings import Scenario, change_of
-from cmf_mj.facility.scenario.signal import Demand, added
+from cmf_mj.facility.settings import change_of
+from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import FadedSines
 from cmf_mj.signals.signal import tabulated
@@ -31,7 +32,7 @@ SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2
 ROLL = {"kind": "sine", "dof": "roll", "amplitude": [0.5, "deg"], "frequency": 1.0, "fade": 0.1}
 
 
-def scenario(**fields: Any) -> Scenario:
+def scenario(**fields: Any) -> Run:
     return scenario_of({"duration": 0.5, "signal": [SINE]} | fields, "test")
 
 
@@ -119,9 +120,9 @@ def test_what_is_refused_is_named(table: dict[str, Any], said: str) -> None:
 
 def test_impossible_changes_are_refused_before_the_run() -> None:
     with pytest.raises(ValueError, match="body: 'wing' is not one of platform"):
-        ScenarioRun(scenario(change=[{"at": 0.1, "push": {"body": "wing"}}]))
+        SignalSession(scenario(change=[{"at": 0.1, "push": {"body": "wing"}}]))
     with pytest.raises(ValueError, match="leg: 7 of valve_dead is not a leg; allowed: 1 to 6"):
-        ScenarioRun(scenario(change=[{"at": 0.1, "failure": [{"kind": "valve_dead", "leg": 7}]}]))
+        SignalSession(scenario(change=[{"at": 0.1, "failure": [{"kind": "valve_dead", "leg": 7}]}]))
     with pytest.raises(ValueError, match="duration: is open"):
         run_scenario(scenario(duration="open"))
 
@@ -132,7 +133,7 @@ def test_impossible_changes_are_refused_before_the_run() -> None:
 def test_a_take_over_joins_without_a_jump() -> None:
     """Least jerk: the blend is half way at half time, and rests at both ends."""
     low, high = (tabulated(np.full((2, 6), value)) for value in (1.0, 3.0))
-    demand = Demand(low)
+    demand = LayeredDemand(low)
     demand.change(100, high, 200)
     poses = demand.poses(0, 400)[:, 0]
     assert (poses[:101] == 1.0).all()
@@ -144,14 +145,14 @@ def test_a_take_over_joins_without_a_jump() -> None:
 
 def test_a_second_take_over_starts_from_the_first() -> None:
     parts = [tabulated(np.full((1, 6), value)) for value in (0.0, 1.0, 2.0)]
-    demand = Demand(parts[0])
+    demand = LayeredDemand(parts[0])
     demand.change(10, parts[1], 100)
     demand.change(60, parts[2], 100)
     poses = demand.poses(0, 200)[:, 0]
     assert np.abs(np.diff(poses)).max() < 0.05
     assert poses[60] == 0.5
     assert poses[-1] == 2.0
-    again = Demand(parts[0])
+    again = LayeredDemand(parts[0])
     again.change(10, parts[1], 100)
     before = again.poses(0, 200)
     again.change(60, parts[2], 100)
@@ -194,41 +195,41 @@ LIVE = [
 
 
 @pytest.fixture(scope="module")
-def live() -> Iterator[ScenarioRun]:
+def live() -> Iterator[SignalSession]:
     """Changed at odd frames, advanced in odd parts; the changes end in the third block."""
-    run = ScenarioRun(scenario(duration="open", record_every=3))
+    run = SignalSession(scenario(duration="open", record_every=3))
     for number, change in enumerate(LIVE):
         for part in (7, 201 + 31 * number, 100):
-            run.advance(part)
+            run.run(part)
         run.apply(change_of(change))
-    run.advance(333)
+    run.run(333)
     yield run
 
 
-def test_what_was_done_live_runs_again_bit_for_bit(live: ScenarioRun, tmp_path: Path) -> None:
-    path = save_scenario(live.scenario(), tmp_path / "done.toml")
+def test_what_was_done_live_runs_again_bit_for_bit(live: SignalSession, tmp_path: Path) -> None:
+    path = save_scenario(live.done(), tmp_path / "done.toml")
     result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     same(live.record(), Record.load(tmp_path / "out" / "record.parquet"))
-    assert load_scenario(tmp_path / "out" / "scenario.toml") == live.scenario()
+    assert load_scenario(tmp_path / "out" / "scenario.toml") == live.done()
 
 
-def test_the_look_at_a_run_is_its_record(live: ScenarioRun) -> None:
-    full = ScenarioRun(live.scenario().model_copy(update={"record_every": 1}))
-    full.advance(live.frame)
-    look, record = full.latest(), full.record()
+def test_the_look_at_a_run_is_its_record(live: SignalSession) -> None:
+    full = SignalSession(live.done().model_copy(update={"record_every": 1}))
+    full.run(live.frame)
+    look, record = full.look(), full.record()
     assert look.time == full.frame * FRAME
     np.testing.assert_array_equal(look.valve_command, record["valve_command"][-1])
     np.testing.assert_array_equal(look.reference, record["leg_reference"][-1])
     np.testing.assert_array_equal(look.demand, record["demand_pose"][-1])
     assert look.law == "velocity"
     assert look.fault is None
-    np.testing.assert_array_equal(live.latest().qpos, look.qpos)
+    np.testing.assert_array_equal(live.look().qpos, look.qpos)
 
 
-def test_each_change_acts(live: ScenarioRun) -> None:
+def test_each_change_acts(live: SignalSession) -> None:
     """A scenario without one of the changes is another run."""
-    done = live.scenario()
+    done = live.done()
     for number in range(len(done.change) - 1):
         fewer = done.change[:number] + done.change[number + 1 :]
         other = run_scenario(done.model_copy(update={"change": fewer}))
@@ -254,12 +255,12 @@ def test_a_push_lifts_what_it_pushes() -> None:
 
 
 def test_an_open_run_keeps_only_the_last_seconds() -> None:
-    run = ScenarioRun(scenario(duration="open", record_every=4), keep=0.5)
-    run.advance(3 * 1024 + 512)
+    run = SignalSession(scenario(duration="open", record_every=4), keep=0.5)
+    run.run(3 * 1024 + 512)
     record = run.record()
-    assert record.time.size == (1024 + 512) // 4
-    assert record.time[0] == 1.0
-    whole = run_scenario(run.scenario())
+    assert record.time.size == 1024 // 4
+    assert record.time[0] == 1.25
+    whole = run_scenario(run.done())
     for name in record.channels:
         np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
 
@@ -267,13 +268,13 @@ def test_an_open_run_keeps_only_the_last_seconds() -> None:
 @pytest.mark.parametrize("law", ["velocity", "modal_plan"])
 def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
     """A list of six too; what a file holds is read back."""
-    run = ScenarioRun(scenario(law=law, duration="open", record_every=3))
+    run = SignalSession(scenario(law=law, duration="open", record_every=3))
     changes = [{"law": "modal_plan"}, {"gains": {"plan": {"position": [30.0] * 6}}}, {"law": law}]
     for change in changes:
-        run.advance(300)
+        run.run(300)
         run.apply(change_of(change))
-    run.advance(100)
-    done = run.scenario()
+    run.run(100)
+    done = run.done()
     assert [change.law for change in done.change] == ["modal_plan", None, law]
     same(run.record(), run_scenario(done))
 
@@ -289,10 +290,10 @@ def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: P
     for fields in ({"change": [change]}, {"law": str(path)}):
         with pytest.raises(ValueError, match="law odd has none of 'gfd'; it has ifd"):
             scenario(**fields)
-    run = ScenarioRun(scenario())
+    run = SignalSession(scenario())
     with pytest.raises(ValueError, match="none of 'gfd'"):
         run.apply(change_of({"law": str(path)}))
-    run.advance(10)
+    run.run(10)
 
 
 def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
@@ -301,24 +302,24 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
     path.write_text(tomlkit.dumps({"mine": {"title": "Mine", "direct_gain": {"reference": 40.0}}}))
     gains = {"frame": 300, "gains": {"plan": {"position": 20.0}}}
     later = [gains, {"frame": 400, "law": str(path)}]
-    run = ScenarioRun(scenario(law="modal_plan", duration=0.25, change=later))
+    run = SignalSession(scenario(law="modal_plan", duration=0.25, change=later))
     path.unlink()
-    run.advance(100)
+    run.run(100)
     with pytest.raises(ValueError, match="plan.speed: is missing"):
         run.apply(change_of({"law": "velocity"}))
     run.apply(change_of({"law": "modal_plan"}))
-    run.advance(1000)
-    assert run.finished and run.latest().law == "mine"
+    run.run(1000)
+    assert run.frame == run.frames and run.look().law == "mine"
 
 
 def test_a_change_with_a_time_is_not_for_now() -> None:
-    run = ScenarioRun(scenario())
+    run = SignalSession(scenario())
     with pytest.raises(ValueError, match="at: 0.2 is refused; a change applied live happens"):
         run.apply(change_of({"at": 0.2}))
 
 
 def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
-    run = ScenarioRun(
+    run = SignalSession(
         scenario(
             duration="open",
             record_every=2,
@@ -329,25 +330,25 @@ def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
         )
     )
     for change in ({"signal": [ROLL | {"fade": 1.0}]}, {"request": "hold"}, {"law": "original"}):
-        run.advance(700)
+        run.run(700)
         run.apply(change_of(change))
-    run.advance(500)
-    assert run.latest().state == "hold"
+    run.run(500)
+    assert run.look().state == "hold"
     record = run.record()
     assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
     assert not any(record.metadata["host_rejections"].values())
-    same(record, run_scenario(run.scenario()))
+    same(record, run_scenario(run.done()))
 
 
 # Command line
 
 
-def shortened(full: Scenario, seconds: float) -> Scenario:
+def shortened(full: Run, seconds: float) -> Run:
     """All times of a scenario squeezed into a few seconds; its signals begin as they do."""
     assert isinstance(full.duration, float)
     share = seconds / full.duration
     fields: dict[str, Any] = {"duration": seconds}
-    fields["event"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.event)
+    fields["events"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.events)
     fields["change"] = tuple(
         c.model_copy(update={"at": None, "frame": round(c.when() * share)}) for c in full.change
     )
@@ -357,8 +358,8 @@ def shortened(full: Scenario, seconds: float) -> Scenario:
         for one in full.signal
     )
     if full.operation is not None:
-        requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.request)
-        fields["operation"] = full.operation.model_copy(update={"request": requests})
+        requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.requests)
+        fields["operation"] = full.operation.model_copy(update={"requests": requests})
     return full.model_copy(update=fields)
 
 
@@ -376,7 +377,8 @@ def test_shipped_scenarios_run(name: str, tmp_path: Path, drawn: dict[str, set[s
 
 def test_schema_and_list() -> None:
     schema = json.loads(CliRunner().invoke(app, ["run", "--schema"]).output)
-    assert set(schema["properties"]) == set(Scenario.model_fields)
+    names = {"event" if name == "events" else name for name in Run.model_fields}
+    assert set(schema["properties"]) == names - {"source", "start"}
     listed = CliRunner().invoke(app, ["run"]).output
     assert all(name in listed for name in scenario_names())
 

@@ -12,9 +12,9 @@ from numpy.random import Generator
 
 from cmf_mj import InputError, RunError
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import Scenario, change_of
+from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import change_of
 
 LONGEST_RUN = 10_240  #: Frames of a run in random operation.
 
@@ -32,18 +32,18 @@ def tried(table: dict[str, Any]) -> str:
     """How far a file comes: refused, or run to the end or to a bound that is named."""
     begun = time.process_time()
     try:
-        run = ScenarioRun(scenario_of(table, "test"))
+        run = SignalSession(scenario_of(table, "test"))
     except InputError as error:
         check_refusal(error, table)
         return "refused"
     finally:
         assert time.process_time() - begun < PATIENCE
     try:
-        run.advance(400)
+        run.run(400)
     except RunError as error:
         assert " at " in str(error) and str(error).endswith(" s")
     record = run.record()
-    assert record.time.size == -(-run.frame // run.scenario().record_every)
+    assert record.time.size == -(-run.frame // run.done().record_every)
     for name, values in record.channels.items():
         assert np.isfinite(values).all(), name
     return "run"
@@ -51,9 +51,9 @@ def tried(table: dict[str, Any]) -> str:
 
 @pytest.mark.parametrize("table", scenarios(), ids=["plain", "chain"])
 def test_what_is_spoiled_below_runs_as_it_is(table: dict[str, Any]) -> None:
-    run = ScenarioRun(scenario_of(table, "test"))
-    run.advance(400)
-    assert run.finished
+    run = SignalSession(scenario_of(table, "test"))
+    run.run(400)
+    assert run.frame == run.frames
 
 
 @pytest.mark.fuzz
@@ -98,7 +98,7 @@ def test_what_once_died_in_the_middle_is_refused_at_the_start(
 ) -> None:
     with pytest.raises(InputError) as refused:
         table = scenarios()[0] | {"outputs": {"video": {}}}
-        ScenarioRun(scenario_of(spoiled(table, place, value), "test"))
+        SignalSession(scenario_of(spoiled(table, place, value), "test"))
     assert said in str(refused.value)
 
 
@@ -107,16 +107,16 @@ def test_three_thousand_changes_are_done() -> None:
     changes = [
         {"frame": number // 10, "law": ("velocity", "force")[number % 2]} for number in range(100)
     ] + [{"frame": 20, "push": {"force": [float(number), 0.0, 0.0]}} for number in range(2900)]
-    run = ScenarioRun(scenario_of({"duration": 0.02, "change": changes}, "test"))
-    run.advance(400)
-    assert run.finished and len(run.scenario().change) == 3000
-    assert run.latest().law == "force"
+    run = SignalSession(scenario_of({"duration": 0.02, "change": changes}, "test"))
+    run.run(400)
+    assert run.frame == run.frames and len(run.done().change) == 3000
+    assert run.look().law == "force"
 
 
 # Live
 
 
-def machine(draw: Generator) -> Scenario:
+def machine(draw: Generator) -> Run:
     """Either machine, any cab, with or without the chain from the host, as in real use."""
     chain = bool(draw.random() < 0.5)
     table: dict[str, Any] = {
@@ -145,18 +145,18 @@ def operated(seed: int, frames: int) -> dict[str, int]:
     laws = set()
     while counts["frames"] < frames:
         try:
-            run = ScenarioRun(machine(draw), keep=5.0)
+            run = SignalSession(machine(draw), keep=5.0)
         except InputError:  # a law that is not for this machine
             counts["refused"] += 1
             continue
         counts["runs"] += 1
         most = min(LONGEST_RUN, frames - counts["frames"])
-        chain = run.latest().state != ""
+        chain = run.look().state != ""
         try:
             while run.frame < most:
-                run.advance(int(min(draw.integers(1, 1500), most - run.frame)))
+                run.run(int(min(draw.integers(1, 1500), most - run.frame)))
                 counts["changes"] += 1
-                laws.add(run.latest().law)
+                laws.add(run.look().law)
                 try:
                     run.apply(change_of(random_change(draw, chain)))
                 except InputError as error:
@@ -168,12 +168,12 @@ def operated(seed: int, frames: int) -> dict[str, int]:
         ended = run.frame < most  # the step of the frame that ended it is made, its row is not
         assert abs(run.plant.data.time - (run.frame + ended) * FRAME) < 1e-6 + 2 * FRAME * ended
         check_kept(run)
-        counts["faults"] += run.latest().fault is not None
+        counts["faults"] += run.look().fault is not None
         counts["frames"] += max(run.frame, 1)
     return counts | {"laws": len(laws)}
 
 
-def check_kept(run: ScenarioRun) -> None:
+def check_kept(run: SignalSession) -> None:
     """The record has a row for every sixteenth frame, with numbers within bounds."""
     record, plant = run.record(), run.plant
     rows = np.arange(-(-run.frame // 16))

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, InputError, SingleLegs, attach_hydraulics
-from cmf_mj.control.law import load_law
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.front import from_table
+from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.machine import models
 from cmf_mj.plant.plant import Plant
@@ -24,7 +24,7 @@ AT = 100  #: Control frame of the blow.
 
 
 def session(plant: Plant) -> Session:
-    return Session(plant, load_law("velocity"), from_table(np.zeros((2048, plant.legs))))
+    return Run(plant=plant, source=from_table(np.zeros((2048, plant.legs)))).session()
 
 
 def excavator() -> Plant:
@@ -82,7 +82,7 @@ def test_bad_controls_of_other_motors_end_the_run() -> None:
     </worldbody><actuator><motor name="spin" joint="spin"/></actuator></mujoco>
     """
     plant = attach_hydraulics(mujoco.MjSpec.from_string(text), ["ram"])
-    run = Session(plant, None, from_table(np.zeros((64, 1))))
+    run = Run(plant=plant, law=None, source=from_table(np.zeros((64, 1)))).session()
     run.run(8)
     plant.data.ctrl[plant.model.actuator("spin").id] = np.nan
     with pytest.raises(OutOfBounds, match="lift: MuJoCo warns of BADCTRL"):

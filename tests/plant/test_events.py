@@ -8,7 +8,7 @@ from hydraulic_equations import INCH, PSI, areas, changed, leakage
 from pydantic import ValidationError
 
 from cmf_mj import Hexapod, Record, SingleLegs, simulate
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.plant.events import KINDS, Event, make_timeline
 
 LBF = 0.45359237 * 9.80665

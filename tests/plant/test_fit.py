@@ -9,7 +9,7 @@ import pytest
 
 from cmf_mj import Hexapod, InputError, SingleLegs
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.hexapod import hexapod_spec

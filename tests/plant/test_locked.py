@@ -6,7 +6,7 @@ from hydraulic_equations import INCH, PSI, WEIGHT, areas, changed, leakage
 
 from cmf_mj import Hexapod, SingleLegs
 from cmf_mj.core import units
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 

@@ -22,9 +22,9 @@ from cmf_mj.electronics.sensors.channel import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.run import dcu_of
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.run import SignalSession
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import dcu_of
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import paired_circles
@@ -288,13 +288,13 @@ def test_the_studio_runs_a_machine_with_edited_gimbals(tmp_path: Path) -> None:
     text = text.replace("upper_radius = { value = 1.6", "upper_radius = { value = 1.5")
     (file := tmp_path / "wide.toml").write_text(text)
     signal = {"kind": "step", "dof": "yaw", "amplitude": 0.1, "at": 0.1}
-    run = ScenarioRun(scenario_of({"machine": str(file), "signal": [signal]}, "test"))
-    run.advance(500)
+    run = SignalSession(scenario_of({"machine": str(file), "signal": [signal]}, "test"))
+    run.run(500)
     shape = paired_circles((1.5, np.radians(7.166644)), (1.65, np.radians(20.951369)), 2.39)
     before, after = (
         np.linalg.norm(shape[0] @ turn(0.0, 0.0, yaw).T - shape[1], axis=1) for yaw in (0.0, 0.1)
     )
-    np.testing.assert_allclose(run.latest().reference, after - before, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.look().reference, after - before, rtol=0, atol=1e-9)
 
 
 def test_the_design_point_of_single_legs() -> None:

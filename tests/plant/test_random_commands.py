@@ -8,7 +8,7 @@ from hydraulic_equations import changed, leakage, port_flows
 from scipy import optimize
 
 from cmf_mj import Hexapod, Record, SingleLegs
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant

@@ -18,7 +18,7 @@ from hydraulic_equations import (
 from scipy import integrate
 
 from cmf_mj import Record, SingleLegs
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.plant.cylinder import make_cylinders
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, rest

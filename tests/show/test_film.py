@@ -15,8 +15,8 @@ from cmf_mj import Record
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.errors import MissingExtraError
-from cmf_mj.facility.scenario import library as scenario
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility import scenario
+from cmf_mj.facility.scenario import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import stage
 from cmf_mj.show.film import FilmSettings, check_film, film
@@ -26,7 +26,7 @@ from cmf_mj.show.stage import FilmStage, Strip, choose_backend, traces_of
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 
 
-def quick(**fields: Any) -> scenario.Scenario:
+def quick(**fields: Any) -> scenario.Run:
     sine = {"kind": "sine", "dof": "heave", "amplitude": [6.0, "in"], "frequency": 1.0}
     return scenario.scenario_of({"duration": 0.5, "signal": [sine]} | fields, "test")
 

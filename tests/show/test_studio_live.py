@@ -23,9 +23,9 @@ from cmf_mj import InputError, RunError
 from cmf_mj.cli.common import app
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
-from cmf_mj.facility.scenario.library import scenario_of, scenario_toml
-from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import Scenario, change_of
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import run_scenario, scenario_of, scenario_toml
+from cmf_mj.facility.settings import change_of
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import desk
 from cmf_mj.show.studio.controls import lamp
@@ -44,7 +44,7 @@ from cmf_mj.show.studio.plots import Plots, spikes
 SHORT = {"duration": 1.0, "record_every": 16}
 
 
-def heave(**settings: object) -> Scenario:
+def heave(**settings: object) -> Run:
     signal = desk.signal_table("sine", "heave", 2.0, frequency=2.0)
     return scenario_of({"signal": signal, **SHORT, **settings}, "test")
 
@@ -74,7 +74,7 @@ class Screen:
     def wait_for_time(self, seconds: float) -> None:
         self.wait(lambda: self.views and self.views[-1].live.time >= seconds)
 
-    def session(self, scenario: Scenario) -> LiveSession:
+    def session(self, scenario: Run) -> LiveSession:
         """A session that goes on until the test ends."""
         self.opened = LiveSession(scenario, self.show, self.tell)
         self.opened.start()
@@ -172,7 +172,7 @@ def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None
     assert begun.law == "force"
     assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
     assert [signal.kind for signal in begun.signal] == ["step"]
-    assert begun.change == () and begun.event == () and begun.duration == "open"
+    assert begun.change == () and begun.events == () and begun.duration == "open"
 
 
 # Sessions.
@@ -222,7 +222,7 @@ def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
         screen.views.clear()
     session.apply(change_of({"law": "position_error_rate"})).result()
     screen.wait_for_time(session._past[-1].time + 0.1)
-    assert session._beside is not None and session._beside.latest().law == "force"
+    assert session._beside is not None and session._beside.look().law == "force"
     with pytest.raises(InputError, match="nobody"):
         session.begin(heave(), "nobody").result()
     session.close()
@@ -382,8 +382,7 @@ def test_session_answers_whoever_asks_whatever_is_asked(seed: int, screen: Scree
 def test_session_keeps_a_bounded_record() -> None:
     screen = Screen()
     session = LiveSession(heave(record_every=1), screen.show, screen.tell)
-    most = session._run._most * 1024  # rows at every frame
-    assert most <= KEPT_ROWS + 1024
+    assert session._run.parts[3].out.shape[0] <= KEPT_ROWS
 
 
 # The command.

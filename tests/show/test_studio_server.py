@@ -17,8 +17,7 @@ import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
-from cmf_mj.facility.scenario.library import load_scenario
-from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario import load_scenario, run_scenario
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.studio import desk, live
 from cmf_mj.show.studio.server import Page as StudioPage

@@ -19,7 +19,7 @@ from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.control.plan import actuator_polynomial
 from cmf_mj.core.files import write_table
-from cmf_mj.facility.run import drive
+from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

@@ -33,7 +33,7 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostFrame
-from cmf_mj.facility.host.udp import LOOPBACK, check_address, open_socket
+from cmf_mj.facility.host.udp import LOOPBACK, HostPort
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.plant.events import STOPPED
@@ -110,6 +110,16 @@ class Discrete(IntFlag):
 
 _MODES = {Word.LENGTH_MODE: 0x00, Word.DOF_MODE: 0x20}
 """Mode bits of the machine state."""
+
+_STOPS = {Word.INHIBIT: MachineState.INHIBITED, Word.DISABLE: MachineState.DISABLED}
+"""State that a word stops the base in."""
+
+_ASKS = {
+    **dict.fromkeys((Word.ENGAGE, Word.START), Request.ENGAGE),
+    **dict.fromkeys((Word.PARK, Word.DISABLE), Request.OFF),
+    Word.RESET: Request.RESET,
+}
+"""What a word requests of the facility."""
 
 _VALID = {
     Word.PARK: (MachineState.ENGAGED, MachineState.STANDBY),
@@ -225,22 +235,20 @@ class MoogBase:
         return pose if (np.abs(pose) <= bounds.dcu.pose).all() else None
 
     def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
-        progress = session.source.progress[0]
+        inhibited = self._stopped == MachineState.INHIBITED
         if word in _MODES:
             self._mode = word
-        elif word in (Word.ENGAGE, Word.START):
+        if word in _STOPS:
+            self._stopped = _STOPS[word]
+        if word in (Word.ENGAGE, Word.START):
             self._begin = pose
-            progress.request = Request.ENGAGE.value
-        elif word == Word.PARK:
-            progress.request = Request.OFF.value
-        elif word == Word.RESET and self._stopped == MachineState.INHIBITED:
+        if word == Word.RESET and inhibited:
             self._stopped = MachineState.IDLE
-        elif word == Word.RESET:
-            self.latched, progress.request = Latched(0), Request.RESET.value
-        elif word == Word.INHIBIT:
-            self._stopped = MachineState.INHIBITED
-        elif word == Word.DISABLE:
-            self._stopped, progress.request = MachineState.DISABLED, Request.OFF.value
+            return
+        if word == Word.RESET:
+            self.latched = Latched(0)
+        if word in _ASKS:
+            session.source.progress[0].request = _ASKS[word].value
 
     def _position(self, session: Session, pose: NDArray[np.float64] | None) -> None:
         """Let a position follow the one before; None for the one to begin at, and to stay."""
@@ -290,7 +298,7 @@ class MoogBase:
         return ANSWER.pack(self.latched, io, self.state(session) | _MODES[self._mode], *values, 0)
 
 
-class MoogServer(MoogBase):
+class MoogServer(MoogBase, HostPort):
     """The base on a UDP socket; its `attend` belongs to `serve`. A context manager."""
 
     def __init__(
@@ -307,26 +315,18 @@ class MoogServer(MoogBase):
         In lockstep the machine goes on by 1/60 s with each command and waits for the next; else
         the run is paced.
         """
-        super().__init__()
-        check_address("host", host)
-        self._socket, self._lockstep = open_socket(port, bind), lockstep
-        self._host, self._host_port, self._steps = host, host_port, 0
-        self._socket.settimeout(_PATIENCE if lockstep else 0.0)
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Address and port it listens on."""
-        address, port = self._socket.getsockname()
-        return address, port
+        MoogBase.__init__(self)
+        HostPort.__init__(self, port, host, host_port, bind, _PATIENCE if lockstep else 0.0)
+        self._lockstep, self._steps = lockstep, 0
 
     def attend(self, session: Session) -> int:
         """Answer what has come; the control frames until the next look."""
         for _ in range(sys.maxsize if self._lockstep else _MOST):
             try:
-                data, sender = self._socket.recvfrom(COMMAND.size + 1)
+                data, sender, known = self.receive(COMMAND.size + 1)
             except OSError:  # nothing has come, or an answer was refused
                 return session.frames if self._lockstep else _POLL
-            if sender[0] != self._host or self._host_port not in (None, sender[1]):
+            if not known:
                 self._drop("wrong_sender")
             elif (answer := self.take(session, data)) is not None:
                 self._socket.sendto(answer, sender)
@@ -336,11 +336,3 @@ class MoogServer(MoogBase):
             return _POLL
         self._steps += 1
         return self._steps * session.rate // RATE - session.frame
-
-    def __enter__(self) -> "MoogServer":
-        """Return the base."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the socket."""
-        self._socket.close()

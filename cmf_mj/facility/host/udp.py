@@ -18,12 +18,11 @@ from collections.abc import Callable
 from hashlib import blake2s
 from hmac import compare_digest
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host import udp as datagram
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, HostStream, HostTiming
 
@@ -43,14 +42,9 @@ KEY_SIZES = (16, 32)
 MOST_SEQUENCE = 2**63 - 1
 """Largest sequence number."""
 
-DATAGRAM_REASONS = (
-    "wrong_sender",
-    "wrong_length",
-    "wrong_magic",
-    "wrong_version",
-    "wrong_key",
-    "wrong_checksum",
-    "wrong_sequence",
+DATAGRAM_REASONS = tuple(
+    f"wrong_{what}"
+    for what in ("sender", "length", "magic", "version", "key", "checksum", "sequence")
 )
 """Why a datagram is refused, in the order of the tests."""
 
@@ -76,7 +70,7 @@ def read_key(path: str | Path) -> bytes:
     return key
 
 
-def encode(frame: HostFrame, key: bytes | None = None) -> bytes:
+def encode_frame(frame: HostFrame, key: bytes | None = None) -> bytes:
     """The datagram of a frame, with a session key or without."""
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
         raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
@@ -100,7 +94,7 @@ def _tag(data: bytes, key: bytes) -> bytes:
     return blake2s(data, key=key, digest_size=TAG).digest()
 
 
-def decode(data: bytes, key: bytes | None = None) -> HostFrame:
+def decode_frame(data: bytes, key: bytes | None = None) -> HostFrame:
     """The frame of a datagram; its numbers are as sent, be they finite or not.
 
     With a session key only those made with it are taken.
@@ -108,20 +102,19 @@ def decode(data: bytes, key: bytes | None = None) -> HostFrame:
     version, size = _form(key)
     if len(data) != size:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {size}")
-    data, tag = data[:SIZE], data[SIZE:]
     magic, sent, length, sequence, time, *motion = _BODY.unpack_from(data)
-    if magic != MAGIC:
-        raise DatagramError("wrong_magic", f"{magic!r}; allowed: {MAGIC!r}")
-    if sent != version:
-        raise DatagramError("wrong_version", f"{sent}; allowed: {version}")
-    if length != size:
-        raise DatagramError("wrong_length", f"field says {length}; allowed: {size}")
-    if key is not None and not compare_digest(tag, _tag(data, key)):
-        raise DatagramError("wrong_key", "the sender has not the key of this session")
-    if _SUM.unpack_from(data, _BODY.size)[0] != zlib.crc32(data[: _BODY.size]):
-        raise DatagramError("wrong_checksum", "octets were changed on the way")
-    if sequence > MOST_SEQUENCE:
-        raise DatagramError("wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}")
+    own = key is None or compare_digest(data[SIZE:], _tag(data[:SIZE], key))
+    whole = _SUM.unpack_from(data, _BODY.size)[0] == zlib.crc32(data[: _BODY.size])
+    for right, reason, said in (
+        (magic == MAGIC, "wrong_magic", f"{magic!r}; allowed: {MAGIC!r}"),
+        (sent == version, "wrong_version", f"{sent}; allowed: {version}"),
+        (length == size, "wrong_length", f"field says {length}; allowed: {size}"),
+        (own, "wrong_key", "the sender has not the key of this session"),
+        (whole, "wrong_checksum", "octets were changed on the way"),
+        (sequence <= MOST_SEQUENCE, "wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}"),
+    ):
+        if not right:
+            raise DatagramError(reason, said)
     return HostFrame(sequence, time, *np.array(motion).reshape(3, 6))
 
 
@@ -137,11 +130,44 @@ _FORCE_BUFFER, _MEMINFO = 33, 55
 """SO_RCVBUFFORCE and SO_MEMINFO of Linux, whose ninth number counts what did not fit."""
 
 
-class UdpReceiver:
-    """Receives host frames in a thread and puts them into a ring.
+class HostPort:
+    """A UDP socket that takes datagrams of one host. A context manager."""
 
-    Use it as a context manager, or call `close`.
-    """
+    def __init__(self, port: int, host: str, host_port: int | None, bind: str, wait: float) -> None:
+        """Open it, for the host's IPv4 address and, if it is given, port; waits so long [s]."""
+        if not 0 <= (host_port or 0) <= 65535:
+            raise InputError(f"host_port: {host_port} is refused; allowed: 0 to 65535")
+        check_address("host", host)
+        self._host, self._host_port, self._socket = host, host_port, open_socket(port, bind)
+        self._socket.settimeout(wait)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port it listens on."""
+        address, port = self._socket.getsockname()
+        return address, port
+
+    def receive(self, most: int) -> tuple[bytes, tuple[str, int], bool]:
+        """A datagram, its sender, and whether that is the host; `OSError` if nothing comes."""
+        data, (address, port) = self._socket.recvfrom(most)
+        known = address == self._host and self._host_port in (None, port)
+        return data, (address, port), known
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        """Return the open port."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+
+class UdpReceiver(HostPort):
+    """Receives host frames in a thread and puts them into a ring."""
 
     def __init__(
         self,
@@ -159,32 +185,19 @@ class UdpReceiver:
         one, and made with the session `key` if there is one, are taken. Raises `OSError` for a port
         that is taken.
         """
-        if not 0 <= (host_port or 0) <= 65535:
-            raise InputError(f"host_port: {host_port} is refused; allowed: 0 to 65535")
-        check_address("host", host)
+        super().__init__(port, host, host_port, bind, _LONGEST_WAIT)
         self.ring = ring if ring is not None else make_ring()
         """Frames received, good form only."""
-        self._refused = np.zeros(len(datagram.DATAGRAM_REASONS), dtype=np.int64)
-        self._host, self._host_port, self._key = host, host_port, key
-        self._overrun = 0
-        self._socket = open_socket(port, bind)
-        self._socket.settimeout(_LONGEST_WAIT)
+        self._refused, self._overrun, self._key = dict.fromkeys(DATAGRAM_REASONS, 0), 0, key
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
         self._thread.start()
 
     @property
-    def address(self) -> tuple[str, int]:
-        """Address and port it listens on."""
-        address, port = self._socket.getsockname()
-        return address, port
-
-    @property
     def refused(self) -> dict[str, int]:
         """Datagrams dropped so far, by reason; `overrun` by the system, its buffer being full."""
         self._look()
-        reasons = dict(zip(datagram.DATAGRAM_REASONS, self._refused.tolist(), strict=True))
-        return reasons | {"overrun": self._overrun}
+        return self._refused | {"overrun": self._overrun}
 
     @property
     def received(self) -> int:
@@ -196,15 +209,7 @@ class UdpReceiver:
         self._ending.set()
         self._thread.join()
         self._look()
-        self._socket.close()
-
-    def __enter__(self) -> "UdpReceiver":
-        """Return the running receiver."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
+        super().close()
 
     def _look(self) -> None:
         """Read the system's count of what its buffer had no room for."""
@@ -224,13 +229,13 @@ class UdpReceiver:
 
     def _take(self) -> None:
         # One octet more than a frame, so that a longer datagram is seen to be longer.
-        data, (address, port) = self._socket.recvfrom(datagram.SIZE + datagram.TAG + 1)
+        data, sender, known = self.receive(SIZE + TAG + 1)
         try:
-            if address != self._host or self._host_port not in (None, port):
-                raise datagram.DatagramError("wrong_sender", f"{address}:{port}")
-            put(self.ring, datagram.decode(data, self._key))
-        except datagram.DatagramError as error:
-            self._refused[datagram.DATAGRAM_REASONS.index(error.reason)] += 1
+            if not known:
+                raise DatagramError("wrong_sender", f"{sender[0]}:{sender[1]}")
+            put(self.ring, decode_frame(data, self._key))
+        except DatagramError as error:
+            self._refused[error.reason] += 1
 
 
 def open_socket(port: int, bind: str) -> socket.socket:
@@ -287,7 +292,7 @@ def send_stream(
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
     check_address("address", address)
     stream, deadlines = timing.keep(stream)
-    datagrams = [datagram.encode(stream.row(index), key) for index in range(stream.time.size)]
+    datagrams = [encode_frame(stream.row(index), key) for index in range(stream.time.size)]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.bind(("", source_port))

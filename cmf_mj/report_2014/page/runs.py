@@ -20,7 +20,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.run import simulate
+from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

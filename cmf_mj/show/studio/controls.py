@@ -11,8 +11,9 @@ import viser
 
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
-from cmf_mj.facility.scenario.library import scenario_toml
-from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import scenario_toml
+from cmf_mj.facility.settings import Change, Push, change_of
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
@@ -132,7 +133,7 @@ def signal_controls(desk: Desk) -> Callable[[], str]:
             show_settings({})
         desk.later("signal", send)
 
-    def follow(scenario: Scenario) -> None:
+    def follow(scenario: Run) -> None:
         """Show the signal of a scenario, where the page has such a one."""
         nonlocal machine
         machine, chosen = scenario.machine, dict[str, Any]()
@@ -188,7 +189,7 @@ def law_controls(desk: Desk) -> None:
 
     by_hand(lambda _: desk.apply(Change(law=chosen.value)), chosen)
     by_hand(compare, second)
-    desk.follow(lambda scenario: pick(chosen, scenario.law))
+    desk.follow(lambda scenario: pick(chosen, str(scenario.law)))
 
 
 def machine_controls(desk: Desk) -> None:
@@ -208,7 +209,7 @@ def machine_controls(desk: Desk) -> None:
         chosen = hydraulics.value if hydraulics.value in HYDRAULICS else None
         desk.again(cab=cab.value, hydraulics=chosen, protection=protected)
 
-    def follow(scenario: Scenario) -> None:
+    def follow(scenario: Run) -> None:
         carrier = scenario.carried.machine
         cab.options = carrier.cab_names
         hydraulics.options = HYDRAULICS if carrier.name == models.CMF else (carrier.name,)

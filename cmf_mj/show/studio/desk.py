@@ -13,9 +13,10 @@ from viser import _messages as messages
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
-from cmf_mj.facility.scenario.library import scenario_of
-from cmf_mj.facility.scenario.settings import Change, Scenario
-from cmf_mj.facility.scenario.signal import Signal
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import Change
+from cmf_mj.facility.signal import Signal
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -71,7 +72,7 @@ def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list
     return [basic | signal_settings(kind) | settings]
 
 
-def first_scenario() -> Scenario:
+def first_scenario() -> Run:
     """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
     table = {
         "title": "studio session",
@@ -82,7 +83,7 @@ def first_scenario() -> Scenario:
     return scenario_of(table, "studio")
 
 
-def from_rest(scenario: Scenario) -> Scenario:
+def from_rest(scenario: Run) -> Run:
     """The same machine with the law and the signal in force at the end, from rest.
 
     Failures, pushes and requests are left out: what begins again is whole.
@@ -94,7 +95,7 @@ def from_rest(scenario: Scenario) -> Scenario:
         gains = merged(gains, change.gains)
         signal = signal if change.signal is None else change.signal
     begun = {"law": law, "gains": gains, "signal": signal, "duration": "open"}
-    return scenario.model_copy(update=begun | {"event": (), "change": ()})
+    return scenario.model_copy(update=begun | {"events": (), "change": ()})
 
 
 _SETTLE = 0.3
@@ -105,22 +106,22 @@ class Desk:
     """A tab with its session, and those who show what a run begins with."""
 
     def __init__(
-        self, client: viser.ClientHandle, scenario: Scenario, show: Callable[[View], None]
+        self, client: viser.ClientHandle, scenario: Run, show: Callable[[View], None]
     ) -> None:
         """Build the session; `show` draws its turns."""
         self.client = client
         self.beside = ""
         """Law of the machine that does the same beside; empty for none."""
         self.live = LiveSession(scenario, show, self.tell)
-        self._followers: list[Callable[[Scenario], None]] = []
+        self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
 
-    def follow(self, follower: Callable[[Scenario], None]) -> None:
+    def follow(self, follower: Callable[[Run], None]) -> None:
         """Call with the scenario of each run that begins."""
         self._followers.append(follower)
 
-    def start(self, scenario: Scenario) -> None:
+    def start(self, scenario: Run) -> None:
         """Show the first run and set the session going."""
         for follower in self._followers:
             follower(scenario)
@@ -130,7 +131,7 @@ class Desk:
         """Let something change, or show the refusal."""
         self.live.apply(change).add_done_callback(self._refused)
 
-    def begin(self, scenario: Scenario) -> None:
+    def begin(self, scenario: Run) -> None:
         """Begin again; on a refusal show it and let the run go on."""
         paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for

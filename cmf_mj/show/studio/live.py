@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.core.units import FRAME, RATE
-from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import Change, Scenario
+from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.session import Live
+from cmf_mj.facility.settings import Change
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
@@ -115,10 +115,10 @@ class Mark(NamedTuple):
     harm: bool  #: Whether something failed or tripped.
 
 
-def marks_of(scenario: Scenario, fault: Fault | None) -> tuple[Mark, ...]:
+def marks_of(scenario: Run, fault: Fault | None) -> tuple[Mark, ...]:
     """All that has happened to a run that did this scenario, in order of time."""
     rate = scenario.rate
-    marks = [Mark(event.at, words(event.kind, event.leg), True) for event in scenario.event]
+    marks = [Mark(event.at, words(event.kind, event.leg), True) for event in scenario.events]
     for change in scenario.change:
         time = change.when(rate) / rate
         marks += [Mark(time, words(one.kind, one.leg), True) for one in change.failure]
@@ -169,7 +169,7 @@ class LiveSession:
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Run,
         show: Callable[[View], None],
         tell: Callable[[Exception], None],
     ) -> None:
@@ -186,7 +186,7 @@ class LiveSession:
         self._past: deque[Live] = deque(maxlen=kept)
         self._beside_past: deque[Live | None] = deque(maxlen=kept)
         self._run = _open_run(scenario)
-        self._beside: ScenarioRun | None = None
+        self._beside: SignalSession | None = None
         self._end = ""
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
@@ -200,7 +200,7 @@ class LiveSession:
         if wait and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
-    def begin(self, scenario: Scenario, beside: str = "") -> "Future[None]":
+    def begin(self, scenario: Run, beside: str = "") -> "Future[None]":
         """Begin again with another scenario; the run goes on if it is refused.
 
         With a law `beside`, a second plant does all that the first does, but with this law to the
@@ -246,9 +246,9 @@ class LiveSession:
         """Choose the simulated seconds in a second of wall time."""
         self._ask(lambda: setattr(self._clock, "speed", speed))
 
-    def scenario(self) -> "Future[Scenario]":
+    def scenario(self) -> "Future[Run]":
         """The session so far as a scenario that repeats it."""
-        return self._ask(lambda: self._run.scenario())
+        return self._ask(lambda: self._run.done())
 
     def record(self) -> "Future[Record]":
         """What the session has kept of its signals."""
@@ -309,9 +309,9 @@ class LiveSession:
             self._end = str(error)
             self._tell(error)
         run, clock = self._run, self._clock
-        plant, live = run.plant, run.latest()
+        plant, live = run.plant, run.look()
         assert isinstance(plant, Hexapod)
-        marks = marks_of(run.scenario(), live.fault)
+        marks = marks_of(run.done(), live.fault)
         if self._end:
             marks += (Mark(live.time, "the run ended", True),)
         pasts = self._past, self._beside_past
@@ -324,10 +324,10 @@ class LiveSession:
         while self._run.frame < end:
             frame = self._run.frame
             part = min(_PART - frame % _PART, end - frame)
-            self._run.advance(part)
+            self._run.run(part)
             second = self._second(part)
             if self._run.frame % _PART == 0:
-                self._past.append(self._run.latest())
+                self._past.append(self._run.look())
                 self._beside_past.append(second)
 
     def _second(self, frames: int) -> Live | None:
@@ -335,12 +335,12 @@ class LiveSession:
         if self._beside is None:
             return None
         try:
-            self._beside.advance(frames)
+            self._beside.run(frames)
         except CmfError as error:
             self._beside = None
             self._tell(error)
             return None
-        return self._beside.latest()
+        return self._beside.look()
 
 
 def _without_law(change: Change) -> Change:
@@ -348,9 +348,9 @@ def _without_law(change: Change) -> Change:
     return change.model_copy(update={"law": None, "gains": {}})
 
 
-def _open_run(scenario: Scenario) -> ScenarioRun:
+def _open_run(scenario: Run) -> SignalSession:
     """A run without end, on the hexapod."""
     if scenario.plant != "hexapod":
         raise InputError(f"plant: {scenario.plant!r} has no platform to show; allowed: hexapod")
     keep = KEPT_ROWS * scenario.record_every / RATE
-    return ScenarioRun(scenario.model_copy(update={"duration": "open"}), keep=keep)
+    return SignalSession(scenario.model_copy(update={"duration": "open"}), keep=keep)

@@ -10,8 +10,7 @@ from contextlib import suppress
 import viser
 
 from cmf_mj.core import units
-from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import Scenario
+from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.show.studio import controls
 from cmf_mj.show.studio.desk import LARGEST_PUSH, Desk, check_commands, first_scenario
 from cmf_mj.show.studio.door import Door
@@ -35,7 +34,7 @@ class Page:
     def __init__(
         self,
         client: viser.ClientHandle,
-        scenario: Scenario,
+        scenario: Run,
         gone: Callable[[], bool] = lambda: False,
     ) -> None:
         """Build the page and set its session going with a scenario, unless the tab is gone."""
@@ -94,7 +93,7 @@ class Page:
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
 
-    def _show_cab(self, scenario: Scenario) -> None:
+    def _show_cab(self, scenario: Run) -> None:
         with self._lock:
             if self._scene.cab != scenario.carried:
                 self._scene = MachineScene(self.desk.client, scenario.carried)
@@ -108,7 +107,7 @@ class Studio:
     """A running server."""
 
     def __init__(
-        self, host: str = "127.0.0.1", port: int = 8048, scenario: Scenario | None = None
+        self, host: str = "127.0.0.1", port: int = 8048, scenario: Run | None = None
     ) -> None:
         """Begin to serve; other machines reach it with the host `0.0.0.0` and the token in `url`.
 
@@ -118,7 +117,7 @@ class Studio:
         _one_heap()
         self._scenario = scenario or first_scenario()
         # Compile the loop before the first tab waits for it.
-        ScenarioRun(self._scenario).advance(1)
+        SignalSession(self._scenario).run(1)
         self._host = host
         self._lock, self._building = threading.Lock(), threading.Lock()
         self._stopped = False

@@ -22,8 +22,8 @@ from cmf_mj.facility.host.udp import (
     DATAGRAM_REASONS,
     MOST_SEQUENCE,
     DatagramError,
-    decode,
-    encode,
+    decode_frame,
+    encode_frame,
 )
 from tests.control.test_dcu_streams import KINDS, stream
 
@@ -99,7 +99,7 @@ def run(
     def deliver(datagram: bytes) -> None:
         """As the receiving thread does."""
         try:
-            put(source.ring, decode(datagram))
+            put(source.ring, decode_frame(datagram))
         except DatagramError as error:
             refused[error.reason] += 1
 
@@ -111,7 +111,7 @@ def run(
             float(arrivals.time[index]),
             *arrivals.values[index],
         )
-        sent.append(encode(frame))
+        sent.append(encode_frame(frame))
         deliver(sent[-1])
         if garbage:
             deliver(spoiled(sent[-1], garbage[index % len(garbage)], generator))
@@ -123,7 +123,7 @@ def logged_datagrams(source: Source) -> list[bytes]:
     """What reached the DCU, as datagrams: NaN compare like any octets."""
     log = logged(source.arrivals, int(source.progress[0].collected))
     return [
-        encode(HostFrame(int(s), float(t), *v))
+        encode_frame(HostFrame(int(s), float(t), *v))
         for s, t, v in zip(log.sequence, log.time, log.values, strict=True)
     ]
 

@@ -1,16 +1,18 @@
-"""Scenarios as files: those that are shipped, by their names, and reading and writing of others."""
+"""Scenarios, runs as files: the shipped ones by their names, and others, read and written."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import read_toml, sealed, validated
-from cmf_mj.facility.scenario.settings import Scenario
+from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.signal import BLOCK
 from cmf_mj.machine import models
+from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import plain
 
 
@@ -19,7 +21,7 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in models.directory("scenarios").glob("*.toml")))
 
 
-def load_scenario(source: str | Path) -> Scenario:
+def load_scenario(source: str | Path) -> Run:
     """A scenario by the name of a shipped one, or from a TOML file.
 
     Args:
@@ -40,23 +42,52 @@ def load_scenario(source: str | Path) -> Scenario:
     return scenario_of(read_toml(path), str(path), path.parent)
 
 
-def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
+def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Run:
     """A scenario from plain values, lists included, as TOML and JSON have them.
 
     Errors call it `where`; relative file names count from `folder`, default the working folder.
     """
-    return validated(Scenario, _located(plain(table), (folder or Path()).resolve()), where)
+    for name in ("source", "start"):
+        if name in table:
+            raise InputError(f"{where}: {name}: is in no file; a program gives it to `cmf_mj.Run`")
+    return validated(Run, _located(plain(table), (folder or Path()).resolve()), where)
 
 
-def save_scenario(scenario: Scenario, path: str | Path) -> Path:
+def save_scenario(scenario: Run, path: str | Path) -> Path:
     """Write a scenario as TOML, defaults left out; it reads back equal."""
     return write_text(Path(path), scenario_toml(scenario))
 
 
-def scenario_toml(scenario: Scenario) -> str:
+def scenario_toml(scenario: Run) -> str:
     """A scenario as TOML text below its checksum, defaults left out."""
-    table = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return sealed(tomlkit.dumps(table))
+    return sealed(tomlkit.dumps(scenario.table()))
+
+
+def run_scenario(scenario: Run, *, progress: Callable[[int, int], None] | None = None) -> Record:
+    """Run a scenario from beginning to end.
+
+    Args:
+        scenario: with a duration.
+        progress: called with the control frames run and those in all, about twice a second of the
+            run.
+
+    Raises:
+        InputError: an argument out of range, named; an `open` duration.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+
+    >>> scenario = cmf_mj.load_scenario("heave_sine").model_copy(update={"duration": 0.1})
+    >>> cmf_mj.run_scenario(scenario).time.size
+    205
+    """
+    frames = scenario.frames
+    if frames is None:
+        raise InputError("duration: is open; a run to the end needs one in s")
+    session = SignalSession(scenario)
+    while session.frame < frames:
+        session.run(BLOCK)
+        if progress is not None:
+            progress(session.frame, frames)
+    return session.record()
 
 
 _FILES = (

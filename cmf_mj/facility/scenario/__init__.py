@@ -1,1 +1,0 @@
-"""Scenarios: runs as files, live runs that can be changed, and files of what was done live."""

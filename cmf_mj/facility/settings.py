@@ -1,0 +1,335 @@
+"""Parts of a run's description: the host's chain, changes on the way, what is written."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from operator import itemgetter
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
+
+from cmf_mj.control import limiter, states
+from cmf_mj.control.dcu.play import Arrivals
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.demand import Demand, make_demand
+from cmf_mj.control.law import Law
+from cmf_mj.control.protection import ProtectionSettings
+from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.settings import Settings, Time, checked_name, merged, name_or, validated
+from cmf_mj.core.units import INCH, MOST_FRAMES, RATE
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.front import Blocks, Source, from_host
+from cmf_mj.facility.host.handover import Ring
+from cmf_mj.facility.signal import Signal
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.events import MOST_FORCE, Event, Failure
+from cmf_mj.plant.hexapod import PLANTS, make_plant
+from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.plant import Plant
+from cmf_mj.signals.signal import plain
+
+Gains = dict[str, Any]
+"""Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
+
+_Force = Annotated[float, Field(ge=-MOST_FORCE, le=MOST_FORCE)]
+Vector = tuple[_Force, _Force, _Force]
+Signals = Annotated[tuple[Signal, ...], Field(max_length=100)]
+RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset"]
+
+LEGS = 6  #: Of the machines that a file names.
+
+_RESTING = 0.05
+"""What a leg on the stops is above its mechanical end [in]."""
+
+
+def _named(value: Any) -> Any:
+    """A state or request by its name."""
+    return value.name.lower() if isinstance(value, State | Request) else value
+
+
+def _compiled(value: Any) -> Any:
+    """A leg demand that was made."""
+    if not isinstance(value, Demand | None):
+        raise InputError("input should be what `make_demand` gives")
+    return value
+
+
+def listed(value: Any) -> Any:
+    """A list as a tuple."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def whole_number(value: Any) -> Any:
+    """A whole number of NumPy as one of Python: those of one type share a compiled loop."""
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def built_or_named(value: Any) -> Any:
+    """A plant by its name, or one that was built."""
+    if not (value in PLANTS if isinstance(value, str) else isinstance(value, Plant)):
+        raise InputError(f"input should be {' or '.join(map(repr, PLANTS))}")
+    return value
+
+
+def plural(one: str, many: str, default: Any = ()) -> Any:
+    """A field of several, which a file has by the name of one: `[[event]]`."""
+    return Field(default, validation_alias=AliasChoices(one, many), serialization_alias=one)
+
+
+def _ending(*allowed: str) -> AfterValidator:
+    def check(name: str) -> str:
+        if Path(name).suffix not in allowed or Path(name).name != name:
+            raise InputError(f"must be a plain file name that ends in {' or '.join(allowed)}")
+        checked_name(Path(name).stem)
+        return name
+
+    return AfterValidator(check)
+
+
+class Push(Settings):
+    """An external force on a body, held until the next push on it; without force it lets go.
+
+    On the platform an `overload` that strikes while it is pushed suspends the vertical push for
+    that one frame.
+    """
+
+    body: str = ""  #: Body of the MuJoCo model; default the one that carries the payload.
+    force: Vector = (0.0, 0.0, 0.0)
+    """At the body's centre of mass in MuJoCo's world axes: forward, left, up [N]."""
+    torque: Vector = (0.0, 0.0, 0.0)  #: In the same axes [N m].
+
+
+class Change(Settings):
+    """What changes from a control frame on. Nothing that is left out does."""
+
+    at: Time | None = None
+    """When [s], to the nearest control frame; in a file this or `frame`."""
+    frame: Annotated[int, Field(ge=0, lt=MOST_FRAMES)] | None = None  #: In which control frame.
+    law: str | None = None  #: Law that takes over, by name or TOML file; drops earlier `gains`.
+    gains: Gains = {}  #: Fields of the law in force to replace.
+    signal: Signals | None = None
+    """Signals that take over, beginning now; `[]` goes to neutral."""
+    fade: Time = 1.0  #: Time in which they do [s]; 0 jumps.
+    failure: tuple[Failure, ...] = ()  #: What fails.
+    push: Push | None = None  #: External force from now on.
+    request: RequestName | None = None  #: Operator's request, with `operation`.
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        if self.at is not None and self.frame is not None:
+            raise InputError("at, frame: both are given; allowed: one of them")
+        return self
+
+    def when(self, rate: int = RATE) -> int:
+        """Control frame of the change at a control rate [Hz]."""
+        if self.frame is not None:
+            return self.frame
+        if self.at is None:
+            raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
+        return round(self.at * rate)
+
+
+class RequestAt(Settings):
+    """One request of the operator."""
+
+    at: Time  #: When [s].
+    request: Annotated[RequestName, BeforeValidator(_named)]  #: What is requested.
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pair(cls, value: Any) -> Any:
+        pair = isinstance(value, tuple) and len(value) == 2
+        return dict(zip(("at", "request"), value, strict=True)) if pair else value
+
+
+class HostChain(Settings):
+    """The whole chain from host to valves."""
+
+    begin: Annotated[Literal["off", "settled", "hold", "engaged"], BeforeValidator(_named)] = (
+        "settled"
+    )
+    """Operating state to begin in. Off and settled begin on the stops, the others at the demand's
+    pose. Settled has its valves open from the first frame, so that a law whose balance is elsewhere
+    jumps; off fades them in."""
+    requests: Annotated[tuple[RequestAt, ...], BeforeValidator(listed)] = plural(
+        "request", "requests", (RequestAt(at=0.0, request="engage"),)
+    )
+    """Operator's requests; of one instant the last counts, after any trip."""
+    host_every: Annotated[int, Field(ge=1, le=RATE)] = 26
+    """Control frames from one frame of the host to the next, where signals are what it sends; 26
+    are 78.8 Hz."""
+    dcu: Annotated[str | Path | DcuSettings, name_or(DcuSettings)] | None = None
+    """Digital Control Unit, `default` or a file; default the machine's."""
+    limits: Annotated[str | Path | MotionLimits, name_or(MotionLimits)] | None = None
+    """Limits of platform and legs; default Table 2-1 with the assumed rates."""
+    states: Annotated[str | Path | StateSettings, name_or(StateSettings)] | None = None
+    """Times of the operating states."""
+    demand: Annotated[SkipJsonSchema[Any], AfterValidator(_compiled)] = Field(None, exclude=True)
+    """Compiled leg demand, with body flexibility or without; default rigid. In no file."""
+
+    def check(self, plant: str | Plant, machine: Machine) -> None:
+        """Refuse what cannot be loaded, or another plant than the hexapod."""
+        if plant != "hexapod":
+            raise InputError(f"operation: is for the hexapod, plant is {plant}")
+        dcu_of(machine, self.dcu)
+        load_motion_limits(self.limits, machine)
+        load_state_settings(self.states)
+
+    def source(
+        self, machine: Machine, arrivals: Arrivals, start: Any, ring: Ring | None = None
+    ) -> tuple[Source, NDArray[np.float64]]:
+        """The chain before any frame, and the pose that the platform stands at.
+
+        By default the demand begins at the first frame's pose, or at neutral where that is beyond
+        the limits. With a ring of live frames the arrivals are the log that they are collected in.
+        """
+        frame, begin = machine.frame, State[self.begin.upper()]
+        limits = load_motion_limits(self.limits, machine)
+        operating = load_state_settings(self.states, fitting(machine))
+        pose = starting_pose(self, arrivals, machine) if start is None else np.array(start)
+        legs, place = pose_to_legs(pose, machine), pose
+        if begin in (State.OFF, State.SETTLED):
+            legs = np.full(6, -round(machine.half_stroke / INCH - _RESTING, 9) * INCH)
+            place = legs_to_pose(legs, machine)
+        blocks = Blocks(
+            make_dcu(dcu_of(machine, self.dcu), frame),
+            limiter.make_pose_limiter(limits, frame),
+            self.demand or make_demand(machine),
+            states.make_states(operating, machine),
+            limiter.make_leg_limiter(limits, frame=frame),
+        )
+        timed = [(round(r.at * machine.rate), Request[r.request.upper()]) for r in self.requests]
+        requests = sorted(timed, key=itemgetter(0))
+        made = from_host(blocks, arrivals, requests, begin, position=legs, pose=pose, ring=ring)
+        return made, place
+
+
+def starting_pose(chain: HostChain, arrivals: Arrivals, machine: Machine) -> NDArray[np.float64]:
+    """The first frame's pose, or neutral where the limits forbid it."""
+    limits = load_motion_limits(chain.limits, machine)
+    pose, (low, high) = arrivals.values[0, 0], limits.operational.T
+    inside = bool(((pose >= low) & (pose <= high)).all())
+    if inside and np.abs(pose_to_legs(pose, machine)).max() <= limits.leg.position.si:
+        return np.array(pose)
+    return np.zeros(6)
+
+
+def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> DcuSettings:
+    """A DCU fitted to a machine, by default the machine's."""
+    return load_dcu(machine.dcu if source is None else source, fitting(machine))
+
+
+class VideoChoice(Settings):
+    """A film of the run."""
+
+    file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"  #: Name.
+    camera: str = "overview"  #: Camera of the model.
+    fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Frame rate [1/s].
+    speed: Annotated[float, Field(ge=0.01, le=100.0)] = 1.0
+    """Times real speed; below 1 is slow motion."""
+
+    def check(self, plant: str | Plant, frames: int | None, every: int) -> None:
+        """Refuse a film of one row, or with a camera that there is not."""
+        if frames is not None and frames <= every:
+            allowed = f"allowed for a film: below {frames}"
+            raise InputError(f"record_every: {every} leaves one row; {allowed}")
+        check_name("outputs.video.camera", self.camera, names_of(plant, "camera"))
+
+
+class SessionSettings(NamedTuple):
+    """Settings of a run, loaded."""
+
+    events: tuple[Event, ...] = ()
+    record_every: int = 1
+    command_delay: int = 1
+    protection: ProtectionSettings | None = None
+    electronics: ElectronicsSettings | None = None
+    dcu: DcuSettings | None = None  #: Of a run with a host.
+
+
+class Outputs(Settings):
+    """What `cmf run` writes, besides the scenario itself."""
+
+    record: Annotated[str, _ending(".parquet")] | Literal[False] = "record.parquet"
+    """All signals, or false."""
+    plot: Annotated[str, _ending(".png", ".svg", ".pdf")] | Literal[False] = "overview.png"
+    """Figure of demand, response, valves and pressures, or false."""
+    video: VideoChoice | None = None  #: Film.
+
+
+@lru_cache
+def _model(plant: str) -> mujoco.MjModel:
+    return make_plant(plant).drawn_model
+
+
+def names_of(plant: str | Plant, kind: Literal["body", "camera"]) -> tuple[str, ...]:
+    """Names of a plant's bodies or cameras."""
+    model = _model(plant) if isinstance(plant, str) else plant.drawn_model
+    one, count = (model.body, model.nbody) if kind == "body" else (model.camera, model.ncam)
+    return tuple(one(i).name for i in range(kind == "body", count))
+
+
+def check_leg(failure: Failure) -> None:
+    """Refuse a leg that no machine of a file has."""
+    if failure.leg is not None and failure.leg > LEGS:
+        raise InputError(f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {LEGS}")
+
+
+def check_change(change: Change, plant: str | Plant, hosted: bool) -> None:
+    """Refuse a change that a machine cannot do; the law apart."""
+    for failure in change.failure:
+        check_leg(failure)
+    if change.push is not None and change.push.body:
+        check_name("body", change.push.body, names_of(plant, "body"))
+    if change.request is not None and not hosted:
+        raise InputError(f"change: request {change.request!r} needs [operation]")
+
+
+def check_order(
+    changes: Sequence[Change],
+    events: Sequence[Event],
+    requests: Sequence[RequestAt],
+    end: int,
+    rate: int,
+) -> None:
+    """Refuse what never happens before the end, or changes not in the order of their frames."""
+    last = 0
+    for number, change in enumerate(changes):
+        if change.at is None and change.frame is None:
+            raise InputError(f"change.{number}: needs `at` in s or `frame`")
+        frame = change.when(rate)
+        if frame < last:
+            raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
+        last = frame
+    happens = [("change", change.when(rate)) for change in changes]
+    happens += [("event", round(event.at * rate)) for event in events]
+    happens += [("operation.request", round(one.at * rate)) for one in requests]
+    for field, frame in happens:
+        if frame >= end:
+            raise InputError(
+                f"{field}: at {frame / rate:g} s never happens; allowed: before the end of the run "
+                f"at {end / rate:g} s"
+            )
+
+
+def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
+    """A law with some of its fields replaced, tables entry by entry."""
+    return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
+
+
+def changed_law(law: Law, change: Change, named: Law | None) -> Law:
+    """The law after a change, which may have named another."""
+    return overlaid_law(named or law, change.gains)
+
+
+def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
+    """A change from plain values, lists included."""
+    return validated(Change, plain(table), where)

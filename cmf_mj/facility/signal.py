@@ -1,0 +1,259 @@
+"""What a run demands: signals, made block by block as it goes, or a table that was made before.
+
+The signals are those of `cmf_mj.signals`, and two from files. Here a step and a pulse need no
+`duration`, a sine without `cycles` goes on for ever, and a multisine is faded. Several are added.
+
+A host that means a demand sends it every so many control frames, with the derivatives of central
+differences at the control rate, at 2048 Hz exact to T^2/6 of the third and T^2/12 of the fourth.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy.interpolate import BPoly
+
+from cmf_mj.control.dcu.play import Arrivals
+from cmf_mj.core.arrays import real
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.front import Source, from_table
+from cmf_mj.facility.host.files import read_stream
+from cmf_mj.facility.host.handover import make_log
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+from cmf_mj.signals import composite, single
+from cmf_mj.signals.composite import quintic
+from cmf_mj.signals.signal import Command, Duration, Motion, Wait, check_length, commanded
+from cmf_mj.signals.signal import Signal as AnySignal
+
+
+class HeldStep(single.Step):
+    """A step, held for ever."""
+
+    duration: Duration | None = None
+
+
+class HeldPulse(single.Pulse):
+    """A rectangular pulse."""
+
+    duration: Duration | None = None
+
+
+class OpenSine(single.Sine):
+    """A sine, faded in by a raised cosine; without `cycles` it goes on for ever."""
+
+    cycles: single.Cycles | None = None
+
+
+class FadedMultisine(single.Multisine):
+    """Odd random-phase multisine of whole periods."""
+
+    fade: Wait = 1.0
+
+
+def _check_file(file: str) -> None:
+    if not Path(file).is_file():
+        raise InputError(f"{file}: cannot be read: there is no such file")
+
+
+class HostFile(AnySignal):
+    """A host's frames from a CSV or Parquet file, joined by quintics."""
+
+    kind: Literal["host"]
+    file: str  #: CSV or Parquet with time and six poses, SI.
+    derivatives: Literal["spline", "zero"] = "spline"
+    """How velocities are made where the file has none."""
+
+    def _check(self) -> None:
+        _check_file(self.file)
+
+    def command(self, seed: int = 0) -> Command:
+        """Poses from the first frame's time to the last one's."""
+        stream = read_stream(self.file, derivatives=self.derivatives)
+        if stream.time.size < 2:
+            raise InputError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
+        since = stream.time - stream.time[0]
+        check_length(float(since[-1]), self.rate)
+        time = np.arange(int(np.floor(since[-1] * self.rate + 1e-9)) + 1) / self.rate
+        return Command(BPoly.from_derivatives(since, stream.values)(time), self)
+
+
+class Recorded(AnySignal):
+    """The demand of a record of an earlier run."""
+
+    kind: Literal["recorded"]
+    file: str  #: Parquet record with a `demand_pose` of every frame.
+
+    def _check(self) -> None:
+        _check_file(self.file)
+
+    def command(self, seed: int = 0) -> Command:
+        """The recorded demand."""
+        record = Record.load(self.file)
+        if abs(record.rate - self.rate) > 1e-9:
+            raise InputError(f"{self.file}: sample_rate: {record.rate:g}; allowed: {self.rate} Hz")
+        return Command(record["demand_pose"], self)
+
+
+Signal = Annotated[
+    HeldStep
+    | HeldPulse
+    | OpenSine
+    | single.Chirp
+    | single.Noise
+    | FadedMultisine
+    | composite.SevenSines
+    | composite.SteppedSines
+    | composite.FadedSines
+    | composite.AccelerationStep
+    | composite.Waypoints
+    | HostFile
+    | Recorded,
+    Field(discriminator="kind"),
+]
+"""Any of them, by its `kind`."""
+
+
+def added(parts: Sequence[AnySignal], seed: int, rate: int) -> Motion:
+    """The sum of signals at a control rate [Hz]; at rest at neutral without any."""
+    motions = [part.at_rate(rate).motion(seed) for part in parts]
+
+    def total(frames: NDArray[np.int64]) -> NDArray[np.float64]:
+        poses = np.zeros((frames.size, 6))
+        for motion in motions:
+            poses += motion(frames)
+        return poses
+
+    return total
+
+
+class _Layer(NamedTuple):
+    start: int
+    fade: int
+    motion: Motion
+
+
+class LayeredDemand:
+    """Motions one on top of the other."""
+
+    def __init__(self, motion: Motion) -> None:
+        """Begin with one, in force since frame 0."""
+        self._layers = [_Layer(0, 0, motion)]
+
+    def change(self, frame: int, motion: Motion, fade: int) -> None:
+        """Go over to another motion from frame k0, not before that of the last change, in F."""
+        self._layers.append(_Layer(frame, fade, motion))
+
+    def poses(self, first: int, count: int) -> NDArray[np.float64]:
+        """Poses (count, 6) [m, rad] of the frames from `first` on."""
+        frames = np.arange(first, first + count)
+        done = [i for i, layer in enumerate(self._layers) if layer.start + layer.fade <= first]
+        del self._layers[: max(done, default=0)]
+        bottom, *above = self._layers
+        poses = bottom.motion(frames - bottom.start)
+        for layer in above:
+            since = frames - layer.start
+            new = layer.motion(since)
+            s = np.clip(since / max(layer.fade, 1), 0.0, 1.0)
+            weight = quintic(s)[:, None]
+            blend = poses + weight * (new - poses)
+            begun, over = (since >= 0)[:, None], (since >= layer.fade)[:, None]
+            poses = np.where(over, new, np.where(begun, blend, poses))
+        return poses
+
+
+BLOCK = 1024
+"""Control frames of a block."""
+
+
+class TableFeed:
+    """A table of one block, for a source that reads it again from the start."""
+
+    def __init__(self, demand: LayeredDemand, machine: Machine) -> None:
+        """Make the first block."""
+        self._demand, self._machine = demand, machine
+        self.poses, self.legs = np.zeros((BLOCK, 6)), np.zeros((BLOCK, 6))
+        self.fill(0)
+
+    def fill(self, first: int) -> None:
+        """Make the block of frames from `first` on."""
+        self.poses[:] = self._demand.poses(first, BLOCK)
+        self.legs[:] = pose_to_legs(self.poses, self._machine)
+
+
+class HostFeed:
+    """The frames of a host that sends the demand every so many control frames."""
+
+    def __init__(self, demand: LayeredDemand, rate: int, every: int, frames: int | None) -> None:
+        """Make those of the first block; of an open run the log grows."""
+        self._demand, self._rate, self._every = demand, rate, every
+        self.log = make_log((frames or BLOCK) // every + BLOCK)
+        self.fill(0)
+
+    def fill(self, first: int) -> None:
+        """Make the host frames that arrive in the block of frames from `first` on."""
+        poses, every = self._demand.poses(first - 1, BLOCK + 2), self._every
+        numbers = np.arange(-(-first // every), -(-(first + BLOCK) // every))
+        if numbers.size and numbers[-1] >= self.log.frame.size:
+            larger = make_log(2 * (int(numbers[-1]) + 1))
+            for new, old in zip(larger, self.log, strict=True):
+                new[: old.shape[0]] = old
+            self.log = larger
+        log, frames = self.log, numbers * every
+        at = frames - first + 1
+        before, here, after = poses[at - 1], poses[at], poses[at + 1]
+        log.frame[numbers], log.sequence[numbers] = frames, numbers
+        log.time[numbers] = frames / self._rate
+        log.values[numbers, 0] = here
+        log.values[numbers, 1] = (after - before) * (self._rate / 2.0)
+        log.values[numbers, 2] = (after - 2.0 * here + before) * float(self._rate) ** 2
+
+
+class LegDemand(NamedTuple):
+    """A demand of leg extensions."""
+
+    rows: ArrayLike  #: At the control rate, (N, n) [m].
+
+
+class ValveCommands(NamedTuple):
+    """Valve commands of an open loop."""
+
+    rows: ArrayLike  #: Fractions, -1 to 1, positive extending, each held over its frame, (N, n).
+
+
+def taken(
+    given: Any, plant: Plant, start: ArrayLike | None
+) -> tuple[Any, ArrayLike | None, dict[str, Any]]:
+    """A source as the loop takes it, where it starts, and what a record says of it."""
+    said = "table"
+    match given:
+        case Source() | Arrivals() as source:
+            pass
+        case LegDemand(rows):
+            source, said = from_table(_rows("command", rows, plant)), "leg extensions"
+        case ValveCommands(rows):
+            table, said = _rows("valves", rows, plant), "valve commands"
+            if not (np.abs(table) <= 1.0).all():
+                row, leg = np.argwhere(~(np.abs(table) <= 1.0))[0]
+                where = f"{table[row, leg]} of leg {leg + 1} in row {row}"
+                raise InputError(f"valves: {where} is not between -1 and 1")
+            source = from_table(table)
+        case command:
+            demanded = commanded(command, plant.machine.rate)
+            legs = pose_to_legs(demanded.pose, plant.machine)
+            source = from_table(legs, demanded.pose)
+            context = {"command": demanded.description, "seed": demanded.seed}
+            return source, demanded.pose[0] if start is None else start, context
+    return source, start, {"command": {"signal": said}, "seed": None}
+
+
+def _rows(name: str, rows: ArrayLike, plant: Plant) -> NDArray[np.float64]:
+    table = np.atleast_2d(real(name, rows))
+    if table.ndim != 2 or table.shape[1] != plant.legs:
+        raise InputError(f"{name}: has shape {table.shape}; allowed: (N, {plant.legs}), one a leg")
+    return table
