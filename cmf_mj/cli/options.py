@@ -99,7 +99,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     if field == "cab":
         return load_cab(None if own else names, machine)
     everything = own or names == names_in(CABS)
-    return [load_cab(name, machine) for name in (machine.cab_names if everything else names)]
+    return [load_cab(name, machine) for name in (tuple(machine.cabs) if everything else names)]
 
 
 name_or_file = partial(choice, free=True)
@@ -125,7 +125,7 @@ CAMERAS = ("overview", "side", "front")
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
-OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.channel:SENSOR_SETS"
+OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.channel:SENSOR_SETS"
 MACHINES = "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"

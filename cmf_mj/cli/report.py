@@ -104,7 +104,7 @@ def sensors_command(
     seed: options.Seed = 0,
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
-    from cmf_mj.electronics.sensors.channel import load_sensors
+    from cmf_mj.electronics.channel import load_sensors
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
     from cmf_mj.show.listing import sensor_table
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection

@@ -13,7 +13,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.core.result import Field, Result, Table
-from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings
+from cmf_mj.electronics.channel import CHANNELS, SensorSettings
 from cmf_mj.facility.replay import Replay
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind
@@ -44,7 +44,7 @@ def sensor_table(settings: SensorSettings) -> Table:
     """A sensor set with the unit, status and source of every number."""
     rows: list[tuple[str | float, ...]] = []
     for channel in CHANNELS:
-        numbers = settings.channel(channel).quantities()
+        numbers = getattr(settings, channel).quantities()
         if not numbers:
             rows.append((channel, "ideal", "", "", "", ""))
         rows += [
@@ -89,7 +89,7 @@ def replay_summary(replayed: Replay) -> str:
 
 def machine_table(machines: Sequence[Machine]) -> Table:
     """Machines with their cabs."""
-    rows = [(m.name, m.title, ", ".join(m.cab_names), load_law(m.law).name) for m in machines]
+    rows = [(m.name, m.title, ", ".join(m.cabs), load_law(m.law).name) for m in machines]
     return Table("machines", ("name", "title", "cabs", "law"), rows)
 
 

@@ -24,7 +24,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings, load_sensors
+from cmf_mj.electronics.channel import CHANNELS, SensorSettings, load_sensors
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import (
@@ -41,7 +41,7 @@ LIMIT = 2.0
 VALVE_GAINS, MASSES, OIL = 0.1, 0.1, 0.2
 """Half widths of the distributions of `valve_gains` and `drawn_machine`, over the nominal."""
 
-LEG_CHANNELS = tuple(n for n, u in CHANNELS.items() if not n.startswith("platform_"))
+LEG_CHANNELS = tuple(name for name in CHANNELS if not name.startswith("platform_"))
 """Sensors whose gain may scatter."""
 
 

@@ -270,7 +270,7 @@ def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None)
     _check(settings)
     chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
     machine = load_machine(settings.machine)
-    cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
+    cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or tuple(machine.cabs)[:1])
     for field, named in (("laws", chosen), ("cabs", cabs)):
         check_distinct(field, [one.name for one in named])
     return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))

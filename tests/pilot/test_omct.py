@@ -9,7 +9,7 @@ from flights import G
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
-from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.control.dcu.state import load_dcu
 from cmf_mj.pilot.cueing.settings import load_washout, save_washout
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import (
