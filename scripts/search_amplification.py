@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.play import Arrivals, upsample
-from cmf_mj.control.dcu.settings import make_dcu
-from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.dcu.state import make_dcu, resting
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.limiter import make_leg_limiter, make_pose_limiter
 from cmf_mj.control.states import Request, State, make_states

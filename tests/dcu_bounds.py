@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.motion import ACCELERATION, POSE, VELOCITY
-from cmf_mj.control.dcu.settings import Dcu
+from cmf_mj.control.dcu.state import Dcu
 
 FADE_PEAK_VELOCITY = 4.0 / 27.0  # largest e, at x = 1/3; |e'| is 1 at most and |g'| 1.5
 GAP_IMPULSE = 0.2332  # largest impulse response of 1 / (s^2 + 3 s + 3), at 0.605, rounded up

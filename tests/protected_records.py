@@ -3,7 +3,7 @@
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
 from cmf_mj.core.compiled import compiled
-from cmf_mj.electronics.sensors.suite import at_frame
+from cmf_mj.electronics.sensors import at_frame
 from cmf_mj.facility import replay
 from cmf_mj.record.record import Record
 

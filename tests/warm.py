@@ -16,17 +16,15 @@ from protected_records import fault_of
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.play import upsample
-from cmf_mj.control.dcu.settings import load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
-from cmf_mj.control.feedback import gravity_history
+from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.inverse import follow, opened
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection, make_protection
+from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import SignalSession
 from cmf_mj.facility.scenario import load_scenario
-from cmf_mj.machine.gravity import axial_gravity
-from cmf_mj.machine.leg_motion import leg_motion_to_pose
+from cmf_mj.machine.leg_motion import axial_gravity, leg_motion_to_pose
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import sense
@@ -35,7 +33,7 @@ from cmf_mj.plant.cylinder import Cylinder, make_cylinders
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
-from tests.control import test_limit_chain as limit_chain
+from tests.control import test_limiter_chain as limit_chain
 from tests.control import test_states as operating_states
 from tests.facility import test_front as streams
 from tests.facility import test_host as host

@@ -36,7 +36,7 @@ def list_command(
     """List laws, machines, or the numbers of a hydraulic or sensor set with their sources."""
     from cmf_mj.core.quantity import quantity_table
     from cmf_mj.core.result import Field, Result, Table
-    from cmf_mj.electronics.sensors.channel import load_sensors
+    from cmf_mj.electronics.channel import load_sensors
     from cmf_mj.machine.models import machine_names
     from cmf_mj.plant.parameters.loading import hydraulics_of
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
@@ -49,7 +49,7 @@ def list_command(
         show(Result(laws, fields, "control laws"))
     elif what == "machines":
         rows = [
-            (one.name, one.title, ", ".join(one.cab_names), cmf_mj.load_law(one.law).name)
+            (one.name, one.title, ", ".join(one.cabs), cmf_mj.load_law(one.law).name)
             for one in map(cmf_mj.load_machine, machine_names())
         ]
         show(Table("machines", ("name", "title", "cabs", "law"), rows))

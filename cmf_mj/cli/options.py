@@ -96,7 +96,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     if field == "cab":
         return cmf_mj.load_cab(None if own else names, machine)
     everything = own or names == names_in(CABS)
-    return [cmf_mj.load_cab(name, machine) for name in (machine.cab_names if everything else names)]
+    return [cmf_mj.load_cab(name, machine) for name in (machine.cabs if everything else names)]
 
 
 name_or_file = partial(choice, free=True)

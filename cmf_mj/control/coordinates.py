@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from cmf_mj.core import units
-from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, as_tuples
 
@@ -89,25 +88,3 @@ def make_shape(modes: Modes | None, legs: int) -> NDArray[np.float64]:
 def mode_mass(modes: Modes) -> NDArray[np.float64]:
     """Masses of the modes [kg], (6,)."""
     return np.array(modes.mass) * units.POUND_MASS
-
-
-@compiled
-def to_modes(shape, legs, modes):  # type: ignore[no-untyped-def]
-    """Write q = V^T l."""
-    count = legs.shape[0]
-    for mode in range(count):
-        total = 0.0
-        for leg in range(count):
-            total += shape[mode, leg] * legs[leg]
-        modes[mode] = total
-
-
-@compiled
-def to_legs(shape, modes, legs):  # type: ignore[no-untyped-def]
-    """Write l = V q."""
-    count = legs.shape[0]
-    for leg in range(count):
-        total = 0.0
-        for mode in range(count):
-            total += shape[mode, leg] * modes[mode]
-        legs[leg] = total

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control.compensator import Compensator, compensate, make_compensator
-from cmf_mj.control.coordinates import make_shape, to_legs, to_modes
+from cmf_mj.control.coordinates import make_shape
 from cmf_mj.control.error import (
     ErrorCalculations,
     ErrorState,
@@ -29,15 +29,16 @@ from cmf_mj.control.error import (
     make_error_calculations,
 )
 from cmf_mj.control.feedback import (
+    CompiledLoadFeedback,
     Feedback,
     LegFeedback,
+    damp,
     filter_acceleration,
-    make_feedback,
+    make_load_feedback,
     pressure_force,
 )
 from cmf_mj.control.inverse import command
 from cmf_mj.control.law import SIGNALS, Law
-from cmf_mj.control.load_feedback import CompiledLoadFeedback, damp, make_load_feedback
 from cmf_mj.control.plan import CompiledPlan, PlanState, advance, correct, look_ahead, make_plan
 from cmf_mj.control.reference_model import (
     AdaptationState,
@@ -46,7 +47,7 @@ from cmf_mj.control.reference_model import (
     follow,
     make_model,
 )
-from cmf_mj.core.compiled import assign, compiled, inlined
+from cmf_mj.core.compiled import assign, compiled, inlined, multiply, multiply_transposed
 from cmf_mj.core.errors import InputError
 
 OFFSET_TIME = 0.5
@@ -158,7 +159,12 @@ def make_dcl(law: Law, legs: int) -> Dcl:
         modal=modes is not None,
         planned=law.plan is not None,
         damped=law.load_feedback is not None,
-        feedback=make_feedback(law, sizes.force_area),
+        feedback=Feedback(
+            law.accelerometer_pole,
+            law.accelerometer_gain,
+            law.gravity_compensation,
+            sizes.force_area,
+        ),
         error=make_error_calculations(law, sizes.working_stroke),
         compensator=make_compensator(law, legs),
         model=make_model(law.reference_model, law.frame),
@@ -234,21 +240,23 @@ def _plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
 
 @compiled
 def _into_modes(shape, work, integral, feedback):  # type: ignore[no-untyped-def]
+    """Write demand, integral and feedback in modes, q = V^T l."""
     modes = work.feedback
-    to_modes(shape, work.limited, work.reference)
-    to_modes(shape, integral, work.integral)
-    to_modes(shape, feedback.position, modes.position)
-    to_modes(shape, feedback.velocity, modes.velocity)
-    to_modes(shape, feedback.acceleration, modes.acceleration)
-    to_modes(shape, feedback.cap_pressure, modes.cap_pressure)
-    to_modes(shape, feedback.rod_pressure, modes.rod_pressure)
+    multiply(shape, work.limited, work.reference)
+    multiply(shape, integral, work.integral)
+    multiply(shape, feedback.position, modes.position)
+    multiply(shape, feedback.velocity, modes.velocity)
+    multiply(shape, feedback.acceleration, modes.acceleration)
+    multiply(shape, feedback.cap_pressure, modes.cap_pressure)
+    multiply(shape, feedback.rod_pressure, modes.rod_pressure)
 
 
 @compiled
 def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
-    to_legs(shape, work.output, work.legs)
+    """Turn outputs and targets back to legs, l = V q."""
+    multiply_transposed(shape, work.output, work.legs)
     assign(work.output, work.legs)
-    to_legs(shape, work.target, work.legs)
+    multiply_transposed(shape, work.target, work.legs)
     assign(work.target, work.legs)
 
 

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.machine import geometry_of
@@ -55,19 +55,36 @@ def make_demand(
     The constant displacement of the upper gimbals is (6, 3) [m], their displacement per specific
     force (6, 3, 3) [m/(m/s^2)], both in platform axes.
     """
-
-    def checked(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        array = np.zeros(shape) if values is None else np.array(values, dtype=float, order="C")
-        if array.shape != shape:
-            raise InputError(f"{name}: shape is {array.shape}; it must be {shape}")
-        if not np.isfinite(array).all():
-            raise InputError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
-        return array
-
     return Demand(
         geometry_of(machine),
-        checked("deflection", deflection, (6, 3)),
-        checked("compliance", compliance, (6, 3, 3)),
+        shaped("deflection", np.zeros((6, 3)) if deflection is None else deflection, 6, 3),
+        shaped("compliance", np.zeros((6, 3, 3)) if compliance is None else compliance, 6, 3, 3),
+    )
+
+
+@compiled
+def _turning(pose, rates, changes):  # type: ignore[no-untyped-def]
+    """The angular velocity omega = E rates and its derivative, inertial axes."""
+    ct, st = np.cos(pose[4]), np.sin(pose[4])
+    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    roll, pitch, yaw = rates[3], rates[4], rates[5]
+    x, y, z = ct * cp * roll - sp * pitch, ct * sp * roll + cp * pitch, yaw - st * roll
+    dx = ct * cp * changes[3] - sp * changes[4]
+    dx += (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch
+    dy = ct * sp * changes[3] + cp * changes[4]
+    dy += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
+    dz = changes[5] - st * changes[3] - ct * pitch * roll
+    return x, y, z, dx, dy, dz
+
+
+@compiled
+def _under_load(demand, j, fx, fy, fz):  # type: ignore[no-untyped-def]
+    """Upper gimbal of a leg under a specific force, platform axes."""
+    rest, bend, give = demand.geometry.upper[j], demand.deflection[j], demand.compliance[j]
+    return (
+        rest[0] + bend[0] + give[0, 0] * fx + give[0, 1] * fy + give[0, 2] * fz,
+        rest[1] + bend[1] + give[1, 0] * fx + give[1, 1] * fy + give[1, 2] * fz,
+        rest[2] + bend[2] + give[2, 0] * fx + give[2, 1] * fy + give[2, 2] * fz,
     )
 
 
@@ -78,35 +95,14 @@ def step(demand, motion, legs):  # type: ignore[no-untyped-def]
     Rows are position [m, rad], z down, velocity and acceleration.
     """
     pose, velocity, acceleration = motion[0], motion[1], motion[2]
-    upper, lower, neutral = demand.geometry
-    cf, sf = np.cos(pose[3]), np.sin(pose[3])
-    ct, st = np.cos(pose[4]), np.sin(pose[4])
-    cp, sp = np.cos(pose[5]), np.sin(pose[5])
-    # Rows of T, Eq 2.2.
-    xx, xy, xz = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
-    yx, yy, yz = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
-    zx, zy, zz = -st, sf * ct, cf * ct
-    # omega = E rates and its derivative, inertial axes.
-    roll, pitch, yaw = velocity[3], velocity[4], velocity[5]
-    ox, oy, oz = ct * cp * roll - sp * pitch, ct * sp * roll + cp * pitch, yaw - st * roll
-    bx = ct * cp * acceleration[3] - sp * acceleration[4]
-    bx += (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch
-    by = ct * sp * acceleration[3] + cp * acceleration[4]
-    by += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
-    bz = acceleration[5] - st * acceleration[3] - ct * pitch * roll
+    _, lower, neutral = demand.geometry
+    turn = kinematics.turn_of(pose[3], pose[4], pose[5])
+    ox, oy, oz, bx, by, bz = _turning(pose, velocity, acceleration)
     # Specific force where the demand counts, platform axes.
-    ax, ay, az = acceleration[0], acceleration[1], acceleration[2] - units.STANDARD_GRAVITY
-    fx = xx * ax + yx * ay + zx * az
-    fy = xy * ax + yy * ay + zy * az
-    fz = xz * ax + yz * ay + zz * az
+    down = acceleration[2] - units.STANDARD_GRAVITY
+    fx, fy, fz = kinematics.turned_back(turn, acceleration[0], acceleration[1], down)
     for j in range(6):
-        bend, give = demand.deflection[j], demand.compliance[j]
-        ux = upper[j, 0] + bend[0] + give[0, 0] * fx + give[0, 1] * fy + give[0, 2] * fz
-        uy = upper[j, 1] + bend[1] + give[1, 0] * fx + give[1, 1] * fy + give[1, 2] * fz
-        uz = upper[j, 2] + bend[2] + give[2, 0] * fx + give[2, 1] * fy + give[2, 2] * fz
-        rx = xx * ux + xy * uy + xz * uz
-        ry = yx * ux + yy * uy + yz * uz
-        rz = zx * ux + zy * uy + zz * uz
+        rx, ry, rz = kinematics.turned(turn, _under_load(demand, j, fx, fy, fz))
         lx = pose[0] + rx - lower[j, 0]
         ly = pose[1] + ry - lower[j, 1]
         lz = pose[2] + rz - lower[j, 2]

@@ -38,12 +38,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcl import Dcl, DclState, fill, step
-from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.feedback import LegFeedback, load
 from cmf_mj.control.inverse import follow
 from cmf_mj.control.law import SIGNALS
-from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
 from cmf_mj.control.reference_model import CompiledModel
+from cmf_mj.core.arrays import copied
 
 _REFERENCE, _POSITION = SIGNALS.index("reference"), SIGNALS.index("position")
 _INTEGRAL = SIGNALS.index("error_integral")
@@ -124,7 +124,7 @@ def handed_over(
     Reference (n,) [m] and feedback are those that the law before read in the last frame, `gravity`
     what the accelerometers felt of it, (n,) [m/s^2]; by default none.
     """
-    begun = DclState.of(state.arrays())
+    begun = copied(state)
     begun.offset[:] = 0.0
     if not np.array_equal(before.shape, after.shape):
         _turn(begun, after.shape @ before.shape.T)
@@ -162,9 +162,7 @@ def handed_over(
     if _starts_model(before, after):
         _move(begun.model.position, missing)
     if after.planned:
-        for _ in range(
-            3
-        ):  # valves under load are not linear, nor are modes away from neutral alone
+        for _ in range(3):  # valves under load are not linear, nor are modes alone off neutral
             _move(begun.plan.reference, missing)
     gain = _integral_gain(after)
     left = missing()
@@ -267,5 +265,5 @@ def _output(
     dcl: Dcl, state: DclState, reference: NDArray[np.float64], feedback: LegFeedback
 ) -> NDArray[np.float64]:
     """Output of a law (n,), its state left as it is."""
-    step(dcl, DclState.of(state.arrays()), reference, feedback)
+    step(dcl, copied(state), reference, feedback)
     return dcl.workspace.output.copy()

@@ -8,28 +8,34 @@ Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s 
 White noise in the accelerometer leaves its filter smaller by gain / sqrt(1 - pole^2), which for a
 gain of 1 - pole is sqrt((1 - pole) / (1 + pole)).
 
-Where accelerometers feel gravity, the DCL knows it along the legs (Appendix C) and takes it out for
-the fault detection, and for the law unless that chose `gravity_compensation = false`,
+Where accelerometers feel gravity, the electronics hand over readings without it, unless the law
+chose `gravity_compensation = false`. A law of gain K_a that reads g n . up = 0.832 g at neutral has
+K_a 0.832 g b / (1 - a) in its command for good, with filter pole a and gain b.
 
-    a = a_measured - g n . up,
+**Dynamic load pressure feedback**: damping from what the cylinders push, not from what they hold.
 
-with the legs' directions n from the measured positions through its own kinematics. A law of gain
-K_a that reads g n . up = 0.832 g at neutral has K_a 0.832 g b / (1 - a) in its command for good,
-with filter pole a and gain b.
+    F = A_cap p_cap - A_rod p_rod,    h = F - m a_plan,    output -= K_f (h - z)
+    z[k+1] = z[k] + (1 - e^(-w T)) (h[k] - z[k]),    w = 2 pi corner
+
+The high-pass takes the static load out, which would push the leg off its demand. Of a mode m is
+its mass and a_plan its planned acceleration (`cmf_mj.control.plan`): what the plan needs is not
+damped. Without a plan, a_plan is zero and the block is the field's dynamic pressure feedback.
+
+Source: H. E. Merritt, Hydraulic Control Systems (1967), section 6-6 (dynamic pressure feedback
+valves); J. Watton, Fundamentals of Fluid Power Control (2009), for its electronic form.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from cmf_mj.control.law import Law
+from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
 from cmf_mj.core import units
-from cmf_mj.core.compiled import allocating, compiled
-from cmf_mj.core.errors import InputError
-from cmf_mj.machine import models
-from cmf_mj.machine.gravity import leg_axes_state, make_leg_axes, track, upward
-from cmf_mj.machine.kinematics import MachineOrGimbals
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.settings import Settings
+from cmf_mj.machine.machine import LegSizes
 
 
 class LegFeedback(NamedTuple):
@@ -51,11 +57,6 @@ class Feedback(NamedTuple):
     area: float  #: A that the pressure difference acts on [m^2].
 
 
-def make_feedback(law: Law, area: float) -> Feedback:
-    """Take the feedback block's parameters from a law, with the area of Eq 3.7 [m^2]."""
-    return Feedback(law.accelerometer_pole, law.accelerometer_gain, law.gravity_compensation, area)
-
-
 @compiled
 def filter_acceleration(feedback, filtered, measured):  # type: ignore[no-untyped-def]
     """Next state of the accelerometer filter [m/s^2]; its output is the state itself."""
@@ -68,34 +69,47 @@ def pressure_force(feedback, cap_pressure, rod_pressure):  # type: ignore[no-unt
     return (cap_pressure - rod_pressure) * feedback.area
 
 
-def noise_gain(law: Law) -> float:
-    """Rms of white noise behind the accelerometer filter over that before it."""
-    return float(law.accelerometer_gain / np.sqrt(1.0 - law.accelerometer_pole**2))
+class LoadFeedback(Settings):
+    """Gain and corner of dynamic load pressure feedback."""
+
+    gain: PerMode  #: K_f [%/klbf].
+    corner: Annotated[float, Field(gt=0.0, le=50.0)]  #: Corner of the high-pass [Hz].
+
+
+class CompiledLoadFeedback(NamedTuple):
+    """Compiled parameters, SI."""
+
+    cap_area: float  #: A_cap [m^2].
+    rod_area: float  #: A_rod [m^2].
+    gain: NDArray[np.float64]  #: K_f, (n,) [1/N].
+    mass: NDArray[np.float64]  #: m, (n,) [kg]; 0 where the law knows none.
+    passes: float  #: 1 - e^(-w T).
+
+
+def make_load_feedback(
+    settings: LoadFeedback | None, sizes: LegSizes, modes: Modes | None, legs: int, frame: float
+) -> CompiledLoadFeedback:
+    """Compile the block; None for none. Modes are those of a plan, whose forces are not damped."""
+    mass = np.zeros(legs) if modes is None else mode_mass(modes)
+    cap, rod = sizes.cap_area, sizes.rod_area
+    if settings is None:
+        return CompiledLoadFeedback(cap, rod, np.zeros(legs), mass, 0.0)
+    gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
+    passes = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
+    return CompiledLoadFeedback(cap, rod, gain, mass, passes)
 
 
 @compiled
-def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def]
-    """Write g n . up [m/s^2], which accelerometers feel, at measured extensions (6,) [m]."""
-    track(axes, state, position)
-    for leg in range(6):
-        gravity[leg] = units.STANDARD_GRAVITY * upward(state, leg)
+def load(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+    """Force h of one mode [N]; `acceleration` is the planned one."""
+    push = block.cap_area * feedback.cap_pressure[mode]
+    pull = block.rod_area * feedback.rod_pressure[mode]
+    return push - pull - block.mass[mode] * acceleration
 
 
-@allocating
-def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
-    for frame in range(position.shape[0]):
-        find_gravity(axes, state, position[frame], gravity[frame])
-
-
-def gravity_history(
-    position: NDArray[np.float64], machine: MachineOrGimbals = models.CMF
-) -> NDArray[np.float64]:
-    """Gravity along six legs at measured extensions (N, 6) [m], as the DCL finds it [m/s^2]."""
-    if position.shape[1:] != (6,):
-        raise InputError(
-            f"position: shape is {position.shape[1:]}; gravity along the legs needs (6,)"
-        )
-    axes, gravity = make_leg_axes(machine), np.empty(position.shape)
-    position = np.ascontiguousarray(position)
-    _histories(axes, leg_axes_state(axes, position[0]), position, gravity)
-    return gravity
+@compiled
+def damp(block, state, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+    """Command of one mode, fraction; its low-passed force `state[mode]` moves on."""
+    swing = load(block, mode, feedback, acceleration) - state[mode]
+    state[mode] += block.passes * swing
+    return -block.gain[mode] * swing

@@ -33,9 +33,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.coordinates import MODES, Modes, make_shape, mode_mass, to_legs, to_modes
+from cmf_mj.control.coordinates import MODES, Modes, make_shape, mode_mass
 from cmf_mj.core import units
-from cmf_mj.core.compiled import assign, compiled
+from cmf_mj.core.compiled import assign, compiled, multiply, multiply_transposed
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.kinematics import (
     leg_jacobian,
@@ -188,31 +188,18 @@ def _write_forces(inverse, pose, shape, modal):  # type: ignore[no-untyped-def]
     for row in range(4):
         force, on_way = inverse.force[row], inverse.coordinates[0]
         if inverse.follows:
-            _multiply(inverse.reciprocal, inverse.legs[row + 2], force)
-            _multiply(inverse.inertia, force, on_way)
-            for j in range(6):
-                total = 0.0
-                for i in range(6):
-                    total += inverse.reciprocal[i, j] * on_way[i]
-                force[j] = total
+            multiply(inverse.reciprocal, inverse.legs[row + 2], force)
+            multiply(inverse.inertia, force, on_way)
+            multiply_transposed(inverse.reciprocal, on_way, force)
         else:
             for mode in range(count):
                 on_way[mode] = (
                     inverse.spring * inverse.compliance[mode] * inverse.mean[row + 2, mode]
                 )
             if modal:
-                to_legs(shape, on_way, force)
+                multiply_transposed(shape, on_way, force)
             else:
                 assign(force, on_way)
-
-
-@compiled
-def _multiply(matrix, vector, product):  # type: ignore[no-untyped-def]
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        product[i] = total
 
 
 @compiled
@@ -242,7 +229,7 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
     count, legs = commands.shape[0], inverse.legs
     for row in range(6):
         if modal:
-            to_legs(shape, inverse.mean[row], legs[row])
+            multiply_transposed(shape, inverse.mean[row], legs[row])
         else:
             assign(legs[row], inverse.mean[row])
     _write_forces(inverse, pose, shape, modal)
@@ -263,7 +250,7 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
         total = flow + more + inverse.lags * (first + rate) + inverse.lags_product * second
         asked[leg] = total / inverse.speed
     if modal:
-        to_modes(shape, asked, commands)
+        multiply(shape, asked, commands)
     else:
         assign(commands, asked)
 

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
-from cmf_mj.control.load_feedback import LoadFeedback
+from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name

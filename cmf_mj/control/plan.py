@@ -39,12 +39,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
-from scipy import signal
 
 from cmf_mj.control.coordinates import Modes, PerMode, Positive, spread
 from cmf_mj.control.inverse import Inverse, Valves, make_inverse
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.hold import chain
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.machine.machine import Machine
 
@@ -153,13 +153,11 @@ def make_plan(
         stall,
     )
     response = response_polynomial(plan)
-    a, b = np.diag(np.ones(ORDER - 1), 1), np.zeros((ORDER, 1))
-    a[-1], b[-1] = -response[:ORDER] / response[ORDER], 1.0 / response[ORDER]
-    a, b, *_ = signal.cont2discrete((a, b, np.eye(ORDER), np.zeros((ORDER, 1))), frame)
+    moved = chain(response[:ORDER] / response[ORDER], 1.0 / response[ORDER], frame)
     return CompiledPlan(
         frame=frame,
-        transition=np.ascontiguousarray(a),
-        input=np.ascontiguousarray(b[:, 0]),
+        transition=np.ascontiguousarray(moved[:, :ORDER]),
+        input=np.ascontiguousarray(moved[:, ORDER]),
         rate=spread(plan.rate, legs) * step,
         acceleration=spread(plan.acceleration, legs) * step * frame,
         smooth=2.0 * np.pi * plan.smooth * frame,

@@ -22,76 +22,76 @@ d of the position shows d at once, a velocity error b shows b/r (1 - (1 - r T)^k
 What changes slower than r, and faults common to both sensors, this cannot see.
 """
 
+from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
+from pydantic import AfterValidator
 
+from cmf_mj.core.arrays import one_row
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Count, Loader, Settings
 from cmf_mj.core.units import FRAME
 
-NO_FAULT = 0
-_LENGTH, _PRESSURE, _TIME = ("in", "m"), ("psi", "Pa"), ("s",)
-_UNITS = {
-    "tracking_error": _LENGTH,
-    "sensor_disagreement": _LENGTH,
-    "over_pressure": _PRESSURE,
-    "under_pressure": _PRESSURE,
-    "over_speed": ("in/s", "m/s"),
-    "over_acceleration": ("g", "in/s/s", "m/s/s"),
-    "host_watchdog": _TIME,
-    "frame_watchdog": ("1",),
-}
-CHECKS = tuple(_UNITS)
-"""Names of the conditions."""
-FAULTS = ("none", *CHECKS, "not_arrived", "host_range")
+
+class FaultCode(IntEnum):
+    """Faults, in the order in which they count: the conditions, then what others find."""
+
+    NONE = 0
+    TRACKING_ERROR = 1
+    SENSOR_DISAGREEMENT = 2
+    OVER_PRESSURE = 3
+    UNDER_PRESSURE = 4
+    OVER_SPEED = 5
+    OVER_ACCELERATION = 6
+    HOST_WATCHDOG = 7
+    FRAME_WATCHDOG = 8
+    NOT_ARRIVED = 9  #: Found by the operating states.
+    HOST_RANGE = 10  #: Found by the DCU.
+
+
+FAULTS = tuple(code.name.lower() for code in FaultCode)
 """Names of the faults; a code is the place in this tuple."""
 
-_TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME = range(1, 9)
-NOT_ARRIVED, HOST_RANGE = 9, 10
-"""Codes of the faults that operating states and DCU find."""
 _MACHINE = -1
 """Leg of a fault that belongs to no leg."""
 
+Threshold = TypeVar("Threshold")
 
-class Check(Settings):
+
+class Check(Settings, Generic[Threshold]):
     """One condition."""
 
     enabled: bool = True
-    threshold: Quantity
+    threshold: Threshold
     persistence: Count  #: Frames of 1/2048 s in a row that make a fault.
+
+
+_Length = Check[Annotated[Quantity, positive_in("in", "m")]]
+_Pressure = Check[Annotated[Quantity, positive_in("psi", "Pa")]]
 
 
 class ProtectionSettings(Settings):
     """All conditions."""
 
-    tracking_error: Check
-    sensor_disagreement: Check
-    over_pressure: Check
-    under_pressure: Check
-    over_speed: Check
-    over_acceleration: Check
-    host_watchdog: Check
-    frame_watchdog: Check
+    tracking_error: _Length
+    sensor_disagreement: _Length
+    over_pressure: _Pressure
+    under_pressure: _Pressure
+    over_speed: Check[Annotated[Quantity, positive_in("in/s", "m/s")]]
+    over_acceleration: Check[Annotated[Quantity, positive_in("g", "in/s/s", "m/s/s")]]
+    host_watchdog: Check[Annotated[Quantity, positive_in("s")]]
+    frame_watchdog: Check[Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]]
     washout: Annotated[Quantity, positive_in("1/s")]
     """Rate r at which the integrated velocity follows the position; below 1/T."""
 
-    @model_validator(mode="after")
-    def _in_range(self) -> "ProtectionSettings":
-        for name, allowed in _UNITS.items():
-            quantity = getattr(self, name).threshold
-            least = 0.0 if name == "frame_watchdog" else np.nextafter(0.0, 1.0)
-            if quantity.unit not in allowed or quantity.value < least:
-                raise InputError(
-                    f"{name}.threshold: {quantity.value:g} {quantity.unit} is refused: must be "
-                    f"greater than 0 {' or '.join(allowed)}"
-                )
-        return self
+
+CHECKS = tuple(name for name in ProtectionSettings.model_fields if name in FAULTS)
+"""Names of the conditions."""
 
 
 class Protection(NamedTuple):
@@ -104,14 +104,22 @@ class Protection(NamedTuple):
     frame: float  #: T [s].
 
 
+class Detection(NamedTuple):
+    """The latched fault, and the frame before."""
+
+    code: int = FaultCode.NONE.value  #: `FaultCode` of the fault.
+    leg: int = _MACHINE  #: Leg from 0; -1 for the machine.
+    frame: int = -1  #: Frame in which it was detected.
+    last: int = -1  #: Frame before this one; -1 before the first.
+
+
 class ProtectionState(NamedTuple):
     """State of the detection."""
 
     counts: NDArray[np.int64]
     """Frames in a row of each condition, (9, n); conditions of no leg use column 0."""
     estimate: NDArray[np.float64]  #: Integrated velocities z [m], (n,).
-    last: NDArray[np.int64]  #: Frame before, (1,); -1 before the first.
-    fault: NDArray[np.int64]  #: Latched code, leg from 0 or -1 for the machine, and frame, (3,).
+    detection: np.recarray[Any, Any]  #: `Detection`, (1,).
 
 
 class Fault(NamedTuple):
@@ -137,23 +145,20 @@ def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Prote
         )
     checks = [getattr(settings, name) for name in CHECKS]
     return Protection(
-        np.array([False] + [check.enabled for check in checks]),
-        np.array([0.0] + [check.threshold.si for check in checks]),
-        np.array([0] + [max(round(check.persistence * FRAME / frame), 1) for check in checks]),
-        settings.washout.si * frame,
-        frame,
+        enabled=np.array([False] + [check.enabled for check in checks]),
+        threshold=np.array([0.0] + [check.threshold.si for check in checks]),
+        persistence=np.array(
+            [0] + [max(round(check.persistence * FRAME / frame), 1) for check in checks]
+        ),
+        washout=settings.washout.si * frame,
+        frame=frame,
     )
 
 
 def protection_state(position: NDArray[np.float64]) -> ProtectionState:
     """State of a machine at rest at the leg positions (n,) [m], no fault."""
-    legs = position.shape[0]
-    return ProtectionState(
-        np.zeros((len(FAULTS), legs), dtype=np.int64),
-        np.array(position, dtype=float),
-        np.array([-1]),
-        np.array([NO_FAULT, _MACHINE, -1]),
-    )
+    counts = np.zeros((len(FAULTS), position.shape[0]), dtype=np.int64)
+    return ProtectionState(counts, np.array(position, dtype=float), one_row(Detection()))
 
 
 @compiled
@@ -161,15 +166,21 @@ def reset(state, position):  # type: ignore[no-untyped-def]
     """Forget the fault and everything counted, at the present positions (n,) [m]."""
     state.counts[:] = 0
     assign(state.estimate, position)
-    state.last[0] = -1
-    state.fault[0], state.fault[1], state.fault[2] = NO_FAULT, _MACHINE, -1
+    state.detection[0].last = -1
+    _latch(state, FaultCode.NONE.value, _MACHINE, -1)
+
+
+@compiled
+def _latch(state, code, leg, frame):  # type: ignore[no-untyped-def]
+    fault = state.detection[0]
+    fault.code, fault.leg, fault.frame = code, leg, frame
 
 
 @compiled
 def latch(state, code, frame):  # type: ignore[no-untyped-def]
     """Latch a fault that was found elsewhere, if there is one and no other is latched."""
-    if code != NO_FAULT and state.fault[0] == NO_FAULT:
-        state.fault[0], state.fault[1], state.fault[2] = code, _MACHINE, frame
+    if code != FaultCode.NONE.value and state.detection[0].code == FaultCode.NONE.value:
+        _latch(state, code, _MACHINE, frame)
 
 
 @compiled
@@ -182,10 +193,11 @@ def _judge(protection, state, code, leg, column, value, frame):  # type: ignore[
         return
     state.counts[code, column] += 1
     new = state.counts[code, column] >= protection.persistence[code]
-    first = state.fault[0] == NO_FAULT or code < _HOST <= state.fault[0]
-    earlier = state.fault[2] == frame and code < state.fault[0]
+    fault, watchdog = state.detection[0], FaultCode.HOST_WATCHDOG.value
+    first = fault.code == FaultCode.NONE.value or code < watchdog <= fault.code
+    earlier = fault.frame == frame and code < fault.code
     if new and (first or earlier):
-        state.fault[0], state.fault[1], state.fault[2] = code, leg, frame
+        _latch(state, code, leg, frame)
 
 
 @compiled
@@ -202,25 +214,32 @@ def protect(protection, state, frame, reference, feedback, supply_pressure, host
         cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
         pressure = cap if cap > rod or cap != cap else rod
         error = abs(reference[leg] - position)
-        _judge(protection, state, _TRACKING, leg, leg, error, frame)
-        _judge(protection, state, _DISAGREE, leg, leg, abs(apart), frame)
-        _judge(protection, state, _OVER, leg, leg, pressure, frame)
-        _judge(protection, state, _SPEED, leg, leg, abs(velocity), frame)
-        _judge(protection, state, _ACCELERATION, leg, leg, abs(feedback.acceleration[leg]), frame)
-    if not supply_pressure >= protection.threshold[_UNDER]:
-        _judge(protection, state, _UNDER, _MACHINE, 0, np.inf, frame)
+        felt = abs(feedback.acceleration[leg])
+        _judge(protection, state, FaultCode.TRACKING_ERROR.value, leg, leg, error, frame)
+        _judge(protection, state, FaultCode.SENSOR_DISAGREEMENT.value, leg, leg, abs(apart), frame)
+        _judge(protection, state, FaultCode.OVER_PRESSURE.value, leg, leg, pressure, frame)
+        _judge(protection, state, FaultCode.OVER_SPEED.value, leg, leg, abs(velocity), frame)
+        _judge(protection, state, FaultCode.OVER_ACCELERATION.value, leg, leg, felt, frame)
+    if not supply_pressure >= protection.threshold[FaultCode.UNDER_PRESSURE.value]:
+        _judge(protection, state, FaultCode.UNDER_PRESSURE.value, _MACHINE, 0, np.inf, frame)
     else:
-        state.counts[_UNDER, 0] = 0
-    missed = frame - state.last[0] - 1 if state.last[0] >= 0 else 0
-    state.last[0] = frame
-    _judge(protection, state, _HOST, _MACHINE, 0, host_age, frame)
-    _judge(protection, state, _FRAME, _MACHINE, 0, float(missed), frame)
-    return state.fault[0]
+        state.counts[FaultCode.UNDER_PRESSURE.value, 0] = 0
+    detection = state.detection[0]
+    missed = frame - detection.last - 1 if detection.last >= 0 else 0
+    detection.last = frame
+    _judge(protection, state, FaultCode.HOST_WATCHDOG.value, _MACHINE, 0, host_age, frame)
+    _judge(protection, state, FaultCode.FRAME_WATCHDOG.value, _MACHINE, 0, float(missed), frame)
+    return detection.code
+
+
+def fault_of(code: int, leg: int, frame: int) -> Fault | None:
+    """The fault that a detection holds, if there is one."""
+    if code == FaultCode.NONE:
+        return None
+    return Fault(FAULTS[code], None if leg == _MACHINE else int(leg) + 1, int(frame))
 
 
 def latched(state: ProtectionState) -> Fault | None:
     """The fault of a state, if there is one."""
-    code, leg, frame = (int(value) for value in state.fault)
-    if code == NO_FAULT:
-        return None
-    return Fault(FAULTS[code], None if leg == _MACHINE else leg + 1, frame)
+    detection = state.detection[0]
+    return fault_of(detection.code, detection.leg, detection.frame)

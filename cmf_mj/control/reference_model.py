@@ -56,11 +56,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from cmf_mj.control.law import ReferenceModel
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.hold import chain
 
 
 class AdaptationState(NamedTuple):
@@ -111,19 +111,18 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
     if settings is None:
         return CompiledModel()
     omega = 2.0 * np.pi * settings.natural_frequency
-    a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * settings.damping_ratio * omega]])
-    b = np.array([[0.0], [omega**2]])
-    a, b, *_ = signal.cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), frame, method="zoh")
+    damping = 2.0 * settings.damping_ratio * omega
+    (p_p, p_v, p_r), (v_p, v_v, v_r) = chain([omega**2, damping], omega**2, frame).tolist()
     scale = units.PERCENT / units.INCH
     fixed = CompiledModel(
         active=True,
         frame=frame,
-        position_stays=float(a[0, 0]),
-        position_of_velocity=float(a[0, 1]),
-        position_of_reference=float(b[0, 0]),
-        velocity_of_position=float(a[1, 0]),
-        velocity_stays=float(a[1, 1]),
-        velocity_of_reference=float(b[1, 0]),
+        position_stays=p_p,
+        position_of_velocity=p_v,
+        position_of_reference=p_r,
+        velocity_of_position=v_p,
+        velocity_stays=v_v,
+        velocity_of_reference=v_r,
         position_gain=settings.position * scale,
         rate_gain=settings.rate * scale,
         velocity_gain=settings.velocity * scale,

@@ -44,14 +44,15 @@ become faults, as does leaving off while a leg has no reading.
 
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.arrays import one_row
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.quantity import Quantity, in_si, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
@@ -132,13 +133,21 @@ class States(NamedTuple):
     frame: float  #: T [s].
 
 
+class Phase(NamedTuple):
+    """Where the state machine is."""
+
+    code: int = 0  #: The `State`.
+    time: float = 0.0  #: Time t since the last change [s].
+    fade: float = 0.0  #: D of the fade [s].
+    stop: float = 0.0  #: S of the stop [s].
+    valve: float = 0.0  #: Phase of the valve fade, 0 to 1.
+    gain: float = 0.0  #: Gain on the valve command, s of it.
+
+
 class OperatingState(NamedTuple):
     """State of the state machine."""
 
-    code: NDArray[np.int64]  #: The `State`, (1,).
-    clock: NDArray[np.float64]  #: Time t since the last change, D and S of its fade [s], (3,).
-    valve: NDArray[np.float64]
-    """Phase of the valve fade, 0 to 1, and the gain on the valve command, s of it, (2,)."""
+    phase: np.recarray[Any, Any]  #: `Phase`, (1,).
     stop: NDArray[np.float64]  #: p(inf) [m], v0 [m/s] and a0 [m/s^2] of the fade, (3, n).
     hold: NDArray[np.float64]  #: Where hold, off and fault keep the reference [m], (n,).
     host: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
@@ -149,22 +158,18 @@ def make_states(
 ) -> States:
     """Compile the settings, default the shipped ones, for stroke and control frame of a machine."""
     settings, carrier = settings or load_state_settings(), load_machine(machine)
-    fade = np.zeros(len(State))
-    fade[State.RAISE] = settings.raise_time.si
-    fade[State.HOLD] = settings.hold_time.si
-    fade[State.ENGAGED] = settings.engage_time.si
-    fade[State.RETURN] = settings.return_time.si
-    fade[State.FAULT] = settings.fault_time.si
-    return States(
-        fade=fade,
-        stop_time=settings.stop_time.si,
-        valve_time=settings.valve_time.si,
-        speed=settings.speed.si,
-        acceleration=settings.acceleration.si,
+    fades = {
+        State.RAISE: settings.raise_time,
+        State.HOLD: settings.hold_time,
+        State.ENGAGED: settings.engage_time,
+        State.RETURN: settings.return_time,
+        State.FAULT: settings.fault_time,
+    }
+    return in_si(
+        States,
+        settings,
+        fade=np.array([fades[state].si if state in fades else 0.0 for state in State]),
         travel=carrier.working_stroke,
-        settled_tolerance=settings.settled_tolerance.si,
-        arrival_tolerance=settings.arrival_tolerance.si,
-        arrival_timeout=settings.arrival_timeout.si,
         frame=carrier.frame,
     )
 
@@ -180,14 +185,8 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     if code == State.OFF:
         at[:] = -states.travel
     gain = 0.0 if code == State.OFF else 1.0
-    return OperatingState(
-        code=np.array([int(code)]),
-        clock=np.zeros(3),
-        valve=np.full(2, gain),
-        stop=np.zeros((3, at.size)),
-        hold=at,
-        host=at.copy(),
-    )
+    phase = one_row(Phase(int(code), valve=gain, gain=gain))
+    return OperatingState(phase, np.zeros((3, at.size)), hold=at, host=at.copy())
 
 
 @compiled
@@ -217,7 +216,7 @@ def _finite(demand, leg):  # type: ignore[no-untyped-def]
 @compiled
 def _source(states, state, leg, demand):  # type: ignore[no-untyped-def]
     """Position, velocity and acceleration of the present source."""
-    code = state.code[0]
+    code = state.phase[0].code
     if code == State.ENGAGED:
         if _finite(demand, leg):
             return demand[0, leg], demand[1, leg], demand[2, leg]
@@ -250,7 +249,7 @@ def _low(states, measured):  # type: ignore[no-untyped-def]
 @compiled
 def _lies(states, state, measured, leg):  # type: ignore[no-untyped-def]
     """Where off and fault keep the reference: settled while valves close and where legs are low."""
-    if state.valve[0] > 0.0 or _low(states, measured):
+    if state.phase[0].valve > 0.0 or _low(states, measured):
         return -states.travel
     if np.isnan(measured[leg]):
         return state.hold[leg]
@@ -260,7 +259,7 @@ def _lies(states, state, measured, leg):  # type: ignore[no-untyped-def]
 @compiled
 def _moved(states, state, measured):  # type: ignore[no-untyped-def]
     """Whether a leg in off or fault no longer lies where the reference is kept."""
-    if state.code[0] == State.OFF or state.code[0] == State.FAULT:
+    if state.phase[0].code == State.OFF or state.phase[0].code == State.FAULT:
         for leg in range(measured.shape[0]):
             apart = _lies(states, state, measured, leg) - state.hold[leg]
             if abs(apart) > states.settled_tolerance:
@@ -271,13 +270,13 @@ def _moved(states, state, measured):  # type: ignore[no-untyped-def]
 @compiled
 def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
     """The state of the next frame."""
-    code = state.code[0]
-    done = state.clock[0] >= state.clock[1]
-    late = state.clock[0] >= state.clock[1] + states.arrival_timeout
+    phase = state.phase[0]
+    code, done = phase.code, phase.time >= phase.fade
+    late = phase.time >= phase.fade + states.arrival_timeout
     upwards = request == Request.RAISE or request == Request.ENGAGE
     downwards = request == Request.SETTLE or request == Request.OFF
     read = _near(measured, 0.0, np.inf)
-    lies = done and read and state.valve[0] == 0.0 and not _moved(states, state, measured)
+    lies = done and read and phase.valve == 0.0 and not _moved(states, state, measured)
     if request == Request.TRIP:
         return State.FAULT.value
     if code == State.OFF:
@@ -291,7 +290,7 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
     elif code == State.SETTLED:
         if request == Request.OFF:
             return State.OFF.value
-        if upwards and state.valve[0] == 1.0:
+        if upwards and phase.valve == 1.0:
             return State.RAISE.value
     elif code == State.FAULT:
         if request == Request.RESET and lies:
@@ -322,8 +321,8 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
 @compiled
 def _enter(states, state, following, demand, measured, reference):  # type: ignore[no-untyped-def]
     """Change the state and set up the fade from the reference (3, n)."""
-    legs, limit = reference.shape[1], states.acceleration
-    state.code[0] = following
+    legs, limit, phase = reference.shape[1], states.acceleration, state.phase[0]
+    phase.code = following
     time = states.stop_time
     for leg in range(legs):
         time = max(time, 4.0 / np.e * abs(reference[1, leg]) / limit)
@@ -341,9 +340,7 @@ def _enter(states, state, following, demand, measured, reference):  # type: igno
         swift = max(swift, 2.0 * _SPEED_PEAK * abs(velocity))
     both = swift + np.sqrt(swift * swift + 4.0 * _ACCELERATION_PEAK * far * limit)
     fade = max(states.fade[following], _SPEED_PEAK * far / states.speed)
-    state.clock[0] = 0.0
-    state.clock[1] = max(fade, 0.5 * both / limit, time)
-    state.clock[2] = time
+    phase.time, phase.fade, phase.stop = 0.0, max(fade, 0.5 * both / limit, time), time
 
 
 @compiled
@@ -352,15 +349,14 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
 
     It rises unless off or in fault; it falls when off and at the end of a fault.
     """
-    code = state.code[0]
-    phase = state.valve[0]
-    ended = state.clock[0] >= state.clock[1]
-    if code == State.OFF or (code == State.FAULT and ended):
-        phase -= states.frame / states.valve_time
-    elif code != State.FAULT:
-        phase += states.frame / states.valve_time
-    state.valve[0] = min(max(phase, 0.0), 1.0)
-    state.valve[1], _, _ = smooth(state.valve[0])
+    phase, change = state.phase[0], states.frame / states.valve_time
+    valve, ended = phase.valve, phase.time >= phase.fade
+    if phase.code == State.OFF or (phase.code == State.FAULT and ended):
+        valve -= change
+    elif phase.code != State.FAULT:
+        valve += change
+    phase.valve = min(max(valve, 0.0), 1.0)
+    phase.gain, _, _ = smooth(phase.valve)
 
 
 @compiled
@@ -369,9 +365,10 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
 
     The host's demand (3, n) is likewise; one that is not finite is replaced by its last finite
     position at rest. `measured` (n,) are the sensors' leg positions [m]. Returned is the `State` of
-    this frame; the valve command is to be multiplied by `state.valve[1]`.
+    this frame; the valve command is to be multiplied by `gain` of the phase.
     """
-    time, fade, stop = state.clock
+    phase = state.phase[0]
+    time, fade, stop = phase.time, phase.fade, phase.stop
     s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
     for leg in range(reference.shape[1]):
         position, velocity, change = _source(states, state, leg, demand)
@@ -387,8 +384,8 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
         if _finite(demand, leg):
             state.host[leg] = demand[0, leg]
     following = _next(states, state, request, measured)
-    if following != state.code[0] or _moved(states, state, measured):
+    if following != phase.code or _moved(states, state, measured):
         _enter(states, state, following, demand, measured, reference)
     _fade_valve(states, state)
-    state.clock[0] += states.frame
-    return state.code[0]
+    phase.time += states.frame
+    return phase.code

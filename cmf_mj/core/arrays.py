@@ -1,7 +1,7 @@
 """Arrays, mappings and lists that nobody can write to, and how large those of a run may be."""
 
 import operator
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +48,25 @@ def real(name: str, values: ArrayLike) -> NDArray[np.float64]:
     raise InputError(f"{name}: holds {what}; allowed: real numbers")
 
 
+def shaped(
+    name: str, values: ArrayLike, *shape: int | None, leading: bool = False
+) -> NDArray[np.float64]:
+    """A copy of finite numbers of a shape, in which None is any length; else refused by name.
+
+    With `leading` axes of any lengths may go before.
+    """
+    array = np.array(real(name, values), order="C")
+    last = array.shape[-len(shape) :] if leading else array.shape
+    if len(last) != len(shape) or any(n not in (None, m) for n, m in zip(shape, last, strict=True)):
+        sizes = ["N" if n is None else str(n) for n in shape]
+        allowed = ", ".join(["..."] * leading + sizes) + "," * (len(sizes) + leading == 1)
+        raise InputError(f"{name}: shape is {array.shape}; allowed: ({allowed})")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name}{list(where)}: {array[where]} is not a finite number")
+    return array
+
+
 def check_finite(name: str, values: NDArray[np.float64]) -> None:
     """Refuse rows of numbers that are not finite."""
     bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
@@ -70,6 +89,15 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+def one_row(values: NamedTuple) -> np.recarray[Any, Any]:
+    """One record with the fields, their types and values of a named tuple, (1,).
+
+    Compiled functions write to it, and take one array apart where each field would be one.
+    """
+    fields = [(name, type(value)) for name, value in values._asdict().items()]
+    return np.array([tuple(values)], dtype=fields).view(np.recarray)
 
 
 def copied(block: Block) -> Block:

@@ -103,3 +103,23 @@ def assign(target, source):  # type: ignore[no-untyped-def]
     """Copy a vector into another of its length; `target[:] = source` would make an array."""
     for i in range(target.shape[0]):
         target[i] = source[i]
+
+
+@compiled
+def multiply(matrix, vector, product):  # type: ignore[no-untyped-def]
+    """Write a matrix (n, m) times a vector (m,)."""
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        product[i] = total
+
+
+@compiled
+def multiply_transposed(matrix, vector, product):  # type: ignore[no-untyped-def]
+    """Write the transpose of a matrix (n, m) times a vector (n,)."""
+    for j in range(matrix.shape[1]):
+        total = 0.0
+        for i in range(matrix.shape[0]):
+            total += matrix[i, j] * vector[i]
+        product[j] = total

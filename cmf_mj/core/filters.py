@@ -37,6 +37,18 @@ def settled(sections: NDArray[np.float64], values: NDArray[np.float64]) -> NDArr
 
 
 @compiled
+def filter_all(sections, state, values, passed):  # type: ignore[no-untyped-def]
+    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); none pass as they are.
+
+    `passed` is overwritten and may be `values` itself.
+    """
+    for i in range(values.shape[0]):
+        passed[i] = values[i]
+        if sections.shape[0] > 0:
+            passed[i] = filtered(sections, state[i], passed[i])
+
+
+@compiled
 def filtered(sections, state, value):  # type: ignore[no-untyped-def]
     """Next output of a filter; its state (s, 2) is overwritten (direct form II, transposed)."""
     for i in range(sections.shape[0]):

@@ -66,6 +66,18 @@ def settled(system: Held, inputs: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(linalg.solve(np.eye(pushed.size) - system.transition, pushed))
 
 
+def chain(coefficients: ArrayLike, gain: float, interval: float) -> NDArray[np.float64]:
+    """A sample of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, exact for constant u, (n, n+1).
+
+    It acts on y, its derivatives and u.
+    """
+    order = np.size(coefficients)
+    matrix = np.zeros((order + 1, order + 1))
+    matrix[: order - 1, 1:order] = np.eye(order - 1)
+    matrix[order - 1] = [*-np.asarray(coefficients), gain]
+    return np.asarray(linalg.expm(matrix * interval))[:order].copy()
+
+
 @compiled
 def advance(system, state, before, now, work):  # type: ignore[no-untyped-def]
     """Move the state (n,) in place from the sample `before` (m,) to `now` (m,); work is (n,)."""

@@ -15,6 +15,7 @@ from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.core.units import LONGEST
 
 Value = TypeVar("Value")
+Block = TypeVar("Block", bound=tuple[Any, ...])
 
 
 class _Known(Settings, Generic[Value]):
@@ -70,6 +71,12 @@ class Points(_Known[Annotated[tuple[tuple[float, float, float], ...], BeforeVali
     def si(self) -> NDArray[np.float64]:
         """The points in SI, (n, 3)."""
         return units.to_si(self.unit, np.array(self.value))
+
+
+def in_si(block: type[Block], settings: Settings, **derived: Any) -> Block:
+    """Compiled parameters of a block: what is derived, and its other fields from settings in SI."""
+    given = (name for name in block._fields if name not in derived)  # type: ignore[attr-defined]
+    return block(**{name: getattr(settings, name).si for name in given}, **derived)
 
 
 def positive_in(*allowed: str) -> AfterValidator:

@@ -3,6 +3,11 @@
     truth -> sensors -> (faults) -> anti-alias filter, ADC -> without gravity -> DCL, protection
     DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
 
+Where accelerometers feel gravity (Appendix C) it is taken out, by the directions n of the legs that
+the kinematics find at the measured positions,
+
+    a = a_measured - g n . up.
+
 The protection always watches accelerations without gravity; whether the DCL reads them so is the
 law's choice. Through ideal electronics, which are not active, readings and commands go to the bit.
 """
@@ -14,10 +19,13 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.feedback import LegFeedback, find_gravity
-from cmf_mj.core.compiled import compiled, inlined
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.core.compiled import allocating, compiled, inlined
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Seed, Settings, name_or
+from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics import servo_electronics as servo
+from cmf_mj.electronics.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.converter import (
     Converters,
     ConverterSettings,
@@ -26,11 +34,11 @@ from cmf_mj.electronics.converter import (
     load_converters,
     make_converters,
 )
-from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
-from cmf_mj.electronics.sensors.suite import Sensors, SensorState, make_sensors, sense, sensor_state
+from cmf_mj.electronics.sensors import Sensors, SensorState, make_sensors, sense, sensor_state
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
-from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
+from cmf_mj.machine.kinematics import MachineOrGimbals
+from cmf_mj.machine.leg_motion import LegAxesState, leg_axes_state, make_leg_axes, track, upward
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
 from cmf_mj.plant.parameters.loading import fitting
@@ -116,21 +124,50 @@ def make_electronics(
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
+    extension = reading.position if sensors.gravity else np.zeros(6)
     return Electronics(
-        True,
-        sensors,
-        state,
-        converters,
-        converter_state(converters, reading),
-        leg_axes_state(sensors.axes, reading.position if sensors.gravity else np.zeros(6)),
-        np.zeros(legs),
-        np.zeros(legs),
-        servo.make_servo_electronics(parts.servo, frame),
-        servo.start(legs),
-        reading,
-        np.zeros(legs),
-        np.zeros(legs),
+        active=True,
+        sensors=sensors,
+        sensor_state=state,
+        converters=converters,
+        converter_state=converter_state(converters, reading),
+        axes_state=leg_axes_state(sensors.axes, extension),
+        gravity=np.zeros(legs),
+        inertial=np.zeros(legs),
+        servo=servo.make_servo_electronics(parts.servo, frame),
+        servo_state=servo.start(legs),
+        reading=reading,
+        counts=np.zeros(legs),
+        volts=np.zeros(legs),
     )
+
+
+@compiled
+def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+    """Write g n . up [m/s^2], which accelerometers feel, at measured extensions (6,) [m]."""
+    track(axes, state, position)
+    for leg in range(6):
+        gravity[leg] = STANDARD_GRAVITY * upward(state, leg)
+
+
+@allocating
+def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+    for frame in range(position.shape[0]):
+        find_gravity(axes, state, position[frame], gravity[frame])
+
+
+def gravity_history(
+    position: NDArray[np.float64], machine: MachineOrGimbals = models.CMF
+) -> NDArray[np.float64]:
+    """Gravity along six legs at measured extensions (N, 6) [m], as the electronics find it."""
+    if position.shape[1:] != (6,):
+        raise InputError(
+            f"position: shape is {position.shape[1:]}; gravity along the legs needs (6,)"
+        )
+    axes, gravity = make_leg_axes(machine), np.empty(position.shape)
+    position = np.ascontiguousarray(position)
+    _histories(axes, leg_axes_state(axes, position[0]), position, gravity)
+    return gravity
 
 
 @compiled

@@ -123,10 +123,10 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
 
     `digital` may be `analogue` itself.
     """
-    low_pass(converter.low_pass, state, analogue, digital)
+    filters.filter_all(converter.low_pass, state, analogue, digital)
     if converter.quantise:
         for leg in range(analogue.shape[0]):
-            code = steps(digital[leg], converter.step)
+            code = in_steps(digital[leg], converter.step)
             code = min(max(code, -converter.codes), converter.codes - 1.0)
             digital[leg] = code * converter.step
 
@@ -134,17 +134,8 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
 @compiled
 def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-def]
     """All channels of all legs, one frame; both are a `LegFeedback` and may be the same."""
-    convert(converters.position, state.position, analogue.position, digital.position)
-    convert(converters.velocity, state.velocity, analogue.velocity, digital.velocity)
-    convert(
-        converters.acceleration, state.acceleration, analogue.acceleration, digital.acceleration
-    )
-    convert(
-        converters.cap_pressure, state.cap_pressure, analogue.cap_pressure, digital.cap_pressure
-    )
-    convert(
-        converters.rod_pressure, state.rod_pressure, analogue.rod_pressure, digital.rod_pressure
-    )
+    for channel in range(5):
+        convert(converters[channel], state[channel], analogue[channel], digital[channel])
 
 
 def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float]:
@@ -162,18 +153,6 @@ def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float
 
 
 @compiled
-def low_pass(sections, state, values, passed):  # type: ignore[no-untyped-def]
-    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); none pass as they are.
-
-    `passed` is overwritten and may be `values` itself.
-    """
-    for i in range(values.shape[0]):
-        passed[i] = values[i]
-        if sections.shape[0] > 0:
-            passed[i] = filters.filtered(sections, state[i], passed[i])
-
-
-@compiled
-def steps(value, resolution):  # type: ignore[no-untyped-def]
+def in_steps(value, resolution):  # type: ignore[no-untyped-def]
     """The value in whole steps of the resolution; halves go up."""
     return np.floor(value / resolution + 0.5)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.quantity import Quantity, in_si, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -79,14 +79,8 @@ def make_servo_electronics(
     """Compile the settings, default the shipped ones, for a control frame [s]."""
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
-    return ServoElectronics(
-        switch_position=chosen.switch_position.si,
-        velocity_clamp=chosen.velocity_clamp.si,
-        change=chosen.rate_limit.si * frame,
-        full_command=chosen.full_command.si,
-        dac_range=chosen.dac_range.si,
-        quantum=2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0,
-    )
+    quantum = 2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0
+    return in_si(ServoElectronics, chosen, change=chosen.rate_limit.si * frame, quantum=quantum)
 
 
 def start(legs: int = 6) -> ServoState:

@@ -14,9 +14,8 @@ from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.dcu.play import Arrivals, feed, strayed
-from cmf_mj.control.dcu.settings import Dcu, make_dcu
-from cmf_mj.control.dcu.state import DcuState, resting
-from cmf_mj.control.protection import HOST_RANGE, NO_FAULT, NOT_ARRIVED
+from cmf_mj.control.dcu.state import Dcu, DcuState, make_dcu, resting
+from cmf_mj.control.protection import FaultCode
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.facility.host.handover import Ring, collect, make_log, make_ring
@@ -143,7 +142,7 @@ def _follow(source, frame, position, fault, tripped, reference):  # type: ignore
             tripped = tripped or source.request[i] == Request.TRIP.value
     request, before = progress.request, progress.state
     leaving = request == Request.RESET.value and before == State.FAULT.value
-    if (fault != NO_FAULT or tripped) and not leaving:
+    if (fault != FaultCode.NONE.value or tripped) and not leaving:
         request = Request.TRIP.value
     if source.live:
         rate = round(1.0 / blocks.dcu.frame)
@@ -157,13 +156,14 @@ def _follow(source, frame, position, fault, tripped, reference):  # type: ignore
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
     failed = progress.state == State.FAULT.value != before
-    progress.found = NOT_ARRIVED if failed and request != Request.TRIP.value else NO_FAULT
+    late = failed and request != Request.TRIP.value
+    progress.found = FaultCode.NOT_ARRIVED.value if late else FaultCode.NONE.value
     if progress.state == State.ENGAGED.value and strayed(source.dcu_state):
-        progress.found = HOST_RANGE
+        progress.found = FaultCode.HOST_RANGE.value
     limiter.step(blocks.leg_limits, source.leg_state, out)
     for leg in range(6):
         reference[leg] = out[0, leg]
-    return source.operating.valve[1]
+    return source.operating.phase[0].gain
 
 
 @inlined
@@ -190,7 +190,7 @@ def _record(source, row, at):  # type: ignore[no-untyped-def]
     row[at.host_stale] = source.dcu_state.clocks[0].stale
     row[at.host_late] = host_late(source.blocks.dcu, source.dcu_state)
     row[at.host_clock] = 1.0 + source.dcu_state.clocks[0].slew
-    row[at.valve_gain] = source.operating.valve[1]
+    row[at.valve_gain] = source.operating.phase[0].gain
 
 
 @inlined

@@ -21,7 +21,7 @@ from cmf_mj.control import dcl as control
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import (
     FAULTS,
-    NO_FAULT,
+    FaultCode,
     Protection,
     ProtectionState,
     latch,
@@ -30,7 +30,7 @@ from cmf_mj.control.protection import (
 )
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
-from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
+from cmf_mj.electronics.sensors import true_acceleration, true_velocity
 from cmf_mj.facility.front import Source, cleared, follow, found, host_age, record_demand, watched
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.facility.record_layout import Columns
@@ -91,7 +91,7 @@ class Recorder(NamedTuple):
     """Record, (rows, columns); overwritten from the start after its last row."""
 
 
-PROGRESS = np.dtype([("event", np.int64), ("tripped", np.int64), ("fault", np.int64, 3)])
+PROGRESS = np.dtype([(n, np.int64) for n in ("event", "tripped", "code", "leg", "frame")])
 """Next event on the time line; whether a limit switch has tripped; code, leg and frame of the last
 fault that was reset."""
 
@@ -221,9 +221,9 @@ def _reset(electronics, guard, progress, plant_faults, integral, position):  # t
 
     The error integral starts again: it has wound up while the valves could not answer.
     """
-    if guard.fault[0] != NO_FAULT:
-        for i in range(3):
-            progress.fault[i] = guard.fault[i]
+    fault = guard.detection[0]
+    if fault.code != FaultCode.NONE.value:
+        progress.code, progress.leg, progress.frame = fault.code, fault.leg, fault.frame
     reset(guard, position)
     release(electronics)
     integral[:] = 0.0
@@ -237,7 +237,7 @@ def _decide(controller, plant_faults, memory, frame):  # type: ignore[no-untyped
     source, guard = controller.source, controller.guard
     progress, position = memory.progress[0], memory.feedback.position
     tripped = progress.tripped != 0 or plant_faults[STOPPED] != 0.0
-    gain = follow(source, frame, position, guard.fault[0], tripped, memory.reference)
+    gain = follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
     latch(guard, found(source), frame)
     if cleared(source):
         integral = controller.state.error.integral
@@ -265,7 +265,7 @@ def _command(controller, memory, gain):  # type: ignore[no-untyped-def]
 def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
     """Whether this frame's readings call for an emergency stop."""
     code = protect(protection, guard, frame, reference, feedback, supply, age)
-    return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
+    return code != FaultCode.NONE.value and (_UNTRUSTED[code] or not closed)
 
 
 @inlined

@@ -18,13 +18,14 @@ from scipy.interpolate import CubicSpline
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
-from cmf_mj.control.feedback import LegFeedback, gravity_history
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.arrays import check_finite, real
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import validated
-from cmf_mj.electronics.sensors.suite import at_frame
+from cmf_mj.electronics.chain import gravity_history
+from cmf_mj.electronics.sensors import at_frame
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record

@@ -14,6 +14,7 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
+    fault_of,
     latched,
     load_protection,
     make_protection,
@@ -196,11 +197,9 @@ class Session:
     @property
     def fault(self) -> Fault | None:
         """The fault detected, also one that was reset, if there is one."""
-        guard = self.controller.guard
-        present = latched(guard)
-        if present is None and self.memory.progress[0].fault[0] != 0:
-            return latched(guard._replace(fault=self.memory.progress[0].fault))
-        return present
+        earlier = self.memory.progress[0]
+        present = latched(self.controller.guard)
+        return present or fault_of(earlier.code, earlier.leg, earlier.frame)
 
     def run(self, frames: int | None = None) -> None:
         """Run a number of control frames, by default all that are left.

@@ -14,7 +14,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings

@@ -46,7 +46,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, read_toml, user_file, validated
-from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings
+from cmf_mj.electronics.channel import CHANNELS, SensorSettings
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.parameters.hydraulics import (

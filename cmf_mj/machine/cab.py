@@ -37,7 +37,7 @@ from cmf_mj.core.settings import Name, Settings, checked_name, user_set, validat
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
-from cmf_mj.machine.mjcf import ENTRIES, ROUND_OFF, Legs, Payload, RigidBody
+from cmf_mj.machine.models import ENTRIES, ROUND_OFF, Legs, Payload, RigidBody
 
 
 class Cab(RigidBody):
@@ -195,7 +195,7 @@ def _own(machine: Machine, name: str) -> Cab:
     table = {field: getattr(bodies[0], field) for field in RigidBody.model_fields} | {
         "name": name,
         "base": name,
-        "platform": RigidBody(**{f: getattr(bodies[1], f) for f in RigidBody.model_fields}),
+        "platform": bodies[1],
         "legs": Legs(cylinder_mass=legs.cylinder_mass, rod_mass=legs.rod_mass),
         "machine": machine,
     }
@@ -229,7 +229,7 @@ def load_cab(
             raise _taken("cab", source.name)
         return source
     carrier = load_machine(models.CMF if machine is None else machine)
-    names = carrier.cab_names
+    names = tuple(carrier.cabs)
     if source is None or str(source) in names:
         return _own(carrier, names[0] if source is None else str(source))
     user = user_set("cab", names, source, fixed=("base", "nominal", "machine"))

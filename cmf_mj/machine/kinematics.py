@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
-from cmf_mj.core.arrays import real
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.machine import models
@@ -50,14 +50,12 @@ def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
     >>> cmf_mj.legs_to_pose(cmf_mj.pose_to_legs(tilt, about([0, 0, -2]))).round(3)[0].item()
     0.2
     """
-    offset, shape = np.array(point, dtype=float), geometry_of(machine)
-    if offset.shape != (3,) or not np.isfinite(offset).all():
-        raise InputError(f"point: {offset.tolist()} must be three finite numbers")
+    offset, shape = shaped("point", point, 3), geometry_of(machine)
     return Geometry(shape.upper - offset, shape.lower - offset, shape.neutral)
 
 
 @compiled
-def _turn(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+def turn_of(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     """T of Eq 2.2, row by row: platform axes to inertial axes, Euler order yaw, pitch, roll."""
     cf, sf = np.cos(roll), np.sin(roll)
     ct, st = np.cos(pitch), np.sin(pitch)
@@ -68,7 +66,7 @@ def _turn(roll, pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _turned(turn, arm):  # type: ignore[no-untyped-def]
+def turned(turn, arm):  # type: ignore[no-untyped-def]
     """T times an arm (3,), three numbers."""
     x, y, z = arm[0], arm[1], arm[2]
     return (
@@ -79,9 +77,19 @@ def _turned(turn, arm):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def turned_back(turn, x, y, z):  # type: ignore[no-untyped-def]
+    """The transpose of T times a vector, three numbers."""
+    return (
+        turn[0] * x + turn[3] * y + turn[6] * z,
+        turn[1] * x + turn[4] * y + turn[7] * z,
+        turn[2] * x + turn[5] * y + turn[8] * z,
+    )
+
+
+@compiled
 def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
     """Write T of Eq 2.2, (3, 3)."""
-    rows = _turn(roll, pitch, yaw)
+    rows = turn_of(roll, pitch, yaw)
     for i in range(9):
         turn[i // 3, i % 3] = rows[i]
 
@@ -103,26 +111,30 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _leg(geometry, pose, turn, j):  # type: ignore[no-untyped-def]
+    """Arm of a leg's upper gimbal, and the leg from lower to upper gimbal, inertial axes."""
+    a, b, c = turned(turn, geometry.upper[j])
+    x = pose[0] + a - geometry.lower[j, 0]
+    y = pose[1] + b - geometry.lower[j, 1]
+    z = pose[2] + c - geometry.lower[j, 2]
+    return (a, b, c), (x, y, z)
+
+
+@compiled
 def write_legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
     """Write the extensions of a pose, (6,)."""
-    turn = _turn(pose[3], pose[4], pose[5])
+    turn = turn_of(pose[3], pose[4], pose[5])
     for j in range(6):
-        a, b, c = _turned(turn, geometry.upper[j])
-        x = pose[0] + a - geometry.lower[j, 0]
-        y = pose[1] + b - geometry.lower[j, 1]
-        z = pose[2] + c - geometry.lower[j, 2]
+        _, (x, y, z) = _leg(geometry, pose, turn, j)
         legs[j] = np.sqrt(x * x + y * y + z * z) - geometry.neutral[j]
 
 
 @compiled
 def write_twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write leg speeds of the twist, velocity and inertial angular velocity, (6, 6)."""
-    turn = _turn(pose[3], pose[4], pose[5])
+    turn = turn_of(pose[3], pose[4], pose[5])
     for j in range(6):
-        a, b, c = _turned(turn, geometry.upper[j])
-        x = pose[0] + a - geometry.lower[j, 0]
-        y = pose[1] + b - geometry.lower[j, 1]
-        z = pose[2] + c - geometry.lower[j, 2]
+        (a, b, c), (x, y, z) = _leg(geometry, pose, turn, j)
         length = np.sqrt(x * x + y * y + z * z)
         x, y, z = x / length, y / length, z / length
         jacobian[j, 0], jacobian[j, 1], jacobian[j, 2] = x, y, z
@@ -236,25 +248,6 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
     return -1
 
 
-def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Copy of finite values whose last axis has length 6; refused under their name otherwise."""
-    array = np.array(real(name, values), order="C")
-    if array.ndim == 0 or array.shape[-1] != 6:
-        raise InputError(f"{name}: shape is {array.shape}; the last axis must have length 6")
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name}{list(where)}: {array[where]} is not a finite number")
-    return array
-
-
-def one_pose(values: ArrayLike) -> NDArray[np.float64]:
-    """A single pose (6,), checked."""
-    pose = rows_of("pose", values)
-    if pose.ndim != 1:
-        raise InputError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
-    return pose
-
-
 def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """Leg extensions from neutral [m] of platform poses, Eq C.6.
 
@@ -268,7 +261,7 @@ def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
     >>> cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0]).round(3).tolist()
     [0.084, 0.084, 0.084, 0.084, 0.084, 0.084]
     """
-    poses = rows_of("pose", pose)
+    poses = shaped("pose", pose, 6, leading=True)
     legs = np.empty(poses.shape)
     _legs_history(geometry_of(machine), poses.reshape(-1, 6), legs.reshape(-1, 6))
     return legs
@@ -295,7 +288,7 @@ def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
     >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()
     -0.1
     """
-    rows, shape = rows_of("legs", legs), geometry_of(machine)
+    rows, shape = shaped("legs", legs, 6, leading=True), geometry_of(machine)
     poses = np.empty(rows.shape)
     flat = rows.reshape(-1, 6)
     beyond = np.argwhere(np.abs(flat) > shape.neutral / 3.0)
@@ -318,14 +311,14 @@ def leg_jacobian(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
     in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
     """
     jacobian = np.empty((6, 6))
-    write_twist_jacobian(geometry_of(machine), one_pose(pose), jacobian)
+    write_twist_jacobian(geometry_of(machine), shaped("pose", pose, 6), jacobian)
     return jacobian
 
 
 def pose_jacobian(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
     jacobian = np.empty((6, 6))
-    write_pose_jacobian(geometry_of(machine), one_pose(pose), jacobian)
+    write_pose_jacobian(geometry_of(machine), shaped("pose", pose, 6), jacobian)
     return jacobian
 
 

@@ -3,7 +3,7 @@
 Axes are the report's, z down.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Settings
 from cmf_mj.machine.geometry import DOFS
 
@@ -31,6 +31,11 @@ class Range(Settings):
         return units.to_si(self.unit, self.low), units.to_si(self.unit, self.high)
 
 
+Span = TypeVar("Span")
+Speed = TypeVar("Speed")
+Acceleration = TypeVar("Acceleration")
+
+
 def _range_in(*allowed: str) -> AfterValidator:
     def check(value: Range) -> Range:
         if value.unit not in allowed:
@@ -40,70 +45,55 @@ def _range_in(*allowed: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class _Axis(Settings):
+class Axis(Settings, Generic[Span, Speed, Acceleration]):
+    """Limits of one degree of freedom."""
+
+    mechanical: Span  #: Displacement at which the machine ends.
+    operational: Span  #: Displacement a demand may ask for.
+    velocity: Speed  #: Largest speed, or rate of the Euler angle, either way.
+    acceleration: Acceleration  #: Largest acceleration, or second derivative of it, either way.
+
     @model_validator(mode="after")
-    def _nested(self) -> "_Axis":
+    def _nested(self) -> "Axis[Any, Any, Any]":
         inner, outer = self.operational.si, self.mechanical.si  # type: ignore[attr-defined]
         if not (outer[0] <= inner[0] and inner[1] <= outer[1]):
             raise InputError("operational must lie within mechanical")
         return self
 
 
-class Translation(_Axis):
-    """Limits of surge, sway or heave."""
+_Speed = Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]
+_Acceleration = Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
 
-    mechanical: Annotated[
-        Range, _range_in("in", "m", "mm")
-    ]  #: Displacement at which the machine ends.
-    operational: Annotated[Range, _range_in("in", "m", "mm")]  #: Displacement a demand may ask for.
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]  #: Largest speed either way.
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest acceleration either way."""
+Translation = Axis[Annotated[Range, _range_in("in", "m", "mm")], _Speed, _Acceleration]
+"""Limits of surge, sway or heave."""
 
-
-class Rotation(_Axis):
-    """Limits of roll, pitch or yaw."""
-
-    mechanical: Annotated[Range, _range_in("deg", "rad")]
-    """Displacement at which the machine ends."""
-    operational: Annotated[Range, _range_in("deg", "rad")]  #: Displacement a demand may ask for.
-    velocity: Annotated[Quantity, positive_in("deg/s", "rad/s")]
-    """Largest rate of the Euler angle either way."""
-    acceleration: Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
-    """Largest second derivative of the Euler angle either way."""
-
-
-def _share(quantity: Quantity) -> Quantity:
-    if quantity.value > 1.0:
-        raise InputError("must be at most 1")
-    return quantity
-
-
-class _LegRates(Settings):
-    velocity: Annotated[
-        Quantity, positive_in("in/s", "m/s", "mm/s")
-    ]  #: Largest leg speed either way.
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest leg acceleration either way."""
+Rotation = Axis[
+    Annotated[Range, _range_in("deg", "rad")],
+    Annotated[Quantity, positive_in("deg/s", "rad/s")],
+    Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")],
+]
+"""Limits of roll, pitch or yaw."""
 
 
 _Position = Annotated[Quantity, positive_in("in", "m", "mm")]
-_Rejoin = Annotated[Quantity, positive_in("1"), AfterValidator(_share)]
+_Rejoin = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
 
 
-class Leg(_LegRates):
+class StatedLeg(Settings):
+    """Limits of one leg as a machine file gives them."""
+
+    velocity: _Speed  #: Largest leg speed either way.
+    acceleration: _Acceleration  #: Largest leg acceleration either way.
+    position: _Position | None = None  #: Default the working stroke.
+    rejoin: _Rejoin | None = None  #: Default half.
+
+
+class Leg(StatedLeg):
     """Limits of one leg, and how a limited motion returns to its demand."""
 
     position: _Position  #: Largest extension and retraction from neutral.
     rejoin: _Rejoin
     """Share of the acceleration, of legs and degrees of freedom, spent on closing in."""
-
-
-class StatedLeg(_LegRates):
-    """Limits of one leg as a machine file gives them."""
-
-    position: _Position | None = None  #: Default the working stroke.
-    rejoin: _Rejoin | None = None  #: Default half.
 
 
 class MotionLimits(Settings):

@@ -33,10 +33,10 @@ from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.quantity import Area, Kind, Length, Quantity
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
 from cmf_mj.core.units import FASTEST_RATE, HERTZ, INCH, RATE, SLOWEST_RATE
-from cmf_mj.machine import mjcf, models
+from cmf_mj.machine import models
 from cmf_mj.machine.geometry import FLIP, LENGTHS, Geometry, Gimbals, make_geometry
 from cmf_mj.machine.limits import StatedLimits
-from cmf_mj.machine.mjcf import Legs, Mass, Place, RigidBody
+from cmf_mj.machine.models import Legs, Mass, Place, RigidBody
 
 _SINGULAR = 1e3
 """Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
@@ -232,10 +232,8 @@ class Machine(Settings):
         table = {} if isinstance(self.hydraulics, str) else self.hydraulics
 
         def stated(field: str, default: float) -> float:
-            given = table.get(field)
-            return (
-                default if given is None else validated(Quantity, given, f"hydraulics.{field}").si
-            )
+            known = field in table
+            return validated(Quantity, table[field], f"hydraulics.{field}").si if known else default
 
         bore, rod = stated("bore_diameter", _BORE), stated("rod_diameter", _ROD)
         through = (stated("rods", 1.0) - 1.0) * rod**2
@@ -260,11 +258,6 @@ class Machine(Settings):
         if self.floor is not None:
             return self.upward * self.floor.si
         return -1.1 * float(self.geometry.lower[:, 2].max())
-
-    @property
-    def cab_names(self) -> tuple[str, ...]:
-        """Names of the cabs, the default one first."""
-        return tuple(self.cabs)
 
     @property
     def shipped(self) -> bool:
@@ -329,18 +322,15 @@ def read_machine(path: Path) -> Machine:
         for field in ("mjcf", "law", "dcu"):
             table |= _beside(folder, table, field)
         if isinstance(table.get("mjcf"), str):
-            table = merged(mjcf.machine_tables(Path(table["mjcf"])), table)
+            table = merged(models.machine_tables(Path(table["mjcf"])), table)
         cabs = table.get("cabs")
         if isinstance(cabs, Mapping):
-            table["cabs"] = {name: _cab(folder, cab) for name, cab in cabs.items()}
+            table["cabs"] = cabs = dict(cabs)
+            for name, cab in cabs.items():
+                if isinstance(cab, Mapping) and isinstance(cab.get("mjcf"), str):
+                    cab = dict(cab) | _beside(folder, cab, "mjcf")
+                    cabs[name] = merged(models.cab_table(Path(cab["mjcf"])), cab)
     return validated(Machine, table, str(path))
-
-
-def _cab(folder: Path, table: Any) -> Any:
-    if not isinstance(table, Mapping) or not isinstance(table.get("mjcf"), str):
-        return table
-    named = dict(table) | _beside(folder, table, "mjcf")
-    return merged(mjcf.cab_table(Path(named["mjcf"])), named)
 
 
 def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any]:
@@ -353,10 +343,8 @@ def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any
 
 def recorded_machine(metadata: Mapping[str, Any]) -> Machine:
     """The machine that the metadata of a record tell of; the CMF where they tell of none."""
-    name, parameters = (
-        str(metadata.get("machine") or models.CMF),
-        metadata.get("machine_parameters"),
-    )
+    name = str(metadata.get("machine") or models.CMF)
+    parameters = metadata.get("machine_parameters")
     if name in models.machine_names() or not parameters:
         return load_machine(name)
     return validated(Machine, parameters, "machine_parameters")

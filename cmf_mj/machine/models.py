@@ -1,7 +1,22 @@
-"""Where the MJCF models and data files lie, in a checkout and in an installed wheel."""
+"""Where models and data files lie, and what an MJCF says of a machine.
 
+A model that owns its geometry and inertia has the names of the shipped ones: sites `upper_1` to
+`upper_6`, bodies `cylinder_#` and `rod_#`, slide joints `leg_#`, the body `platform`, and in the
+model of a cab the body `cab` and the site `crew`. Axes are MuJoCo's, z up.
+"""
+
+import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator
+
+from cmf_mj.core.errors import InputError, reason
+from cmf_mj.core.quantity import Kind, Quantities, Quantity
+from cmf_mj.core.settings import Settings
 
 CMF = "cmf"
 """Name of the Cockpit Motion Facility among the machines."""
@@ -32,3 +47,169 @@ def machine_names() -> tuple[str, ...]:
     """Names of the shipped machines, the CMF first."""
     names = {path.stem for path in (directory() / "machines").glob("*.toml")}
     return (CMF, *sorted(names - {CMF}))
+
+
+_LEGS = range(1, 7)
+
+
+def machine_tables(path: Path) -> dict[str, Any]:
+    """Tables `gimbals`, `platform` and `legs` of a machine file, from its MJCF."""
+    root = _read(path)
+
+    def said(value: Any) -> dict[str, Any]:
+        return _said(value, "m", path, "derived")
+
+    def each(tag: str, name: str) -> list[tuple[float, ...]]:
+        return [_numbers(_named(root, tag, f"{name}_{i}", path), "pos") for i in _LEGS]
+
+    # The slide joint of the legs, whose range is a default of the model.
+    slide = next(e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
+    below = each("site", "rod_end")[0][2] - each("site", "rod_accelerometer")[0][2]
+    return {
+        "gimbals": {"upper": said(each("site", "upper")), "lower": said(each("body", "cylinder"))},
+        "platform": _body(root, "platform", path),
+        "legs": {
+            "half_stroke": said(_numbers(slide, "range")[1]),
+            "accelerometer": said(round(below, 9)),
+            "cylinder_mass": _body(root, "cylinder_1", path)["mass"],
+            "rod_mass": _body(root, "rod_1", path)["mass"],
+        },
+    }
+
+
+def cab_table(path: Path) -> dict[str, Any]:
+    """Mass properties and station of a cab, from its MJCF."""
+    root = _read(path)
+    station = _numbers(_named(root, "site", "crew", path), "pos")
+    return _body(root, "cab", path) | {"station": _said(station, "m", path)}
+
+
+def _read(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise InputError(f"mjcf: {path} cannot be read: {error.strerror}") from None
+    except ElementTree.ParseError as error:
+        raise InputError(f"mjcf: {path} is not XML: {reason(error)}") from None
+
+
+def _said(value: Any, unit: str, path: Path, status: str = "assumed") -> dict[str, Any]:
+    """A number of a model as a machine file states it."""
+    if path.is_relative_to(directory()):
+        source = f"models/{path.relative_to(directory())}; models/README.md says why"
+    else:
+        source = f"the model {path.name}"
+    return {"value": value, "unit": unit, "status": status, "source": source}
+
+
+def _named(root: ElementTree.Element, tag: str, name: str, path: Path) -> ElementTree.Element:
+    for element in root.iter(tag):
+        if element.get("name") == name:
+            return element
+    raise InputError(f"mjcf: {path} has no {tag} {name!r}; allowed: the names of models/")
+
+
+def _numbers(element: ElementTree.Element, name: str) -> tuple[float, ...]:
+    return tuple(map(float, element.get(name, "0 0 0").split()))
+
+
+def _body(root: ElementTree.Element, name: str, path: Path) -> dict[str, Any]:
+    """Mass properties that an MJCF gives a body."""
+    inertial = _named(root, "body", name, path).find("inertial")
+    if inertial is None:
+        raise InputError(f"mjcf: body {name!r} of {path} has no inertial; every body needs one")
+    moments = _numbers(inertial, "diaginertia" if inertial.get("diaginertia") else "fullinertia")
+    return {
+        "mass": _said(_numbers(inertial, "mass")[0], "kg", path),
+        "centre_of_mass": _said(_numbers(inertial, "pos"), "m", path),
+        "inertia": _said(moments, "kg m^2", path),
+    }
+
+
+ROUND_OFF = 1e-9
+"""Share of the largest moment by which the inequalities may fail for round-off."""
+
+_TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
+"""Which of Ixx, Iyy, Izz, Ixy, Ixz, Iyz stands where in the tensor."""
+ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
+"""Rows and columns where they stand."""
+
+
+def _several(counts: tuple[int, ...], units: tuple[str, ...]) -> AfterValidator:
+    """Validator of so many numbers in one of the units."""
+
+    def check(quantities: Quantities) -> Quantities:
+        if quantities.unit not in units:
+            allowed = ", ".join(units)
+            raise InputError(f"{quantities.unit!r} is refused: unit must be one of {allowed}")
+        if len(quantities.value) not in counts:
+            allowed = " or ".join(map(str, counts))
+            raise InputError(f"has {len(quantities.value)} values; allowed: {allowed}")
+        return quantities
+
+    return AfterValidator(check)
+
+
+def _possible(quantities: Quantities) -> Quantities:
+    least, middle, most = np.linalg.eigvalsh(_tensor(quantities))
+    found = f"principal moments are {least:g}, {middle:g}, {most:g} kg m^2"
+    if not least > 0.0:
+        raise InputError(f"{found}; allowed: all greater than 0, a positive definite tensor")
+    if least + middle < (1.0 - ROUND_OFF) * most:
+        raise InputError(
+            f"{found}; allowed: none greater than the sum of the others (triangle inequality)"
+        )
+    return quantities
+
+
+def _tensor(inertia: Quantities) -> NDArray[np.float64]:
+    entries = np.zeros(6)
+    entries[: len(inertia.value)] = inertia.si
+    return entries[np.array(_TENSOR)]
+
+
+Mass = Annotated[Quantity, AfterValidator(Kind(("kg", "lbm")).check)]
+Place = Annotated[Quantities, _several((3,), ("m", "mm", "in", "ft"))]
+Inertia = Annotated[
+    Quantities,
+    _several((3, 6), ("kg m^2", "lbm ft^2", "lbm in^2", "slug ft^2")),
+    AfterValidator(_possible),
+]
+
+
+class RigidBody(Settings):
+    """Mass properties of a part of the machine."""
+
+    mass: Mass  #: [kg or lbm].
+    centre_of_mass: Place  #: Of the part, x forward, y left, z up from the platform's centroid.
+    inertia: Inertia  #: About the part's centre of mass: Ixx, Iyy, Izz and Ixy, Ixz, Iyz or none.
+
+    def turned(self) -> "RigidBody":
+        """The body with x forward, y right, z down turned to x forward, y left, z up, or back."""
+        x, y, z = self.centre_of_mass.value
+        inertia = self.inertia.value
+        if len(inertia) > len(self.centre_of_mass.value):
+            inertia = (*inertia[:3], -inertia[3], -inertia[4], inertia[5])
+        place = self.centre_of_mass.model_copy(update={"value": (x, -y, -z)})
+        moments = self.inertia.model_copy(update={"value": inertia})
+        return self.model_copy(update={"centre_of_mass": place, "inertia": moments})
+
+    @property
+    def tensor(self) -> NDArray[np.float64]:
+        """Inertia about the centre of mass [kg m^2], (3, 3)."""
+        return _tensor(self.inertia)
+
+
+class Legs(Settings):
+    """Masses of the parts of one leg; all six are alike."""
+
+    cylinder_mass: Mass  #: Of a cylinder.
+    rod_mass: Mass  #: Of a rod.
+
+
+class Payload(NamedTuple):
+    """Platform and cab as one rigid body, axes as of the module."""
+
+    mass: float  #: [kg].
+    centre: NDArray[np.float64]  #: Centre of mass [m], (3,).
+    inertia: NDArray[np.float64]  #: About the centre of mass [kg m^2], (3, 3).

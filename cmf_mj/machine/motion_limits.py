@@ -62,23 +62,19 @@ def _derived(machine: Machine) -> dict[str, Any]:
     arms = np.abs(pose_jacobian(np.zeros(6), geometry)).max(axis=0)
     tables = {}
     for index, dof in enumerate(DOFS):
-        length = by_kind(dof, "m", "rad")
+        length, arm = by_kind(dof, "m", "rad"), float(arms[index])
+        (lowest, highest), (low, high) = ends[index].tolist(), reach[index].tolist()
 
         def known(source: str, unit: str, **values: float) -> dict[str, Any]:
             return {**values, "unit": unit, "status": "derived", "source": source}
 
-        def span(what: str, low: float, high: float, unit: str = length) -> dict[str, Any]:
-            return known(
-                f"alone from neutral, to the legs' {what} stroke", unit, low=low, high=high
-            )
-
-        def most(rate: float, unit: str, arm: float = float(arms[index])) -> dict[str, Any]:
-            return known("alone at neutral, where it uses up a leg's", unit, value=rate / arm)
-
+        alone, at_rate = "alone from neutral, to the legs'", "alone at neutral, where it uses up a"
         tables[dof] = {
-            "mechanical": span("half", *ends[index].tolist()),
-            "operational": span("working", *reach[index].tolist()),
-            "velocity": most(leg.velocity.si, f"{length}/s"),
-            "acceleration": most(leg.acceleration.si, f"{length}/s^2"),
+            "mechanical": known(f"{alone} half stroke", length, low=lowest, high=highest),
+            "operational": known(f"{alone} working stroke", length, low=low, high=high),
+            "velocity": known(f"{at_rate} leg's", f"{length}/s", value=leg.velocity.si / arm),
+            "acceleration": known(
+                f"{at_rate} leg's", f"{length}/s^2", value=leg.acceleration.si / arm
+            ),
         }
     return tables

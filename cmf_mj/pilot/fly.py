@@ -29,7 +29,7 @@ from scipy import signal
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
 from cmf_mj.analysis.metrics import phase_delay, transient_delay
-from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.control.dcu.state import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError

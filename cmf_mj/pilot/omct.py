@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.dcu.play import upsample
-from cmf_mj.control.dcu.settings import load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads

@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from scipy.spatial.transform import Rotation
 
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine
-from cmf_mj.machine.mjcf import RigidBody
+from cmf_mj.machine.models import RigidBody
 from cmf_mj.plant import cylinder, fit
 from cmf_mj.plant.model_text import model_texts
 from cmf_mj.plant.native import headless
@@ -181,7 +182,7 @@ class Hexapod(Plant):
         Raises:
             InputError: a leg would leave its mechanical stroke.
         """
-        target = kinematics.one_pose(pose)
+        target = shaped("pose", pose, 6)
         legs = kinematics.pose_to_legs(target, self.machine)
         stroke = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(np.abs(legs) >= stroke):
@@ -221,7 +222,7 @@ class Hexapod(Plant):
         Args:
             pose: (6,) [m, rad], z down; default neutral.
         """
-        target = np.zeros(6) if pose is None else kinematics.one_pose(pose)
+        target = np.zeros(6) if pose is None else shaped("pose", pose, 6)
         mass = self.reflected_mass(target)
         legs = kinematics.pose_to_legs(target, self.machine)
         springs = cylinder.stiffness(

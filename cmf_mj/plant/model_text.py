@@ -16,7 +16,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.machine.mjcf import RigidBody
+from cmf_mj.machine.models import RigidBody
 
 Element = ElementTree.Element
 

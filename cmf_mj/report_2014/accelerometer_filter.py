@@ -4,8 +4,8 @@ The filter y[k+1] = a y[k] + b x[k] (Eq 3.6) has the frequency response
 
     H(f) = b / (exp(2 pi i f T) - a)
 
-and leaves of white noise the share b / sqrt(1 - a^2) (`noise_gain`). Both stand next to what the
-simulated sensors read.
+and leaves of white noise the share b / sqrt(1 - a^2) (`predicted_noise_gain`). Both stand next to
+what the simulated sensors read.
 """
 
 from pathlib import Path
@@ -17,16 +17,16 @@ from scipy.signal import lfilter
 
 from cmf_mj import signals
 from cmf_mj.analysis.response.periodic import fit_sines
-from cmf_mj.control.feedback import LegFeedback, noise_gain
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME, STANDARD_GRAVITY
-from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
-from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
+from cmf_mj.electronics.channel import SensorSettings, load_sensors
+from cmf_mj.electronics.sensors import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.facility.simulate import simulate
-from cmf_mj.machine.gravity import axial_gravity
+from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
@@ -65,6 +65,11 @@ class FilterEffect(NamedTuple):
     def noise_gain(self) -> float:
         """Measured share of the noise that the filter leaves; NaN without noise."""
         return self.filtered_rms / self.raw_rms if self.raw_rms > 0.0 else float("nan")
+
+
+def predicted_noise_gain(law: Law) -> float:
+    """Rms of white noise behind the accelerometer filter over that before it."""
+    return float(law.accelerometer_gain / np.sqrt(1.0 - law.accelerometer_pole**2))
 
 
 def _readings(
@@ -127,7 +132,7 @@ def filter_effect(
         axial_gravity=float(axial_gravity(np.zeros(6)).mean()),
         raw_rms=float(np.sqrt(np.mean(rest.raw.var(axis=0)))),
         filtered_rms=float(np.sqrt(np.mean(rest.filtered.var(axis=0)))),
-        predicted_noise_gain=noise_gain(loaded),
+        predicted_noise_gain=predicted_noise_gain(loaded),
         signal_gain=float(abs(ratio)),
         predicted_signal_gain=float(abs(predicted)),
         delay=float(-np.angle(ratio) / turn),

@@ -40,8 +40,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import falls
+from cmf_mj.core.arrays import shaped
 from cmf_mj.machine.geometry import dof_index
-from cmf_mj.machine.kinematics import excursion_envelope, one_pose, pose_jacobian, pose_to_legs
+from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian, pose_to_legs
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
@@ -137,7 +138,7 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
 
     `pose` (6,) [m, rad], z down, is by default neutral, from which excursions count in any pose.
     """
-    about = np.zeros(6) if pose is None else one_pose(pose)
+    about = np.zeros(6) if pose is None else shaped("pose", pose, 6)
     index = dof_index(dof)
     hydraulics = plant.hydraulics
     supply, cylinder = hydraulics.supply, hydraulics.cylinder

@@ -28,7 +28,7 @@ from cmf_mj.analysis.response.spectra import welch_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.sensors.channel import load_sensors
+from cmf_mj.electronics.channel import load_sensors
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS

@@ -115,7 +115,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
 
     Raises `InputError` for one that cannot be built, or with a cab that cannot be held at neutral.
     """
-    plants = [Hexapod(load_cab(name, machine)) for name in machine.cab_names]
+    plants = [Hexapod(load_cab(name, machine)) for name in machine.cabs]
     bound(load_law(machine.law), plants[0].law_key)
     limits = load_motion_limits(None, machine)
     faults: list[str] = []

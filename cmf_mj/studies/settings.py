@@ -267,7 +267,7 @@ def load_study(
         _check(settings)
         chosen = loaded or tuple(load_law(law) for law in settings.laws)
         machine = load_machine(settings.machine)
-        cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
+        cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or tuple(machine.cabs)[:1])
         for field, named in (("laws", chosen), ("cabs", cabs)):
             check_distinct(field, [one.name for one in named])
         return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))

@@ -18,7 +18,6 @@ from cmf_mj.control.error import filtered_rate, integrate, make_error_calculatio
 from cmf_mj.control.feedback import (
     LegFeedback,
     filter_acceleration,
-    make_feedback,
     pressure_force,
 )
 from cmf_mj.control.law import SIGNALS
@@ -238,7 +237,7 @@ def test_the_accelerometer_filter_is_the_hold_of_its_lag(name: str) -> None:
     0.5 %: the printed pole and gain have four digits, the pole's distance from 1 only two.
     """
     law, lag = load_law(name), LAGS.get(name, 0.02 / 0.312)
-    filtering = make_feedback(law, 1.0)
+    filtering = make_dcl(law, 1).feedback
     state, response = 0.0, []
     for _ in range(8 * 2048):
         response.append(state)
@@ -411,7 +410,7 @@ def test_engaged_laws_without_an_integral_give_their_dc_command() -> None:
 def test_force_feedback_is_eq_3_7() -> None:
     """F = (p_cap - p_rod) 11.97 in^2: 100 psi are 1197 lbf."""
     psi = POUND_FORCE / INCH**2
-    found = pressure_force(make_feedback(load_law("force"), 11.97 * INCH**2), 900 * psi, 800 * psi)
+    found = pressure_force(make_dcl(load_law("force"), 1).feedback, 900 * psi, 800 * psi)
     assert found / POUND_FORCE == pytest.approx(1197.0, rel=1e-12)
 
 

@@ -11,8 +11,7 @@ from scipy.interpolate import BPoly
 
 from cmf_mj.analysis.metrics import correlation_delay, harmonics
 from cmf_mj.control.dcu.play import Arrivals, upsample
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
 from cmf_mj.core.settings import Settings
 
 Array = NDArray[np.float64]
@@ -463,14 +462,6 @@ def test_same_frames_same_bits() -> None:
         (
             '[delay]\nhost_interval = { value = 0.3, unit = "s", status = "stated", source = "x" }',
             "timeout: 0.25 s must exceed",
-        ),
-        (
-            '[dcu]\nstop_time = { value = -1.0, unit = "s", status = "assumed", source = "x" }',
-            "greater than 0 s",
-        ),
-        (
-            '[dcu]\npose_rotation = { value = 1.0, unit = "in", status = "stated", source = "x" }',
-            "deg, rad",
         ),
         ("[law]\nx = 1", "law: is not a known field; allowed: dcu, delay"),
     ],

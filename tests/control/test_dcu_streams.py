@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.play import Arrivals, feed, upsample
-from cmf_mj.control.dcu.settings import make_dcu
-from cmf_mj.control.dcu.state import DcuState, resting
+from cmf_mj.control.dcu.state import DcuState, make_dcu, resting
 
 RATE = 2048
 DCU = make_dcu()

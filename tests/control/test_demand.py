@@ -118,8 +118,11 @@ def test_a_platform_that_sags_at_rest_asks_for_the_axial_part_of_its_sag():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"deflection": np.zeros((6, 2))}, r"deflection: shape is \(6, 2\); it must be \(6, 3\)"),
-        ({"compliance": np.full((6, 3, 3), np.inf)}, r"compliance: inf is not a finite number"),
+        ({"deflection": np.zeros((6, 2))}, r"deflection: shape is \(6, 2\); allowed: \(6, 3\)"),
+        (
+            {"compliance": np.full((6, 3, 3), np.inf)},
+            r"compliance.*: inf is not a finite number",
+        ),
     ],
 )
 def test_refused_parameters_are_named(arguments, message):
@@ -180,5 +183,5 @@ def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
 
 
 def test_a_point_must_be_three_numbers():
-    with pytest.raises(ValueError, match=r"point: \[1.0, 2.0\] must be three finite numbers"):
+    with pytest.raises(ValueError, match=r"point: shape is \(2,\); allowed: \(3,\)"):
         about([1.0, 2.0])

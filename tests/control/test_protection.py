@@ -19,8 +19,8 @@ from cmf_mj.control.protection import (
     protection_state,
     reset,
 )
-from cmf_mj.electronics.sensors.channel import load_sensors
-from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
+from cmf_mj.electronics.channel import load_sensors
+from cmf_mj.electronics.sensors import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters.loading import fitting
@@ -312,25 +312,9 @@ def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
     mine = load_protection(file)
     assert mine.over_speed.threshold.value == 10.0
     assert mine.over_pressure == SETTINGS.over_pressure
-    for text, message in (
-        (
-            f"[over_speed]\npersistence = 0\nthreshold = {quantity.format(1.0, 'in/s')}",
-            "persistence: 0",
-        ),
-        (
-            f"[over_speed]\npersistence = 1\nthreshold = {quantity.format(1.0, 'psi')}",
-            "over_speed.threshold: 1 psi",
-        ),
-        (
-            f"[tracking_error]\npersistence = 1\nthreshold = {quantity.format(0.0, 'in')}",
-            "greater than 0 in",
-        ),
-        (f"washout = {quantity.format(0.0, '1/s')}", "washout: 0.0 1/s is refused"),
-        ("[over_heat]\npersistence = 1", "over_heat: is not a known field"),
-    ):
-        file.write_text(text)
-        with pytest.raises(ValueError, match=message):
-            load_protection(file)
+    file.write_text("[over_heat]\npersistence = 1")
+    with pytest.raises(ValueError, match="over_heat: is not a known field"):
+        load_protection(file)
     with pytest.raises(ValueError, match="not one of default nor"):
         load_protection("strict")
 

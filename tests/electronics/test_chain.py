@@ -7,7 +7,12 @@ import pytest
 
 from cmf_mj import Hexapod, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.chain import ElectronicsSettings, find_gravity
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.leg_motion import axial_gravity, leg_axes_state, make_leg_axes
+
+AXES = make_leg_axes()
+POSE = np.array([0.2, -0.1, 0.3, 0.05, -0.1, 0.2])
 
 FAR = """
 switch_position = { value = 1000.0, unit = "in", status = "assumed", source = "far away" }
@@ -63,3 +68,22 @@ def test_what_the_dcl_reads_is_not_what_is_true() -> None:
     assert np.abs(np.corrcoef(apart.T) - np.eye(6)).max() < 0.2
     volts = record["valve_command"] * 10.0 / (20.0 / 2**16)
     np.testing.assert_allclose(volts, np.rint(volts), atol=1e-6)
+
+
+def test_what_legs_at_rest_feel_of_gravity_is_known() -> None:
+    legs = kinematics.pose_to_legs(POSE)
+    state = leg_axes_state(AXES, legs)
+    expected, gravity = axial_gravity(POSE), np.zeros(6)
+    assert expected.min() > 7.0
+    find_gravity(AXES, state, legs, gravity)
+    np.testing.assert_allclose(gravity, expected, rtol=0.0, atol=1e-9)
+
+
+def test_gravity_is_known_in_motion_too() -> None:
+    """The pose follows the measured legs."""
+    state = leg_axes_state(AXES, np.zeros(6))
+    for share in np.linspace(0.0, 1.0, 1024):
+        legs = kinematics.pose_to_legs(share * POSE)
+        gravity = np.zeros(6)
+        find_gravity(AXES, state, legs, gravity)
+        np.testing.assert_allclose(gravity, axial_gravity(share * POSE), rtol=0.0, atol=1e-3)

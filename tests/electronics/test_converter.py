@@ -125,31 +125,6 @@ def test_a_card_of_ones_own(tmp_path: Path) -> None:
     assert set(CONVERTER_SETS) == {"off", "sixteen_bit"}
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("bits = 16", "bits = 2"), "bits: 2 is refused"),
-        (
-            ('value = 10.0, unit = "V"', 'value = 0.0, unit = "V"'),
-            "volts: 0.0 V is refused: must be greater than 0 V",
-        ),
-        (
-            ("value = 500.0", "value = 1024.0"),
-            "filter_corner: 1024.0 Hz is refused: must be less than 1024 Hz",
-        ),
-        (
-            ('value = 40.0, unit = "in"', 'value = 40.0, unit = "psi"'),
-            "position: 'psi' is refused: unit must be one of in, m",
-        ),
-    ],
-)
-def test_refusals(change: tuple[str, str], message: str, tmp_path: Path) -> None:
-    file = tmp_path / "card.toml"
-    file.write_text(mine(change))
-    with pytest.raises(ValueError, match=message):
-        load_converters(file)
-
-
 def test_unknown_sets_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not one of off, sixteen_bit"):
         load_converters("eight_bit")

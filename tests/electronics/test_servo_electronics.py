@@ -167,19 +167,3 @@ def test_settings_are_assumed_and_own_ones_replace_them(tmp_path):
     assert mine.quantum == 0.0
     assert mine.change == pytest.approx(5.0 / 2048)
     assert mine.switch_position == SHIPPED.switch_position
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("dac_bits = {value = 40}", r"dac_bits\.value: 40 is refused: .* less than or equal to 32"),
-        ("rate_limit = {value = 0.0}", r"rate_limit: .*greater than 0 %/s"),
-        ('dac_range = {unit = "psi"}', r"dac_range: .*unit must be one of V"),
-        ("gain = 3.0", r"gain: is not a known field"),
-    ],
-)
-def test_refused_settings_are_named(tmp_path, text, message):
-    path = tmp_path / "mine.toml"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        load_servo_settings(path)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shared import WORKING_STROKE
 
 from cmf_mj.control import limiter, states
-from cmf_mj.control.dcu.settings import make_dcu
+from cmf_mj.control.dcu.state import make_dcu
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating

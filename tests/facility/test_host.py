@@ -22,8 +22,7 @@ from cmf_mj import signals
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.play import Arrivals, feed, upsample
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import (

@@ -11,7 +11,7 @@ from shared import WORKING_STROKE
 from cmf_mj import Hexapod, Record, load_law, signals, simulate
 from cmf_mj.control import limiter
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.control.dcu.state import load_dcu
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError

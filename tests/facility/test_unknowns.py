@@ -11,8 +11,8 @@ from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law, load_machine
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import FRAME
-from cmf_mj.electronics.sensors.channel import load_sensors
-from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
+from cmf_mj.electronics.channel import load_sensors
+from cmf_mj.electronics.sensors import make_sensors, sense_history
 from cmf_mj.facility.unknowns import (
     LEGS,
     LIMIT,

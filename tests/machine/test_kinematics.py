@@ -1,7 +1,7 @@
 """Kinematics: the machine's published numbers, inverse of forward, Jacobians, symmetry, refusals.
 
 Oracles: Appendix A and Table 2-1 of the report; excursions worked out from Appendix A,
-computed apart from this code; the SIMONA geometry of the TU Delft code.
+computed apart from this code.
 """
 
 import itertools
@@ -36,10 +36,10 @@ def single(dof, excursion):
     return pose
 
 
-def poses_within(travel, seed, draws, reach, geometry="cmf"):
+def poses_within(travel, seed, draws, reach):
     """Random poses, all six axes at once, whose legs lie within the travel; never a handful."""
     poses = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, 6)) * reach
-    inside = (np.abs(pose_to_legs(poses, geometry)) <= travel).all(axis=1)
+    inside = (np.abs(pose_to_legs(poses)) <= travel).all(axis=1)
     assert inside.sum() > 1000
     return poses[inside]
 
@@ -136,16 +136,12 @@ def test_one_inch_up_extends_each_leg_by_the_direction_cosine():
 
 
 def test_round_trip_over_the_envelope():
+    """As one history, and a part of it from a cold start each."""
     reach = np.abs(kinematics.excursion_envelope()).max(axis=1)
     poses = poses_within(WORKING_STROKE, seed=0, draws=200_000, reach=reach)
-    np.testing.assert_allclose(legs_to_pose(pose_to_legs(poses)), poses, rtol=0.0, atol=1e-9)
-
-
-def test_round_trip_from_a_cold_start():
-    reach = np.abs(kinematics.excursion_envelope()).max(axis=1)
-    poses = poses_within(WORKING_STROKE, seed=1, draws=200_000, reach=reach)
-    found = one_by_one(pose_to_legs(poses))
-    np.testing.assert_allclose(found, poses, rtol=0.0, atol=1e-9)
+    legs = pose_to_legs(poses)
+    np.testing.assert_allclose(legs_to_pose(legs), poses, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(one_by_one(legs[:1000]), poses[:1000], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("dof", DOFS)
@@ -230,13 +226,9 @@ def test_memory_layout_does_not_matter():
     poses = np.stack([smooth_history(), -0.5 * smooth_history()], axis=1).transpose(1, 0, 2)
     legs = pose_to_legs(poses)
     assert np.array_equal(legs, pose_to_legs(np.ascontiguousarray(poses)))
+    assert np.array_equal(legs, pose_to_legs(np.asfortranarray(poses)))
     order = np.ascontiguousarray(legs.transpose(1, 0, 2)).transpose(1, 0, 2)
     np.testing.assert_allclose(legs_to_pose(order), poses, rtol=0.0, atol=1e-9)
-
-
-def test_fortran_order_does_not_matter():
-    poses = smooth_history()
-    assert np.array_equal(pose_to_legs(np.asfortranarray(poses)), pose_to_legs(poses))
 
 
 def test_inputs_are_left_alone():
@@ -354,7 +346,7 @@ def test_not_finite_names_the_position(function, bad):
 @pytest.mark.parametrize("function", [pose_to_legs, legs_to_pose])
 @pytest.mark.parametrize("shape", [(), (5,), (6, 1), (4, 7)])
 def test_wrong_shape_is_refused(function, shape):
-    with pytest.raises(ValueError, match=r"shape is \(.*the last axis must have length 6"):
+    with pytest.raises(ValueError, match=r"shape is \(.*allowed: \(..., 6\)"):
         function(np.zeros(shape))
 
 
@@ -374,35 +366,3 @@ def test_gimbals_of_a_wrong_shape_are_refused():
 def test_travel_must_be_positive(travel):
     with pytest.raises(ValueError, match="travel: .* must be greater than 0"):
         kinematics.excursion_envelope(travel)
-
-
-# A second machine
-
-
-def simona():
-    """TU Delft's SIMONA: gimbal radii 1.600 and 1.650 m, pairs 2 asin(1/16), 2 asin(3/16.5)."""
-
-    def ring(radius, spacing, first, height):
-        middles = np.radians(first + np.array([0.0, 120.0, 240.0]))
-        angles = (middles[:, None] + spacing / 2.0 * np.array([-1.0, 1.0])).ravel()
-        return np.column_stack(
-            [radius * np.cos(angles), radius * np.sin(angles), np.full(6, height)]
-        )
-
-    upper = ring(1.600, 2.0 * np.arcsin(1.0 / 16.0), 0.0, 0.0)
-    lower = ring(1.650, 2.0 * np.arcsin(3.0 / 16.5), 60.0, 2.39)
-    return make_geometry(upper, np.roll(lower, 1, axis=0))
-
-
-def test_simona_neutral_legs():
-    """2.7061 m, the middle of its legs of 2.131 to 3.281 m."""
-    np.testing.assert_allclose(simona().neutral, 2.7061, rtol=0.0, atol=5e-5)
-
-
-def test_simona_round_trip():
-    """All poses whose legs lie within the 2.131 to 3.281 m of the machine."""
-    geometry = simona()
-    reach = np.array([1.0, 1.0, 0.7, 0.5, 0.5, 0.7])
-    poses = poses_within(0.575, seed=2, draws=50_000, reach=reach, geometry=geometry)
-    back = legs_to_pose(pose_to_legs(poses, geometry), geometry)
-    np.testing.assert_allclose(back, poses, rtol=0.0, atol=1e-9)

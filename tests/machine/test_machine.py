@@ -42,7 +42,7 @@ def stated(value: Any, unit: str = "m") -> dict[str, Any]:
 
 def test_the_catalogue_begins_with_the_cmf() -> None:
     assert NAMES[0] == "cmf" and {"simona", "lab"} <= set(NAMES)
-    assert load_machine().cab_names == models.CABS
+    assert tuple(load_machine().cabs) == models.CABS
 
 
 @pytest.mark.parametrize("name", NAMES[1:])
@@ -229,7 +229,6 @@ CIRCLE = (
 BROKEN: list[tuple[dict[str, Any], str]] = [
     (change(name="a/b"), "name: 'a/b' is refused: a name has 1 to 64"),
     (change(name="cmf"), "name: 'cmf' is the name of a shipped machine"),
-    (change(title=""), "title: '' is refused"),
     (change(axes="up"), "axes: 'up' is refused: input should be 'z up' or 'z down'"),
     (change(colour="red"), "colour: is not a known field; allowed: axes, cabs"),
     (change(legs=None), "legs: is missing"),
@@ -237,40 +236,25 @@ BROKEN: list[tuple[dict[str, Any], str]] = [
     (change(gimbals={"height": None}), f"gimbals: height: is missing; allowed: {CIRCLE}"),
     (change(gimbals={"upper": stated([[0, 0, 0]] * 6)}),
      "gimbals: upper: is given with upper_radius"),
-    (change(gimbals={"upper_radius": stated(-1.0)}),
-     "gimbals.upper_radius: -1.0 m is refused: must"),
-    (change(gimbals={"upper_radius": stated(1.0, "kg")}), "gimbals.upper_radius: 'kg' is refused"),
-    (change(gimbals={"upper_spacing": stated(120, "deg")}),
-     "gimbals.upper_spacing: 120.0 deg is refused: must be less than 120"),
-    (change(gimbals={"height": stated("nan")}), "gimbals.height.value: 'nan' is refused"),
     (change(gimbals={"lower_radius": stated(0.6),
      "lower_spacing": stated(100, "deg")}), "gimbals: the legs do not hold the "
      "platform at neutral, condition number"),
     (change(legs={"half_stroke": stated(0.4)}),
      "legs.half_stroke: 0.4 m is refused: a retracted leg, 0.6366 m"),
-    (change(legs={"half_stroke": stated(0)}),
-     "legs.half_stroke: 0.0 m is refused: must be greater than 0 m"),
     (change(legs={"working_stroke": stated(0.21)}),
      "legs: working_stroke: 0.21 m must be at most half_stroke, 0.2 m"),
-    (change(legs={"rod_mass": stated(-3, "kg")}),
-     "legs.rod_mass: -3.0 kg is refused: must be greater"),
     (change(legs={"rod_mass": {"status": None}}), "legs.rod_mass.status: is missing"),
     (change(legs={"rod_mass": {**stated(6, "kg"),
      "status": "guessed"}}), "legs.rod_mass.status: 'guessed' is refused"),
-    (change(legs={"rod_mass": {**stated(6, "kg"),
-     "source": ""}}), "legs.rod_mass.source: '' is refused"),
     (change(platform={"inertia": stated([1, 1, 3], "kg m^2")}),
      "platform.inertia: principal moments are 1, 1, 3"),
     (change(platform={"centre_of_mass": stated([0, 0, -3])}),
      "platform.centre_of_mass: is -3 m above the upper gimbals, below the floor; "
      "allowed: at least -0.99 m"),
-    (change(cabs={"payload": {"mass": stated(0, "kg")}}), "cabs.payload.mass: 0.0 kg is refused"),
     (change(cabs={"payload": {"station": stated([0, 1])}}),
      "cabs.payload.station: has 2 values; allowed: 3"),
     (change(cabs={"gfd": table_of()["cabs"]["payload"]}), "cabs.gfd: is the name of a cab of cmf"),
     (change(limits=None), "limits: is missing"),
-    (change(limits={"leg": {"velocity": stated(0, "m/s")}}),
-     "limits.leg.velocity: 0.0 m/s is refused: must"),
     (change(limits={"wobble": {}}), "limits.wobble: is not a known field; allowed: heave, leg"),
     (change(control_rate=stated(100, "Hz")), "control_rate: 100 Hz is refused; allowed: a whole"),
     (change(force_area=stated(1.0)), "force_area: 'm' is refused: unit must be one of in^2, m^2"),

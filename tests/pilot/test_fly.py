@@ -11,7 +11,7 @@ from shared import WORKING_STROKE, cmf
 
 from cmf_mj import signals
 from cmf_mj.analysis.metrics import transient_delay
-from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.control.dcu.state import load_dcu
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.machine import kinematics

@@ -8,7 +8,7 @@ import pytest
 from flights import G
 from shared import cmf
 
-from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.control.dcu.state import load_dcu
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import (
     ANGLE,

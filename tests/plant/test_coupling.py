@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Record, SingleLegs, signals, simulate
-from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
+from cmf_mj.electronics.sensors import true_acceleration, true_velocity
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 

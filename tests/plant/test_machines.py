@@ -18,7 +18,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import State
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.sensors.channel import SensorSettings
+from cmf_mj.electronics.channel import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate
@@ -168,7 +168,7 @@ def test_the_law_that_a_machine_ships_with_is_stable(name: str) -> None:
     machine = load_machine(name)
     law = load_law(machine.law)
     assert f"cmf tune --machine {name} " in law.source
-    for cab in machine.cab_names:
+    for cab in machine.cabs:
         plant = cmf_mj.Hexapod(load_cab(cab, machine))
         taken = bound(law, plant)
         assert taken.machine == machine and taken.bound_modes is not None

@@ -15,7 +15,7 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.gravity import axial_gravity
+from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry

@@ -12,7 +12,7 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.analysis.response.spectra import report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.gravity import axial_gravity, projected_gravity
+from cmf_mj.machine.leg_motion import axial_gravity, projected_gravity
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.report_2014.ledger import LedgerEntry
 from cmf_mj.report_2014.models import hardware_velocity, report_entry, report_model

@@ -87,15 +87,14 @@ def _values(dcu, time, values):  # type: ignore[no-untyped-def]
         for i in range(6):
             if not np.isfinite(values[row, i]):
                 return Verdict.NOT_FINITE
-    for i in range(6):
-        if abs(values[POSE, i]) > dcu.pose[i]:
-            return Verdict.POSE_RANGE
-    for i in range(6):
-        if abs(values[VELOCITY, i]) > dcu.velocity[i]:
-            return Verdict.VELOCITY_RANGE
-    for i in range(6):
-        if abs(values[ACCELERATION, i]) > dcu.acceleration[i]:
-            return Verdict.ACCELERATION_RANGE
+    for row, limit, verdict in (
+        (POSE, dcu.pose, Verdict.POSE_RANGE),
+        (VELOCITY, dcu.velocity, Verdict.VELOCITY_RANGE),
+        (ACCELERATION, dcu.acceleration, Verdict.ACCELERATION_RANGE),
+    ):
+        for i in range(DOFS):
+            if abs(values[row, i]) > limit[i]:
+                return verdict
     return Verdict.ACCEPTED
 
 
@@ -199,24 +198,15 @@ def to_real_time(state, motion):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def stop_here(state):  # type: ignore[no-untyped-def]
-    """Leave the present quintic for a stop that begins here, or where it has just ended."""
+def clear(state):  # type: ignore[no-untyped-def]
+    """Forget all buffered frames: a stop begins here, or where the present one's quintic ended."""
     clocks = state.clocks[0]
     if clocks.moving:
         left = min(clocks.local, clocks.duration)
         evaluate(state.polynomial, clocks.duration, left, state.origin)
         to_real_time(state, state.origin)
         clocks.local = (clocks.local - left) / (1.0 + clocks.slew)
-    clocks.moving = 0
-
-
-@compiled
-def clear(state):  # type: ignore[no-untyped-def]
-    """Forget all buffered frames and come to rest."""
-    stop_here(state)
-    state.clocks[0].buffered = 0
-    state.clocks[0].used = 0
-    state.clocks[0].late_run = 0
+    clocks.moving, clocks.buffered, clocks.used, clocks.late_run = 0, 0, 0, 0
 
 
 @compiled
@@ -276,14 +266,13 @@ def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
 @compiled
 def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
     """Take a frame into the host's range of this second."""
-    way = 0.5 * dcu.stop_time + GAP_OVERSHOOT / dcu.gap_rate
+    now, way = state.second, 0.5 * dcu.stop_time + GAP_OVERSHOOT / dcu.gap_rate
     for i in range(DOFS):
-        low, high, stop = state.range[0, :, i]
         far = way * abs(values[VELOCITY, i])
         far += dcu.fade_time * dcu.fade_time / 12.0 * abs(values[ACCELERATION, i])
-        state.range[0, 0, i] = min(low, values[POSE, i])
-        state.range[0, 1, i] = max(high, values[POSE, i])
-        state.range[0, 2, i] = max(stop, far)
+        now.least[i] = min(now.least[i], values[POSE, i])
+        now.most[i] = max(now.most[i], values[POSE, i])
+        now.stop[i] = max(now.stop[i], far)
 
 
 @compiled

@@ -53,6 +53,22 @@ def copy(source, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def add(one, other, out):  # type: ignore[no-untyped-def]
+    """Write the sum of two motions."""
+    for row in range(3):
+        for i in range(DOFS):
+            out[row, i] = one[row, i] + other[row, i]
+
+
+@compiled
+def subtract(one, other, out):  # type: ignore[no-untyped-def]
+    """Write the difference of two motions."""
+    for row in range(3):
+        for i in range(DOFS):
+            out[row, i] = one[row, i] - other[row, i]
+
+
+@compiled
 def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
     """Coefficients c (6, 6), power by degree of freedom, of the quintic between two motions."""
     for i in range(DOFS):
@@ -130,9 +146,7 @@ def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
             gap[row, i] = c[row, 0] * p + c[row, 1] * v + c[row, 2] * a + c[row, 3] * held
             ended = ended and abs(gap[row, i]) * dcu.gap_rate ** (2 - row) < GAP_END
     if ended:
-        for row in range(3):
-            for i in range(DOFS):
-                gap[row, i] = 0.0
+        gap[:] = 0.0
 
 
 @compiled

@@ -22,6 +22,7 @@ from cmf_mj.control.dcu.motion import (
     DOFS,
     POSE,
     VELOCITY,
+    add,
     between,
     close_gap,
     copy,
@@ -29,9 +30,9 @@ from cmf_mj.control.dcu.motion import (
     hold_within,
     smooth_poses,
     stop,
+    subtract,
 )
-from cmf_mj.control.dcu.settings import Dcu
-from cmf_mj.control.dcu.state import CAPACITY, DcuState
+from cmf_mj.control.dcu.state import CAPACITY, Dcu, DcuState
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 
@@ -55,27 +56,22 @@ def step(dcu, state, demand):  # type: ignore[no-untyped-def]
     clocks = state.clocks[0]
     _advance_segments(state)
     _base(dcu, state)
-    for row in range(3):
-        for i in range(DOFS):
-            state.motion[row, i] = state.base[row, i] + state.gap[row, i]
+    add(state.base, state.gap, state.motion)
     if clocks.synchronised and not clocks.moving:
         _rejoin(dcu, state)
-    if clocks.smoothing != clocks.poses:
-        _change_base(dcu, state)
+    if clocks.smoothing != clocks.poses:  # between quintics and filter of poses, if they are near
+        clocks.smoothing = clocks.poses
+        _base(dcu, state)
+        if _near(dcu, state):
+            subtract(state.motion, state.base, state.gap)
+        else:
+            clocks.smoothing = 1 - clocks.poses
     clocks.beyond = clocks.beyond + 1 if _beyond(dcu, state) else 0
     slot = clocks.slot
     hold_within(dcu, state.motion, state.line[slot])
     clocks.slot = (slot + 1) % (dcu.line + 1)
     copy(state.line[clocks.slot], demand)
     _advance_clocks(dcu, state)
-
-
-@compiled
-def _open_gap(state):  # type: ignore[no-untyped-def]
-    """The gap is what lies between the demand and the base."""
-    for row in range(3):
-        for i in range(DOFS):
-            state.gap[row, i] = state.motion[row, i] - state.base[row, i]
 
 
 @compiled
@@ -95,31 +91,19 @@ def _near(dcu, state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _change_base(dcu, state):  # type: ignore[no-untyped-def]
-    """Go over between the quintics and the filter of poses, if they are near."""
-    clocks = state.clocks[0]
-    clocks.smoothing = clocks.poses
-    _base(dcu, state)
-    if _near(dcu, state):
-        _open_gap(state)
-    else:
-        clocks.smoothing = 1 - clocks.poses
-
-
-@compiled
 def _beyond(dcu, state):  # type: ignore[no-untyped-def]
     """Whether the demand is beyond the poses of the last second, with a share and the way to stop.
 
     While a gap closes at its speed, the demand on its way belongs to the range.
     """
+    now, before = state.second, state.earlier
     for i in range(DOFS):
-        pose, least, most, stop = state.motion[POSE, i], 0.0, 0.0, 0.0
+        pose = state.motion[POSE, i]
         if abs(state.gap[POSE, i]) > dcu.gap_range[i]:
-            state.range[0, 0, i] = min(state.range[0, 0, i], pose)
-            state.range[0, 1, i] = max(state.range[0, 1, i], pose)
-        least = min(state.range[0, 0, i], state.range[1, 0, i])
-        most = max(state.range[0, 1, i], state.range[1, 1, i])
-        stop = max(state.range[0, 2, i], state.range[1, 2, i])
+            now.least[i] = min(now.least[i], pose)
+            now.most[i] = max(now.most[i], pose)
+        least, most = min(now.least[i], before.least[i]), max(now.most[i], before.most[i])
+        stop = max(now.stop[i], before.stop[i])
         wide = RANGE_SHARE * (most - least) + stop + RANGE_FLOOR
         if not least - wide <= pose <= most + wide:
             return True
@@ -152,7 +136,7 @@ def _plan_quintic(state):  # type: ignore[no-untyped-def]
 def _advance_segments(state):  # type: ignore[no-untyped-def]
     """At the end of a quintic go over to the next, or to the stop from its last frame."""
     clocks = state.clocks[0]
-    while state.clocks[0].moving and clocks.local >= clocks.duration:
+    while clocks.moving and clocks.local >= clocks.duration:
         clocks.local -= clocks.duration
         _drop_first(state)
         if _continues(state):
@@ -176,11 +160,8 @@ def _base(dcu, state):  # type: ignore[no-untyped-def]
     """The base at the present time; in `base`."""
     clocks = state.clocks[0]
     if clocks.smoothing:
-        for row in range(3):
-            for i in range(DOFS):
-                state.base[row, i] = state.smoothed[row, i]
-        return
-    if clocks.moving:
+        copy(state.smoothed, state.base)
+    elif clocks.moving:
         evaluate(state.polynomial, clocks.duration, clocks.local, state.base)
         to_real_time(state, state.base)
     else:
@@ -229,21 +210,16 @@ def _rejoin(dcu, state):  # type: ignore[no-untyped-def]
     else:
         _stop_from_first(state, local)
     if state.apart[first] or waited > dcu.hold:
-        _move_filter(state)
+        # Take the filter of poses along where its input jumps: the gap closes the jump.
+        for i in range(DOFS):
+            state.smoothed[POSE, i] -= state.input[i]
+        _pose(state)
+        for i in range(DOFS):
+            state.smoothed[POSE, i] += state.input[i]
         state.apart[first] = 0
     if clocks.smoothing:
         _base(dcu, state)
-    _open_gap(state)
-
-
-@compiled
-def _move_filter(state):  # type: ignore[no-untyped-def]
-    """Take the filter of poses along where its input jumps: the gap closes the jump."""
-    for i in range(DOFS):
-        state.smoothed[POSE, i] -= state.input[i]
-    _pose(state)
-    for i in range(DOFS):
-        state.smoothed[POSE, i] += state.input[i]
+    subtract(state.motion, state.base, state.gap)
 
 
 @compiled
@@ -263,17 +239,6 @@ def _target(dcu, clocks):  # type: ignore[no-untyped-def]
     clocks.drift += dcu.frame * change / dcu.clock_time
     clocks.drift = min(max(clocks.drift, -dcu.clock_rate), dcu.clock_rate)
     return min(max(-2.0 * beyond - clocks.drift, -dcu.clock_rate), dcu.clock_rate)
-
-
-@compiled
-def _begin_second(dcu, state):  # type: ignore[no-untyped-def]
-    """Begin another second of the host's range, at the pose of now."""
-    state.clocks[0].window = 0.0
-    for i in range(DOFS):
-        for row in range(3):
-            state.range[1, row, i] = state.range[0, row, i]
-        state.range[0, 0, i], state.range[0, 1, i] = state.input[i], state.input[i]
-        state.range[0, 2, i] = 0.0
 
 
 @compiled
@@ -299,7 +264,12 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     clocks.local += passed if clocks.moving else frame
     clocks.window += frame
     if clocks.window >= 1.0 and clocks.synchronised:
-        _begin_second(dcu, state)
+        # Another second of the host's range begins, at the pose of now.
+        clocks.window = 0.0
+        now, before = state.second, state.earlier
+        for i in range(DOFS):
+            before.least[i], before.most[i], before.stop[i] = now.least[i], now.most[i], now.stop[i]
+            now.least[i], now.most[i], now.stop[i] = state.input[i], state.input[i], 0.0
     clocks.silence += frame
     clocks.held_age += frame
     clocks.late_age += frame

@@ -1,14 +1,224 @@
-"""State of the DCU: a few small arrays, and records with named fields."""
+"""The DCU as data: settings, compiled parameters and state.
+
+The delay from a host's stamp to the leg demand adds up,
+
+    total = host interval + interpolation hold + (transmission + DCL frame) / control rate
+
+and the report finds about 0.03 s (section 3.4.2).
+"""
 
 from enum import IntEnum
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, model_validator
+from scipy.signal import bessel
 
 from cmf_mj.control.dcu.motion import POSE
-from cmf_mj.control.dcu.settings import Dcu
+from cmf_mj.core.arrays import one_row
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.hold import chain
+from cmf_mj.core.quantity import Kind, Quantity, in_si, positive_in
+from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.units import FRAME, RATE
+
+
+def _whole(quantity: Quantity) -> Quantity:
+    Kind(("1",), zero=True).check(quantity)
+    if not (quantity.value.is_integer() and quantity.value <= 2048.0):
+        raise InputError("must be a whole number of control frames, at most 2048")
+    return quantity
+
+
+_Time = Annotated[Quantity, positive_in("s")]
+_Wait = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
+_Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=0.9).check)]
+_Frames = Annotated[Quantity, AfterValidator(_whole)]
+_Length = Annotated[Quantity, positive_in("in", "m")]
+_Speed = Annotated[Quantity, positive_in("in/s", "m/s")]
+_Acceleration = Annotated[Quantity, positive_in("g", "in/s^2", "m/s^2")]
+_Angle = Annotated[Quantity, positive_in("deg", "rad")]
+_AngularSpeed = Annotated[Quantity, positive_in("deg/s", "rad/s")]
+_AngularAcceleration = Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
+
+
+class DelayBreakdown(Settings):
+    """Where the time from a host's stamp to the leg demand goes; `total` adds it up."""
+
+    host_interval: _Time
+    """Longest interval of the host for which the total holds: a frame waits for its successor.
+    A host whose mean interval is longer waits for that instead."""
+    interpolation_hold: _Wait
+    """Wait beyond the interval: what a frame may be late, or lost, without a trace."""
+    smoothing: _Time
+    """Delay of the filter of poses whose derivatives are left aside, in place of the hold."""
+    transmission: _Frames  #: Transport from the host to the DCU, whole control frames.
+    dcl_frame: _Frames  #: From the DCU to the leg demand of the DCL, whole control frames.
+
+    @property
+    def play_delay(self) -> float:
+        """From arrival of a frame to its turn in the interpolation [s]."""
+        return self.host_interval.si + self.interpolation_hold.si
+
+    @property
+    def line_frames(self) -> int:
+        """Control frames in the transport line."""
+        return round(self.transmission.value + self.dcl_frame.value)
+
+    @property
+    def total(self) -> float:
+        """From a host's stamp to the leg demand at 2048 Hz [s]."""
+        return self.play_delay + self.line_frames * FRAME
+
+    def parts(self, rate: int = RATE) -> dict[str, float]:
+        """Every part at a control rate [Hz] in s, in the order of the signal.
+
+        At 2048 Hz they add up to `total`.
+        """
+        return {
+            "transmission": self.transmission.value / rate,
+            "host_interval": self.host_interval.si,
+            "interpolation_hold": self.interpolation_hold.si,
+            "dcl_frame": self.dcl_frame.value / rate,
+        }
+
+
+class DcuLimits(Settings):
+    """What a frame may hold, how gaps are closed and how silence ends; see `dcu.toml`."""
+
+    pose_translation: _Length  #: Largest surge, sway and heave of a frame.
+    pose_rotation: _Angle  #: Largest roll, pitch and yaw of a frame.
+    velocity_translation: _Speed  #: Largest translational velocity of a frame and between frames.
+    velocity_rotation: _AngularSpeed
+    """Largest rate of an Euler angle of a frame and between frames."""
+    acceleration_translation: _Acceleration
+    """Largest translational acceleration of a frame and between frames."""
+    acceleration_rotation: _AngularAcceleration
+    """Largest second derivative of an Euler angle of a frame and between frames."""
+    overtravel_translation: _Length  #: How far the demand may go beyond `pose_translation`.
+    overtravel_rotation: _Angle  #: How far the demand may go beyond `pose_rotation`.
+    rejoin_velocity_translation: _Speed  #: Speed at which a gap of position is closed.
+    rejoin_velocity_rotation: _AngularSpeed  #: Speed at which a gap of angle is closed.
+    rejoin_time: _Time  #: Time in which a gap closes to 6 % of what it was: 6 / w.
+    minimum_interval: _Time  #: Least difference of host times between accepted frames.
+    timeout: _Time
+    """Silence after which the stream is stale; longest gap between accepted frames; how long
+    frame after frame may be late, or far ahead, before the play clock is set again."""
+    stop_time: _Time  #: Time in which the velocity of an interrupted demand comes to rest.
+    acceleration_fade: _Time  #: Time in which the acceleration of an interrupted demand has faded.
+    clock_tolerance: _Wait  #: Mean lateness of the host that is left alone.
+    clock_rate: _Share  #: Most by which the play clock runs fast or slow, at most 0.9.
+    clock_time: _Time  #: Time constant Tc with which the play clock follows the host's.
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "DcuLimits":
+        if not self.minimum_interval.si < self.timeout.si <= MOST_TIMEOUT:
+            raise InputError(
+                f"timeout: {self.timeout.si} s must exceed minimum_interval, "
+                f"{self.minimum_interval.si} s, and be at most {MOST_TIMEOUT} s"
+            )
+        if self.clock_time.si < 0.2:
+            raise InputError(f"clock_time: {self.clock_time.si} s must be at least 0.2 s")
+        return self
+
+    def pair(self, name: str) -> NDArray[np.float64]:
+        """A quantity of all six degrees of freedom in SI, (6,), e.g. `velocity`."""
+        values = [getattr(self, f"{name}_{kind}").si for kind in ("translation", "rotation")]
+        return np.repeat(values, 3)
+
+
+_SMOOTHER = 10.0
+"""How much faster than its correction the rate of the play clock settles."""
+
+_GAP_TIMES = 6.0
+"""Rejoin time in units of 1 / w: (1 + x + x^2 / 2) e^-x is 0.062 there."""
+
+MOST_TIMEOUT = 10.0
+"""Longest timeout [s]."""
+
+
+class DcuSettings(Settings):
+    """Everything a DCU is made of."""
+
+    delay: DelayBreakdown  #: The delays and their sum.
+    dcu: DcuLimits  #: Limits, recovery and clock.
+
+    @model_validator(mode="after")
+    def _in_time(self) -> "DcuSettings":
+        if self.delay.play_delay >= self.dcu.timeout.si:
+            raise InputError(
+                f"timeout: {self.dcu.timeout.si} s must exceed host_interval and "
+                f"interpolation_hold together, {self.delay.play_delay} s"
+            )
+        return self
+
+
+class Dcu(NamedTuple):
+    """Compiled parameters, SI; six degrees of freedom in the order of a pose."""
+
+    host_interval: float  #: Shortest wait of a frame for its successor [s].
+    hold: float  #: Wait beyond it [s].
+    pose: NDArray[np.float64]  #: Largest pose of a frame [m, rad], (6,).
+    velocity: NDArray[np.float64]
+    """Largest velocity of a frame and between frames [m/s, rad/s], (6,)."""
+    acceleration: NDArray[np.float64]
+    """Largest acceleration of a frame and between frames [m/s^2, rad/s^2], (6,)."""
+    overtravel: NDArray[np.float64]  #: How far the demand may leave `pose` [m, rad], (6,).
+    smoothing_delay: float  #: Delay D of the filter of poses [s].
+    gap_rate: float  #: w of a gap [1/s].
+    gap_range: NDArray[np.float64]  #: L, beyond which a gap closes at its speed [m, rad], (6,).
+    closing: NDArray[np.float64]
+    """Gap and its derivatives a frame on, from themselves and the gap within +-L, (3, 4)."""
+    smoothing: NDArray[np.float64]
+    """Bessel filter a frame on, from its output, three derivatives and the pose, (4, 5)."""
+    minimum_interval: float  #: Least time between frames [s].
+    timeout: float  #: Silence until stale [s].
+    stop_time: float  #: Time in which velocity comes to rest [s].
+    fade_time: float  #: Time in which acceleration fades [s].
+    clock_tolerance: float  #: Lateness left alone [s].
+    clock_rate: float  #: Most by which the play clock runs fast or slow.
+    clock_time: float  #: Time constant with which it follows the host's [s].
+    slew_time: float  #: Time constant that smooths its rate [s].
+    line: int  #: Control frames in the transport line.
+    frame: float  #: T [s].
+
+
+load_dcu = Loader(DcuSettings, Path(__file__).with_name("dcu.toml"), what="dcu")
+"""Loads the settings of a DCU: `default`, or a file with numbers of `[delay]` and `[dcu]`."""
+
+
+def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME) -> Dcu:
+    """Compile the settings of a DCU for a control frame [s]; errors are those of `load_dcu`.
+
+    Frames of the host must be at least two control frames apart.
+    """
+    settings = load_dcu(source)
+    delay, limits = settings.delay, settings.dcu
+    if limits.minimum_interval.si < 2.0 * frame:
+        raise InputError(
+            f"minimum_interval: {limits.minimum_interval.si} s must be at least two control "
+            f"frames, {2.0 * frame} s"
+        )
+    rate = _GAP_TIMES / limits.rejoin_time.si
+    poles = bessel(4, 1.0, analog=True, output="zpk", norm="delay")[1] / delay.smoothing.si
+    return in_si(
+        Dcu,
+        limits,
+        **{name: limits.pair(name) for name in ("pose", "velocity", "acceleration", "overtravel")},
+        host_interval=delay.host_interval.si,
+        hold=delay.interpolation_hold.si,
+        smoothing_delay=delay.smoothing.si,
+        fade_time=limits.acceleration_fade.si,
+        slew_time=limits.clock_time.si / _SMOOTHER,
+        line=delay.line_frames,
+        frame=frame,
+        gap_rate=rate,
+        gap_range=3.0 * limits.pair("rejoin_velocity") / rate,
+        closing=chain([0.0, 3.0 * rate**2, 3.0 * rate], -(rate**3), frame),
+        smoothing=chain(np.poly(poles)[:0:-1].real, np.prod(poles).real, frame),
+    )
 
 
 class Verdict(IntEnum):
@@ -87,6 +297,14 @@ CAPACITY = 64
 """Frames the buffer holds."""
 
 
+class HostRange(NamedTuple):
+    """Where the host has been, every array (6,) [m, rad]."""
+
+    least: NDArray[np.float64]  #: Least pose.
+    most: NDArray[np.float64]  #: Largest pose.
+    stop: NDArray[np.float64]  #: Longest way to stop.
+
+
 class DcuState(NamedTuple):
     """State of a DCU."""
 
@@ -103,8 +321,8 @@ class DcuState(NamedTuple):
     input: NDArray[np.float64]  #: Pose at the play clock, straight between frames, (6,).
     smoothed: NDArray[np.float64]  #: Bessel filter of it: pose and three derivatives, (4, 6).
     step: NDArray[np.float64]  #: Newest accepted pose less the one before, (6,).
-    range: NDArray[np.float64]
-    """Of this second and the one before: least and largest pose and the way to stop, (2, 3, 6)."""
+    second: HostRange  #: Where the host has been in this second.
+    earlier: HostRange  #: And in the one before.
     base: NDArray[np.float64]  #: Motion before correction, (3, 6), workspace.
     motion: NDArray[np.float64]  #: Motion before limit and transport, (3, 6), workspace.
     line: NDArray[np.float64]  #: Transport line, (frames + 1, 3, 6).
@@ -121,20 +339,14 @@ class DcuState(NamedTuple):
         return dict(zip(Events._fields, self.events[0].item(), strict=True))
 
 
-def _record(values: NamedTuple) -> np.recarray[Any, Any]:
-    """One record with the fields, their types and values of a named tuple, (1,)."""
-    fields = [(name, type(value)) for name, value in values._asdict().items()]
-    return np.array([tuple(values)], dtype=fields).view(np.recarray)
-
-
 def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     """State of a DCU that has had no frame and rests at a pose (6,), by default neutral."""
     at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
-        clocks=_record(Clocks(interval=dcu.host_interval)),
-        events=_record(Events()),
+        clocks=one_row(Clocks(interval=dcu.host_interval)),
+        events=one_row(Events()),
         time=np.zeros(CAPACITY),
         frame=np.zeros((CAPACITY, 3, 6)),
         apart=np.zeros(CAPACITY, dtype=np.int64),
@@ -145,7 +357,8 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
         input=at.copy(),
         smoothed=np.zeros((4, 6)),
         step=np.zeros(6),
-        range=np.zeros((2, 3, 6)),
+        second=HostRange(at.copy(), at.copy(), np.zeros(6)),
+        earlier=HostRange(at.copy(), at.copy(), np.zeros(6)),
         base=np.zeros((3, 6)),
         motion=np.zeros((3, 6)),
         line=np.zeros((dcu.line + 1, 3, 6)),
@@ -153,6 +366,5 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     )
     state.origin[POSE] = at
     state.smoothed[POSE] = at
-    state.range[:, :2] = at
     state.line[:, POSE] = at
     return state

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.control.dcu.play import Arrivals, upsample
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_headed, read_table, write_parquet, write_table
 from cmf_mj.core.settings import FileHeader, validated

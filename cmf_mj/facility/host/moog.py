@@ -183,8 +183,8 @@ class MoogBase:
             return MachineState.POWER_UP
         if request == Request.OFF and code != State.OFF:
             return MachineState.PARKING
-        time, fade, stop = source.operating.clock
-        if code == State.ENGAGED and time >= max(fade, stop):
+        phase = source.operating.phase[0]
+        if code == State.ENGAGED and phase.time >= max(phase.fade, phase.stop):
             return MachineState.ENGAGED
         return MachineState.IDLE if code == State.OFF else MachineState.STANDBY
 
@@ -284,7 +284,7 @@ class MoogBase:
         legs = memory.feedback.position
         home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
         bits = {
-            Discrete.AMPLIFIER_ENABLE: source.operating.valve[1] > 0.0,
+            Discrete.AMPLIFIER_ENABLE: source.operating.phase[0].gain > 0.0,
             Discrete.DRIVE_BUS: session.dynamics.faults.plant[STOPPED] == 0.0,
             Discrete.LIMIT_SWITCH: tripped,
             Discrete.AT_HOME: home,

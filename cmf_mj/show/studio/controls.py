@@ -211,7 +211,7 @@ def machine_controls(desk: Desk) -> None:
 
     def follow(scenario: Run) -> None:
         carrier = scenario.carried.machine
-        cab.options = carrier.cab_names
+        cab.options = tuple(carrier.cabs)
         hydraulics.options = HYDRAULICS if carrier.name == models.CMF else (carrier.name,)
         pick(cab, scenario.carried.name)
         pick(hydraulics, hydraulics_of(carrier, scenario.hydraulics).name)

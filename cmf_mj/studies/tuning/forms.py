@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.linear.binding import modes_of_cab, nominal_modes
 from cmf_mj.control.coordinates import Modes
+from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
-from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.machine.cab import Cab, load_cab

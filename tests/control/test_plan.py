@@ -10,12 +10,13 @@ from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.coordinates import MODES, make_shape, to_legs, to_modes
+from cmf_mj.control.coordinates import MODES, make_shape
 from cmf_mj.control.dcl import DclState, make_dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.inverse import opened
 from cmf_mj.control.plan import actuator_polynomial, response_polynomial
+from cmf_mj.core.compiled import multiply, multiply_transposed
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.unknowns import valve_gains, with_valve_gains
@@ -97,8 +98,8 @@ def test_shipped_modes_are_those_of_the_nominal_plant(cab: str) -> None:
 def test_the_map_goes_there_and_back() -> None:
     shape = make_shape(MODAL.modes["ifd"], MODES)
     legs, modes, back = np.arange(1.0, 7.0), np.zeros(MODES), np.zeros(MODES)
-    to_modes(shape, legs, modes)
-    to_legs(shape, modes, back)
+    multiply(shape, legs, modes)
+    multiply_transposed(shape, modes, back)
     np.testing.assert_allclose(back, legs, rtol=1e-14)
     assert np.linalg.norm(modes) == pytest.approx(np.linalg.norm(legs), rel=1e-14)
 

@@ -2,32 +2,26 @@
 
 import hashlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
+from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.quantity import Bias, Corner, Kind, Quantity
 from cmf_mj.core.settings import Loader, Name, Settings
-from cmf_mj.electronics.converter import low_pass, steps
+from cmf_mj.electronics.converter import in_steps
 
 SENSOR_SETS = ("ideal", "noisy")
 """Names of the shipped sets."""
 
-CHANNELS = {
-    "leg_position": ("in", "m"),
-    "leg_velocity": ("in/s", "m/s"),
-    "leg_acceleration": ("g", "in/s/s", "m/s/s"),
-    "cap_pressure": ("psi", "Pa"),
-    "rod_pressure": ("psi", "Pa"),
-    "platform_gyro": ("deg/s", "rad/s"),
-    "platform_accelerometer": ("g", "in/s/s", "m/s/s"),
-}
-"""Channels with the units their numbers may be given in."""
+
+def _in_own_unit(zero: bool = False) -> AfterValidator:
+    """Validator of a size above 0, or from 0 on, in a unit that the channel checks."""
+    return AfterValidator(lambda quantity: Kind((quantity.unit,), zero=zero).check(quantity))
 
 
 class ChannelSettings(Settings):
@@ -36,37 +30,44 @@ class ChannelSettings(Settings):
     lowest: Quantity | None = None  #: Least reading.
     highest: Quantity | None = None  #: Largest reading.
     bias: Quantity | None = None  #: Constant error, the same for all legs or axes.
-    noise_density: Quantity | None = None
+    noise_density: Annotated[Quantity, _in_own_unit(zero=True)] | None = None
     """One-sided density of the white noise of the output, per root hertz."""
-    bandwidth: Quantity | None = None
-    """-3 dB corner of the first-order lag, below half the frame rate."""
-    resolution: Quantity | None = None  #: Step between readings.
-    gain_errors: list[Quantity] = []
+    bandwidth: Corner | None = None  #: -3 dB corner of the first-order lag, below half the rate.
+    resolution: Annotated[Quantity, _in_own_unit()] | None = None
+    """Step between readings."""
+    gain_errors: list[Bias] = []
     """Relative error of the gain, one a leg or axis; none for none."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":
-        for field in ("noise_density", "bandwidth", "resolution"):
-            quantity = getattr(self, field)
-            least = 0.0 if quantity is None else quantity.value
-            if least < 0.0 or (field != "noise_density" and quantity is not None and least == 0.0):
-                bound = "at least 0" if field == "noise_density" else "greater than 0"
-                raise InputError(f"{field}: {least:g} {quantity.unit} must be {bound}")
-        for error in self.gain_errors:
-            if error.unit not in ("1", "%") or abs(error.si) >= 1.0:
-                raise InputError(
-                    f"gain_errors: {error} must be between -1 and 1, in a unit of 1 or %"
-                )
         if self.lowest and self.highest and self.lowest.si >= self.highest.si:
-            raise InputError(
-                f"lowest: {self.lowest.value:g} {self.lowest.unit} must be less than highest, "
-                f"{self.highest.value:g} {self.highest.unit}"
-            )
+            raise InputError(f"lowest: {self.lowest} must be less than highest, {self.highest}")
         return self
 
     def quantities(self) -> dict[str, Quantity]:
         """The numbers common to all legs or axes that are given, by name."""
         return {name: value for name, value in self if isinstance(value, Quantity)}
+
+
+def _channel(*units: str) -> AfterValidator:
+    """Validator of a channel whose numbers are in one of these units."""
+    allowed = {field: units for field in ("lowest", "highest", "bias", "resolution")}
+    allowed["noise_density"] = tuple(f"{unit}/rtHz" for unit in units)
+
+    def check(channel: ChannelSettings) -> ChannelSettings:
+        for field, known in allowed.items():
+            quantity = getattr(channel, field)
+            if quantity and quantity.unit not in known:
+                raise InputError(
+                    f"{field}: unit {quantity.unit!r} must be one of {', '.join(known)}"
+                )
+        return channel
+
+    return AfterValidator(check)
+
+
+_Acceleration = Annotated[ChannelSettings, _channel("g", "in/s/s", "m/s/s")]
+_Pressure = Annotated[ChannelSettings, _channel("psi", "Pa")]
 
 
 class SensorSettings(Settings):
@@ -77,40 +78,22 @@ class SensorSettings(Settings):
     """Whether the leg accelerometers sit on the rods and feel gravity and swing (Appendix C).
     Otherwise they read the second derivative of the leg extension, as the report's non-linear model
     has it."""
-    leg_position: ChannelSettings = ChannelSettings()
-    leg_velocity: ChannelSettings = ChannelSettings()
-    leg_acceleration: ChannelSettings = ChannelSettings()
-    cap_pressure: ChannelSettings = ChannelSettings()
-    rod_pressure: ChannelSettings = ChannelSettings()
-    platform_gyro: ChannelSettings = ChannelSettings()
-    platform_accelerometer: ChannelSettings = ChannelSettings()
+    leg_position: Annotated[ChannelSettings, _channel("in", "m")] = ChannelSettings()
+    leg_velocity: Annotated[ChannelSettings, _channel("in/s", "m/s")] = ChannelSettings()
+    leg_acceleration: _Acceleration = ChannelSettings()
+    cap_pressure: _Pressure = ChannelSettings()
+    rod_pressure: _Pressure = ChannelSettings()
+    platform_gyro: Annotated[ChannelSettings, _channel("deg/s", "rad/s")] = ChannelSettings()
+    platform_accelerometer: _Acceleration = ChannelSettings()
 
     def quantities(self) -> dict[str, Quantity]:
         """The numbers of all channels, by channel and name."""
-        numbers = {channel: self.channel(channel).quantities() for channel in CHANNELS}
+        numbers = {channel: getattr(self, channel).quantities() for channel in CHANNELS}
         return {f"{c} {name}": one for c, given in numbers.items() for name, one in given.items()}
 
-    @model_validator(mode="after")
-    def _units(self) -> "SensorSettings":
-        for channel, units in CHANNELS.items():
-            for field, quantity in self.channel(channel).quantities().items():
-                allowed = _units_of(field, units)
-                if quantity.unit not in allowed:
-                    raise InputError(
-                        f"{channel}.{field}: unit {quantity.unit!r} must be one of "
-                        f"{', '.join(allowed)}"
-                    )
-        return self
 
-    def channel(self, name: str) -> ChannelSettings:
-        """Settings of one of `CHANNELS`."""
-        return getattr(self, name)
-
-
-def _units_of(field: str, units: tuple[str, ...]) -> tuple[str, ...]:
-    if field == "noise_density":
-        return tuple(f"{unit}/rtHz" for unit in units)
-    return ("Hz", "rad/s") if field == "bandwidth" else units
+CHANNELS = tuple(SensorSettings.model_fields)[2:]
+"""Kinds of sensors."""
 
 
 load_sensors = Loader(
@@ -146,14 +129,14 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
 
     corner = size("bandwidth", 0.0) / (2.0 * np.pi)
     return SensorChannel(
-        filters.low_pass(1 if corner else 0, corner, rate),
-        np.array([1.0 + error.si for error in settings.gain_errors]),
-        size("lowest", -np.inf),
-        size("highest", np.inf),
-        size("bias", 0.0),
-        size("noise_density", 0.0) * float(np.sqrt(rate / 2.0)),
-        size("resolution", 0.0),
-        key_schedule(stream_key(seed, name)),
+        low_pass=filters.low_pass(1 if corner else 0, corner, rate),
+        gain=np.array([1.0 + error.si for error in settings.gain_errors]),
+        lowest=size("lowest", -np.inf),
+        highest=size("highest", np.inf),
+        bias=size("bias", 0.0),
+        deviation=size("noise_density", 0.0) * float(np.sqrt(rate / 2.0)),
+        resolution=size("resolution", 0.0),
+        keys=key_schedule(stream_key(seed, name)),
     )
 
 
@@ -161,7 +144,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
 def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
     """Readings (n,) of one frame, whose number chooses the noise; may overwrite the truth."""
     count = truth.shape[0]
-    low_pass(channel.low_pass, state, truth, reading)
+    filters.filter_all(channel.low_pass, state, truth, reading)
     if channel.gain.shape[0] > 0:
         for i in range(count):
             reading[i] *= channel.gain[i]
@@ -175,7 +158,7 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
                 reading[4 * group + k] += channel.deviation * normals[k]
     for i in range(count):
         if channel.resolution > 0.0:
-            reading[i] = steps(reading[i], channel.resolution) * channel.resolution
+            reading[i] = in_steps(reading[i], channel.resolution) * channel.resolution
         reading[i] = min(max(reading[i], channel.lowest), channel.highest)
 
 

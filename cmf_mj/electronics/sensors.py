@@ -22,7 +22,7 @@ from cmf_mj.core import filters
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.electronics.sensors.channel import (
+from cmf_mj.electronics.channel import (
     CHANNELS,
     SensorChannel,
     SensorSettings,
@@ -30,7 +30,7 @@ from cmf_mj.electronics.sensors.channel import (
     read,
 )
 from cmf_mj.machine import models
-from cmf_mj.machine.gravity import (
+from cmf_mj.machine.leg_motion import (
     LegAxes,
     LegAxesState,
     leg_axes_state,
@@ -86,7 +86,7 @@ def make_sensors(
     """
     carrier = load_machine(machine)
     channels = {
-        field: make_channel(name, settings.channel(name), rate, seed)
+        field: make_channel(name, getattr(settings, name), rate, seed)
         for field, name in _FIELDS.items()
     }
     return Sensors(

@@ -6,10 +6,10 @@ import pytest
 from cmf_mj import law_names, load_law
 from cmf_mj.control import states
 from cmf_mj.control.compensator import compensate, make_compensator
+from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.play import upsample
-from cmf_mj.control.dcu.settings import load_dcu, make_dcu
-from cmf_mj.control.dcu.state import resting
-from cmf_mj.control.feedback import filter_acceleration, make_feedback
+from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
+from cmf_mj.control.feedback import filter_acceleration
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.control.limiter import make_leg_limiter
 from cmf_mj.control.protection import load_protection, make_protection
@@ -20,7 +20,7 @@ from cmf_mj.facility.host.stream import arrivals, make_stream
 
 def held(law: Law, frames: int) -> np.ndarray:
     """Outputs of compensator and accelerometer filter for inputs held at 1, frame by frame."""
-    compensator, feedback = make_compensator(law, 1), make_feedback(law, 1.0)
+    compensator, feedback = make_compensator(law, 1), make_dcl(law, 1).feedback
     state = filtered = 0.0
     found = np.empty((frames, 2))
     for k in range(frames):
@@ -70,7 +70,7 @@ def test_the_valve_fades_in_the_same_time(rate: int) -> None:
     state = states.start(compiled, State.OFF, np.full(6, -0.96))
     demand, reference = np.zeros((3, 6)), np.zeros((3, 6))
     frames = 0
-    while state.valve[1] < 1.0:
+    while state.phase[0].gain < 1.0:
         states.step(compiled, state, Request.RAISE.value, demand, np.full(6, -0.96), reference)
         frames += 1
     assert frames / rate == pytest.approx(settings.valve_time.si, abs=1.5 / rate)

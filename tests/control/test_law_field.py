@@ -21,8 +21,8 @@ from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_la
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.law import Gains
-from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.core.units import FRAME, INCH, POUND_FORCE
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.unknowns import with_valve_gains

@@ -1,1 +1,0 @@
-"""Sensors: ideal differences of the integrated motion, and instruments with their errors."""
