@@ -17,7 +17,7 @@ command = partial(app.command, rich_help_panel="Analyse")
 
 _NEUTRAL = "0,0,0,0,0,0"
 
-_METHODS = "arx (least squares), iv (instruments) or oe (output error)"
+_METHODS = "arx (least squares) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
 _METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
 _ESTIMATOR = "analysis.response.spectra:Estimator"
