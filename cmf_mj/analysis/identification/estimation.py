@@ -16,9 +16,9 @@ damping. Output error is free of that: it minimises the simulation error over al
 
 by Gauss-Newton steps in a trust region (`scipy.optimize.least_squares`), with the exact Jacobian
 dy/da_i = -q^-i yhat / A, dy/db = q^-l u / A, every column scaled. The initial state of every run is
-one of the unknowns; it is linear and taken out at each step. The start is least squares on series
-filtered by 1/A of the one before (K. Steiglitz and L. McBride, IEEE Trans. Automatic Control 10
-(1965) 461-464). Consistent for noise v of any colour
+one of the unknowns; it is linear and taken out at each step. The start is ARX on series
+filtered by 1/A of ARX (K. Steiglitz and L. McBride, IEEE Trans. Automatic Control 10 (1965)
+461-464). Consistent for noise v of any colour
 that the inputs do not know; where a law feeds it back to the valves they do, and v must be white.
 
 Orders: with V the mean square of e over the samples that every candidate explains,
@@ -49,8 +49,8 @@ from cmf_mj.analysis.identification.model import (
 )
 from cmf_mj.core.errors import InputError, check_name
 
-_SWEEPS, _EVALUATIONS = 10, 200
-"""Filtered least squares before output error, and most simulations of a row in it."""
+_EVALUATIONS = 200
+"""Most simulations of a row."""
 
 Criterion = Literal["aic", "bic", "validation"]
 
@@ -250,15 +250,14 @@ class _OutputError:
     def __init__(self, runs: list[Experiment], start: PolynomialModel, row: int) -> None:
         self.runs, self.orders, self.row = runs, start.orders, row
         self.size = float(np.sqrt(np.mean(np.concatenate([r.output[:, row] for r in runs]) ** 2)))
-        self.first = start.parameters(row)
-        for _ in range(_SWEEPS):
-            a = self._model(self.first).stabilised().denominators[0]
-            seen = [
-                replace(run, input=_filtered(a, run.input), output=_filtered(a, run.output))
-                for run in runs
-            ]
-            factor = _factor(seen, row, self.orders, self.orders.lag)
-            self.first = _solve(factor, np.arange(factor.triangle.shape[1] - 1))[0].parameters
+        # Least squares on series filtered by 1/A is nearer to the simulation error.
+        a = start.denominators[row]
+        seen = [
+            replace(r, input=_filtered(a, r.input), output=_filtered(a, r.output)) for r in runs
+        ]
+        factor = _factor(seen, row, self.orders, self.orders.lag)
+        theta = _solve(factor, np.arange(factor.triangle.shape[1] - 1))[0].parameters
+        self.first = self._model(theta).stabilised().parameters()
 
     def _model(self, theta: Real) -> PolynomialModel:
         """The model of this row, of which nothing but the parameters is known."""

@@ -42,11 +42,11 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.analysis.frequency_response import falls
 from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, one_pose, pose_jacobian, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.peaks import command_limits
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,9 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     return Asymptotes(
         dof=dof,
-        displacement=float(np.abs(command_limits(plant.machine).displacement[index]).min()),
+        displacement=float(
+            np.abs(load_motion_limits(None, plant.machine).operational[index]).min()
+        ),
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         speed=speed,
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
