@@ -18,7 +18,6 @@ from pydantic import Field, model_validator
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.analysis.step_response import step_metrics
@@ -237,7 +236,7 @@ def linear_results(
     """
     linear = Linear(plant_of(study, values))
     if study.plant == "single_legs":
-        leg = leg_model(linear.system, 1)
+        leg = linear.model("leg_1")
         return {name: _measure(closed_loop(law_of(name, values), leg), damping) for name in laws}
     return {name: _measure(linear.loop(law_of(name, values), "heave"), damping) for name in laws}
 

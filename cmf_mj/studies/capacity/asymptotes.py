@@ -153,11 +153,10 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
     legs = pose_to_legs(about, plant.machine)
     spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, legs)
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
+    limits = load_motion_limits(None, plant.machine)
     return Asymptotes(
         dof=dof,
-        displacement=float(
-            np.abs(load_motion_limits(None, plant.machine).operational[index]).min()
-        ),
+        displacement=float(np.abs(limits.operational[index]).min()),
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         speed=speed,
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
