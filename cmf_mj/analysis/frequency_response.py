@@ -7,7 +7,7 @@ The estimator is H1,
     H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
 
 unbiased here because the demand is free of noise: periodic records are averaged over their whole
-periods after the first, others by Welch's method (`cmf_mj.analysis.response`, which has
+periods after the first, others by Welch's method (`cmf_mj.analysis.spectra`, which has
 the others).
 """
 
@@ -25,13 +25,13 @@ from cmf_mj.analysis.measurable import (
     dof_history,
     least_demand,
 )
-from cmf_mj.analysis.response.periodic import (
+from cmf_mj.analysis.periodic import (
     matrix_response,
     periodic_response,
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.response.spectra import (
+from cmf_mj.analysis.spectra import (
     SEGMENT,
     Estimate,
     Estimator,

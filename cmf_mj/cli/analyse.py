@@ -20,7 +20,7 @@ _NEUTRAL = "0,0,0,0,0,0"
 _METHODS = "arx (least squares) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
 _METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
-_ESTIMATOR = "analysis.response.spectra:Estimator"
+_ESTIMATOR = "analysis.spectra:Estimator"
 
 
 @command("linearize")

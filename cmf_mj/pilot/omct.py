@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.analysis.periodic import sine_response
 from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting

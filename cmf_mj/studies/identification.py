@@ -27,7 +27,7 @@ from cmf_mj.analysis.identification.model import (
     residual_analysis,
     simulation_fit,
 )
-from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.record.record import Record

@@ -11,7 +11,7 @@ from scipy import optimize, signal
 
 from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
 from cmf_mj.analysis.frequency_response import LINGER, line_bandwidths
-from cmf_mj.analysis.response.spectra import Estimator
+from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048

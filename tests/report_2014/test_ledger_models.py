@@ -9,7 +9,7 @@ from cmf_mj import Hexapod
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
-from cmf_mj.analysis.response.spectra import report_response, welch_response
+from cmf_mj.analysis.spectra import report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity, projected_gravity

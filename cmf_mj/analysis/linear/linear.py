@@ -31,9 +31,7 @@ from scipy.signal import cont2discrete
 
 from cmf_mj.analysis.frequency_response import bandwidths, falls
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
-from cmf_mj.analysis.linear.law import FEEDBACK, labels
-from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
+from cmf_mj.analysis.linear.loop import FEEDBACK, STEP_DURATION, closed_loop, labels
 from cmf_mj.analysis.linear.operating_point import operating_point
 from cmf_mj.analysis.linear.poles import Mode, leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import Excitation
@@ -42,9 +40,10 @@ from cmf_mj.analysis.measures import (
     are_stable,
     joined,
     least_damped_mode,
+    measure_step,
     oscillations,
 )
-from cmf_mj.analysis.step_response import measure_step
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS, dof_index

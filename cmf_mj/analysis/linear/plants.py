@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from cmf_mj.analysis.linear.law import FEEDBACK
+from cmf_mj.analysis.linear.loop import FEEDBACK
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME

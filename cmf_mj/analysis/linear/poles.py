@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space, labels, spread
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import (
+    DCL_INPUTS,
+    FEEDBACK,
+    closed_loop,
+    dcl_state_space,
+    labels,
+    reached,
+)
 from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
@@ -38,7 +44,7 @@ def reduced(
     b, c, d = b[:, columns], c[rows], d[np.ix_(rows, columns)]
     links = a != 0.0
     kept = np.flatnonzero(
-        spread(links, (b != 0.0).any(axis=1)) & spread(links.T, (c != 0.0).any(axis=0))
+        reached(links, (b != 0.0).any(axis=1)) & reached(links.T, (c != 0.0).any(axis=0))
     )
     names = {
         "inputs": [system.input_labels[i] for i in columns],

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads

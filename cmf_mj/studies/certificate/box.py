@@ -14,7 +14,7 @@ import tomlkit
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.quantity import Kind, Length, Quantity

@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
-from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.loop import (
+    DCL_INPUTS,
+    FEEDBACK,
+    closed_loop,
+    dcl_state_space,
+    loop_response,
+)
 from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback

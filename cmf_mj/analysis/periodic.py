@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.spectra import DRIVEN, NEIGHBOURS, Complex, Estimate, Real
+from cmf_mj.analysis import spectra
+from cmf_mj.analysis.spectra import DRIVEN, NEIGHBOURS, Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
 
@@ -183,7 +183,7 @@ def matrix_response(
     power[0] = 0.0
     driven = power > DRIVEN**2 * power.max(axis=0)
     frequency = np.arange(power.shape[0]) / period
-    chosen = spectra.within(frequency, band, 0.5 / period) & driven.any(axis=1)
+    chosen = spectra.lines_within(frequency, band, 0.5 / period) & driven.any(axis=1)
     frequency, driven = frequency[chosen], driven[chosen]
     spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
     if frequency.size == 0:

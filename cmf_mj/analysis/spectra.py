@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.analysis.response import spectra
 from cmf_mj.core.errors import InputError, check_name
 
 Estimator = Literal["h1", "h2", "hv", "report"]
@@ -156,7 +155,9 @@ def line_frequencies(size: int, rate: float) -> Real:
     return np.asarray(np.arange(size // 2 + 1) * (rate / size), dtype=np.float64)
 
 
-def within(frequency: Real, band: tuple[float, float] | None, above: float) -> NDArray[np.bool_]:
+def lines_within(
+    frequency: Real, band: tuple[float, float] | None, above: float
+) -> NDArray[np.bool_]:
     """Lines that lie in the band and above a frequency [Hz]."""
     low, high = band if band is not None else (0.0, np.inf)
     slack = 1e-9 * frequency[-1]
@@ -196,7 +197,7 @@ def welch_response(
     line.
     """
     check_name("estimator", estimator, get_args(Estimator))
-    xs, ys = spectra.as_pair(x, y)
+    xs, ys = as_pair(x, y)
     if segment <= 0.0 or not 0.0 <= overlap < 1.0:
         raise InputError(
             f"segment, overlap: {segment} s, {overlap}; allowed: above 0 s, and 0 to below 1"
@@ -208,10 +209,10 @@ def welch_response(
     both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(xs.size, dtype=bool), rest)
     taper = signal.get_window("hann", length)
-    frequency = spectra.line_frequencies(length, rate)
-    chosen = spectra.within(frequency, band, 1.5 / segment)
-    lines = spectra.transform(both, taper, hop, length)[chosen]
-    correlation = spectra.segment_correlation(taper, hop, measured)
+    frequency = line_frequencies(length, rate)
+    chosen = lines_within(frequency, band, 1.5 / segment)
+    lines = transform(both, taper, hop, length)[chosen]
+    correlation = segment_correlation(taper, hop, measured)
     return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation, estimator)
 
 
@@ -234,12 +235,12 @@ def report_response(
     coherence c of 0.95, 0.9, 0.8.
 
     Left out: the minus sign that Appendix A gives H and takes back when plotting, the sampling rate
-    rounded up to a whole number, and the periodic option, a single division of spectra.
+    rounded up to a whole number, and the periodic option, a single division of
 
     x and y are (N,), `band` the lowest and highest line [Hz]; default all above zero. Raises
     `InputError` for lengths that differ, fewer than 2 segments, a record shorter than they are.
     """
-    xs, ys = spectra.as_pair(x, y)
+    xs, ys = as_pair(x, y)
     if segments < 2:
         raise InputError(f"segments: {segments}; allowed: at least 2")
     size = xs.size
@@ -251,17 +252,17 @@ def report_response(
     tail = (count - 1) * hop + length + 1 - size
     taper = signal.get_window("hann", length + 1, fftbins=False)
     both = np.pad(np.stack([signal.detrend(xs), signal.detrend(ys)]), ((0, 0), (0, tail)))
-    frequency = spectra.line_frequencies(size, rate)
-    chosen = spectra.within(frequency, band, 0.5 * rate / size)
-    lines = spectra.transform(both, taper, hop, size)[chosen]
-    correlation = spectra.segment_correlation(taper, hop, np.arange(size + tail) < size)
+    frequency = line_frequencies(size, rate)
+    chosen = lines_within(frequency, band, 0.5 * rate / size)
+    lines = transform(both, taper, hop, size)[chosen]
+    correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
     return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation, "report")
 
 
 def _single(
     frequency: Real, x: Complex, y: Complex, correlation: Real, estimator: Estimator
 ) -> Estimate:
-    response, coherence, radius, averages = spectra.least_squares(x, y, correlation)
+    response, coherence, radius, averages = least_squares(x, y, correlation)
     estimate = Estimate(frequency, response[:, 0, 0], coherence[:, 0], radius[:, 0, 0], averages)
     return from_h1(estimate, estimator)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from cmf_mj import Record, signals, step_metrics
-from cmf_mj.analysis.step_response import damping_from_overshoot, resonant_damping
+from cmf_mj.analysis.measures import damping_from_overshoot, resonant_damping
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048

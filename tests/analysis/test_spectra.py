@@ -13,14 +13,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal, stats
 
-from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.periodic import (
+from cmf_mj.analysis import spectra
+from cmf_mj.analysis.periodic import (
     matrix_response,
     periodic_response,
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.response.spectra import Estimate, Estimator, report_response, welch_response
+from cmf_mj.analysis.spectra import Estimate, Estimator, report_response, welch_response
 
 RATE = 64.0
 SEEDS = 100

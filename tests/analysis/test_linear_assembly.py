@@ -20,7 +20,7 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.operating_point import linear_mechanics, operating_point
 from cmf_mj.analysis.linear.poles import leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.run import drive
 from cmf_mj.machine.geometry import DOFS

@@ -7,8 +7,8 @@ import pytest
 
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.coordinates import make_shape, mode_mass
 from cmf_mj.control.law import Law
 from cmf_mj.facility.replay import law_of, replay
