@@ -6,7 +6,8 @@ import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.linear.loop import DCL_INPUTS, FEEDBACK, closed_loop, dcl_state_space
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES, make_shape, to_legs, to_modes

@@ -31,8 +31,9 @@ from scipy.signal import cont2discrete
 
 from cmf_mj.analysis.frequency_response import bandwidths, falls
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import FEEDBACK, STEP_DURATION, closed_loop, labels
+from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop, labels
 from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import Mode, leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import Excitation
 from cmf_mj.analysis.measures import (

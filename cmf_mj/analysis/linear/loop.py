@@ -28,14 +28,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
+from cmf_mj.analysis.linear.plants import FEEDBACK, UnitTransferFunction, leg_plant
 from cmf_mj.control.dcl import Dcl, DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
-
-FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
-"""What a leg's sensors give the DCL [m, m/s, m/s^2, Pa, Pa]."""
 
 DCL_INPUTS = ("reference", *FEEDBACK)
 """Inputs of `dcl_state_space` for each leg; the reference in m."""

@@ -9,14 +9,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import (
-    DCL_INPUTS,
-    FEEDBACK,
-    closed_loop,
-    dcl_state_space,
-    labels,
-    reached,
-)
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space, labels, reached
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.linear.loop import FEEDBACK, dcl_state_space, labels
+from cmf_mj.analysis.linear.loop import dcl_state_space, labels
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import reduced
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.structured import Uncertain
