@@ -197,7 +197,7 @@ def excited_response(
     lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
     lines &= frequency <= command.stop + 1e-9
     whole = slice(command.periods * samples)
-    return periodic_response(x[whole], y[whole], rate, command.period, lines=orders[lines])
+    return periodic_response(x[whole], y[whole], rate, command.period, orders[lines])
 
 
 def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:

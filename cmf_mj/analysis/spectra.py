@@ -57,11 +57,6 @@ class Estimate(NamedTuple):
     averages: Real
     """Effective number of independent averages behind the noise estimate, n + 1, (K,)."""
 
-    @property
-    def gain_db(self) -> Real:
-        """Gain [dB], the response's shape."""
-        return np.asarray(20.0 * np.log10(np.abs(self.response)))
-
 
 def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
     """Spectra (F, channels, S) of the segments of x (channels, N), phases from the first sample."""
@@ -175,13 +170,12 @@ def welch_response(
     y: ArrayLike,
     rate: float,
     *,
-    estimator: Estimator = "h1",
     segment: float = SEGMENT,
     overlap: float = 0.75,
     band: tuple[float, float] | None = None,
     pad: bool = False,
 ) -> Estimate:
-    """Response of y to x, (N,) each, by Welch's method of averaged, overlapping, windowed segments.
+    """H1 of y to x, (N,) each, by Welch's method of averaged, overlapping, windowed segments.
 
     Nothing is subtracted: take off a standing offset first. Lines below 2 / `segment` lie in the
     main lobe of a Hann window about zero and are left out. `segment` [s] is the inverse of the
@@ -196,7 +190,6 @@ def welch_response(
     Raises `InputError` for lengths that differ, a segment longer than the record, no input at a
     line.
     """
-    check_name("estimator", estimator, get_args(Estimator))
     xs, ys = as_pair(x, y)
     if segment <= 0.0 or not 0.0 <= overlap < 1.0:
         raise InputError(
@@ -213,7 +206,7 @@ def welch_response(
     chosen = lines_within(frequency, band, 1.5 / segment)
     lines = transform(both, taper, hop, length)[chosen]
     correlation = segment_correlation(taper, hop, measured)
-    return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation, estimator)
+    return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation)
 
 
 def report_response(
@@ -221,12 +214,11 @@ def report_response(
     y: ArrayLike,
     rate: float,
     *,
-    segments: int = 7,
     band: tuple[float, float] | None = None,
 ) -> Estimate:
     """The report's estimator (Appendix A, FRFunction): the mean of H1 and H2 over 7 segments.
 
-    Half-overlapping segments of L + 1 samples, L = floor((N - 1) / ((segments - 1) / 2 + 1)), every
+    Half-overlapping segments of L + 1 samples, L = floor((N - 1) / 4), every
     L - floor(L / 2) samples until the record is used up, the last one filled up with zeros; each
     under a symmetric Hann window and padded with zeros to N, the length of the record. A straight
     line is taken off first, as by the script that calls it. Lines are therefore interpolated 1/N
@@ -238,15 +230,13 @@ def report_response(
     rounded up to a whole number, and the periodic option, a single division of
 
     x and y are (N,), `band` the lowest and highest line [Hz]; default all above zero. Raises
-    `InputError` for lengths that differ, fewer than 2 segments, a record shorter than they are.
+    `InputError` for lengths that differ, and a record shorter than the segments.
     """
     xs, ys = as_pair(x, y)
-    if segments < 2:
-        raise InputError(f"segments: {segments}; allowed: at least 2")
     size = xs.size
-    length = int((size - 1) / ((segments - 1) * 0.5 + 1.0))
+    length = (size - 1) // 4
     if length < 4:
-        raise InputError(f"segments: {size} samples are too few for {segments} segments")
+        raise InputError(f"segments: {size} samples are too few for seven")
     hop = length - length // 2
     count = -(-max(size - (length + 1), 0) // hop) + 1
     tail = (count - 1) * hop + length + 1 - size
@@ -256,28 +246,22 @@ def report_response(
     chosen = lines_within(frequency, band, 0.5 * rate / size)
     lines = transform(both, taper, hop, size)[chosen]
     correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
-    return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation, "report")
+    return from_h1(_single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation), "report")
 
 
-def _single(
-    frequency: Real, x: Complex, y: Complex, correlation: Real, estimator: Estimator
-) -> Estimate:
+def _single(frequency: Real, x: Complex, y: Complex, correlation: Real) -> Estimate:
     response, coherence, radius, averages = least_squares(x, y, correlation)
-    estimate = Estimate(frequency, response[:, 0, 0], coherence[:, 0], radius[:, 0, 0], averages)
-    return from_h1(estimate, estimator)
+    return Estimate(frequency, response[:, 0, 0], coherence[:, 0], radius[:, 0, 0], averages)
 
 
 def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
     """Another estimator of one input and one output from H1 and its coherence; same relative bound.
 
-    `h2` is H1 / c, `hv` H1 / sqrt(c), `report` the mean of H1 and H2. Others are refused, and
-    matrices.
+    `h2` is H1 / c, `hv` H1 / sqrt(c), `report` the mean of H1 and H2. Others are refused.
     """
     check_name("estimator", estimator, get_args(Estimator))
     if estimator == "h1":
         return estimate
-    if estimate.response.ndim != 1:
-        raise InputError(f"estimator: {estimator!r} is for one input and one output, not a matrix")
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / estimate.coherence
         factor = {"h2": inverse, "hv": np.sqrt(inverse), "report": 0.5 * (1.0 + inverse)}[estimator]
