@@ -493,20 +493,13 @@ def fail_half_way(file, *_, **__):
     raise OSError("disk full")
 
 
-def test_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(np, "savetxt", fail_half_way)
-    with pytest.raises(OSError, match="disk full"):
-        write_facility_csv(synthetic(), tmp_path / "run.csv")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
-    path = write_facility_csv(synthetic(), tmp_path / "run.csv")
-    before = path.read_bytes()
-    monkeypatch.setattr(np, "savetxt", fail_half_way)
-    with pytest.raises(OSError, match="disk full"):
-        write_facility_csv(synthetic(samples=5), path)
-    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+def test_an_interrupted_write_leaves_what_was_there(tmp_path, monkeypatch):
+    for kept in (b"", write_facility_csv(synthetic(), tmp_path / "run.csv").read_bytes()):
+        put(tmp_path, kept) if kept else (tmp_path / "run.csv").unlink()
+        with monkeypatch.context() as broken, pytest.raises(OSError, match="disk full"):
+            broken.setattr(np, "savetxt", fail_half_way)
+            write_facility_csv(synthetic(samples=5), tmp_path / "run.csv")
+        assert [path.read_bytes() for path in tmp_path.iterdir()] == [kept] * bool(kept)
 
 
 def test_folders_are_made(tmp_path):
