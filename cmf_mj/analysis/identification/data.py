@@ -154,17 +154,11 @@ def decimated(values: Real, factor: int) -> Real:
     return values
 
 
-def _indices(field: str, have: tuple[str, ...], names: Sequence[str] | None) -> list[int]:
-    if names is None:
-        return list(range(len(have)))
-    return [have.index(check_name(field, name, have)) for name in names]
-
-
 def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str], machine: Machine) -> Real:
     """A leg channel (N, n) along the axes, (N, axes)."""
     values = legs[channel]
     names = [*DOFS, *(f"leg_{i + 1}" for i in range(values.shape[1]))]
-    chosen = _indices("axes", tuple(names), axes)
+    chosen = [names.index(check_name("axes", axis, names)) for axis in axes]
     if min(chosen) >= len(DOFS):
         return values[:, [i - len(DOFS) for i in chosen]]
     pose = legs_to_pose(legs[channel if channel in POSITIONS else "leg_position"], machine)

@@ -156,8 +156,13 @@ def closed_loop(
     check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
     sampled = _at_frames(plant, loaded.frame)
-    columns = _commands(sampled)
-    legs = len(columns)
+    legs, given = int(sampled.ninputs), sampled.input_labels
+    expected = given if legs == 1 else labels(("command",), legs)  # a single one has any name
+    if set(given) != set(expected):
+        raise InputError(
+            f"plant: its inputs {', '.join(given)} must be command_1 to command_{legs}"
+        )
+    columns = [given.index(name) for name in expected]
     law_system = dcl_state_space(loaded, legs)
     c, d = _feedback_rows(sampled, columns, law_system, outputs)
     a, b = np.asarray(sampled.A), np.asarray(sampled.B)[:, columns]
@@ -200,17 +205,6 @@ def _at_frames(
     if plant.dt is True or plant.dt is None or not np.isclose(plant.dt, frame, rtol=1e-9):
         raise InputError(f"plant: its sampling time {plant.dt} must be {frame} s or continuous")
     return plant
-
-
-def _commands(plant: control.StateSpace) -> list[int]:
-    """Places of the legs' commands among the inputs; a single one may have any name."""
-    legs = int(plant.ninputs)
-    expected = labels(("command",), legs)
-    if legs > 1 and set(plant.input_labels) != set(expected):
-        raise InputError(
-            f"plant: its inputs {', '.join(plant.input_labels)} must be command_1 to command_{legs}"
-        )
-    return [0] if legs == 1 else [plant.input_labels.index(name) for name in expected]
 
 
 def _feedback_rows(
