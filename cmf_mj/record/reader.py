@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +146,7 @@ def _cut(path: Path) -> _Table:
             f"{path}: row {row}, column {len(names)}: the file ends without a line end, so that "
             f"{cells[-1].strip()[:40]!r} may be cut off; if it is whole, add a line end"
         )
-    rows, lines = zip(*samples, strict=True)
+    rows, lines = [row for row, _ in samples], [line for _, line in samples]
     trailer = _read_trailer(path, comments)
     return _Table(path, header_row, names, rows, lines, separator, by_name, trailer)
 
@@ -235,13 +236,12 @@ def _values(table: _Table) -> dict[str, Column]:
         first = table.names.index(next(iter(POSITIONS)))
         read |= set(range(first, first + BLOCK_WIDTH))
     indices = sorted(read)
-    how = {"delimiter": table.separator, "usecols": indices, "comments": None, "ndmin": 2}
+    how: dict[str, Any] = {"delimiter": table.separator, "usecols": indices, "comments": None}
     try:
-        values = np.loadtxt(table.lines, **how)
-        sound = bool(np.isfinite(values).all())
+        values = np.loadtxt(table.lines, ndmin=2, **how)
     except ValueError:
-        sound = False
-    if not sound:
+        values = np.array([[np.nan]])
+    if not np.isfinite(values).all():
         _refuse_number(table, indices)
     return {table.names[index]: values[:, k] for k, index in enumerate(indices)}
 
@@ -291,8 +291,10 @@ def _check_values(table: _Table, column: dict[str, Column]) -> None:
     for name in POSITIONS:
         allowed = f"in is refused; allowed: a leg position within +-{limit:g} in"
         table.refuse(name, np.abs(column[name]) > limit, allowed)
-    sums = dict(trailer.checksums) if trailer else {}
-    if trailer and sums.pop(LINE, None) != trailer.line():
+    if trailer is None:
+        return
+    sums = dict(trailer.checksums)
+    if sums.pop(LINE, None) != trailer.line():
         raise InputError(f"{table.path}: the line {line!r} is not as it was written")
     for name, written in sums.items():
         decimals = TIME_DECIMALS if name == TIME else trailer.decimals
