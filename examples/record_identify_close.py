@@ -6,11 +6,10 @@ predicts the bandwidth, which the second run measures.
 
 import cmf_mj
 from cmf_mj import signals
-from cmf_mj.analysis.identification.arx import simulation_fit
 from cmf_mj.analysis.identification.continuous import in_field_units, loop_errors, to_continuous
 from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.identification.model import Orders
-from cmf_mj.analysis.identification.refinement import output_error
+from cmf_mj.analysis.identification.estimation import output_error
+from cmf_mj.analysis.identification.model import Orders, simulation_fit
 
 INCH = 0.0254
 

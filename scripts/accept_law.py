@@ -24,8 +24,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from cmf_mj import load_cab, load_hydraulics, load_law
-from cmf_mj.analysis.measures import Measures, joined, measure_records
-from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.analysis.measures import Measures, joined, measure_records, step_metrics
 from cmf_mj.control.law import Law
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings

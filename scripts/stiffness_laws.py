@@ -20,7 +20,7 @@ from scipy import signal
 
 from cmf_mj import Hexapod, Linear, load_law
 from cmf_mj.analysis.frequency_response import line_bandwidths
-from cmf_mj.analysis.linear.binding import nominal_modes
+from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measurable import dof_history
-from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.analysis.periodic import sine_response
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError

@@ -7,7 +7,7 @@ The estimator is H1,
     H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
 
 unbiased here because the demand is free of noise: periodic records are averaged over their whole
-periods after the first, others by Welch's method (`cmf_mj.analysis.response`, which has
+periods after the first, others by Welch's method (`cmf_mj.analysis.spectra`, which has
 the others).
 """
 
@@ -25,13 +25,13 @@ from cmf_mj.analysis.measurable import (
     dof_history,
     least_demand,
 )
-from cmf_mj.analysis.response.periodic import (
+from cmf_mj.analysis.periodic import (
     matrix_response,
     periodic_response,
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.response.spectra import (
+from cmf_mj.analysis.spectra import (
     SEGMENT,
     Estimate,
     Estimator,
@@ -197,7 +197,7 @@ def excited_response(
     lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
     lines &= frequency <= command.stop + 1e-9
     whole = slice(command.periods * samples)
-    return periodic_response(x[whole], y[whole], rate, command.period, lines=orders[lines])
+    return periodic_response(x[whole], y[whole], rate, command.period, orders[lines])
 
 
 def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj.analysis.response.spectra import SEGMENT
+from cmf_mj.analysis.spectra import SEGMENT
 from cmf_mj.core import units
 from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.errors import InputError, check_name

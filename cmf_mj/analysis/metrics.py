@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, optimize, signal
 
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core.errors import InputError
 
 Signal = NDArray[np.float64]
@@ -116,7 +116,7 @@ def describing_function(demand: Signal, response: Signal, rate: float, frequency
     return out.amplitude[0] / into.amplitude[0] * turn
 
 
-def crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
+def acceleration_crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
     """Undriven over driven acceleration of a run (N, 6), rms over rms, (6,); the driven entry is 1.
 
     Between translations the figure is a ratio; between a rotation and a translation it is in

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 command = partial(app.command, rich_help_panel="Analyse")
 
-_METHODS = "arx (least squares), iv (instruments) or oe (output error)"
+_METHODS = "arx (least squares) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
 _METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
-_ESTIMATOR = "analysis.response.spectra:Estimator"
+_ESTIMATOR = "analysis.spectra:Estimator"
 
 
 @command("linearize")

@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback

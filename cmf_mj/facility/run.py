@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection

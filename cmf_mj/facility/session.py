@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl as control
 from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.engage import engaged, handed_over

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.analysis.periodic import sine_response
 from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.law import Law, load_law

@@ -17,7 +17,6 @@ The resolution of a file is 10^-decimals in each column's unit: 1e-6 in by defau
 """
 
 import json
-import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,11 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.core.settings import FileHeader
 from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
+
+Column = NDArray[np.float64]
 
 RATE = 128
 """Samples a second of the facility's recorder [Hz]."""
@@ -79,9 +81,7 @@ POSITIONS = {
     if group.channel in REQUIRED
     for leg, name in enumerate(group.names)
 }
-COMMENT, TRAILER = "#", "# cmf_mj "
-NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NOT_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+TRAILER = "# cmf_mj "
 
 
 class Trailer(FileHeader):
@@ -100,13 +100,13 @@ class Trailer(FileHeader):
 
 
 def stroke(metadata: Mapping[str, Any]) -> float:
-    """Largest leg position either way [in] of the machine that metadata tell of."""
+    """Largest leg position either way [in] of the machine that metadata name."""
     return round(units.from_si("in", recorded_machine(metadata).half_stroke), 9)
 
 
-def checksum(whole: NDArray[np.float64]) -> int:
+def checksum(counts: Column) -> int:
     """Of a column in units of its last decimal."""
-    return zlib.crc32(np.rint(whole).astype("<i8").tobytes())
+    return zlib.crc32(np.rint(counts).astype("<i8").tobytes())
 
 
 def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -> Path:
@@ -117,9 +117,13 @@ def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -
     0 to 9 decimals; the time has 7 and is exact.
     """
     target = Path(path)
-    if decimals not in range(10):
-        raise InputError(f"decimals: {decimals} is refused; allowed: 0 to 9")
-    picked = slice(None, None, _every(record))
+    whole("decimals", decimals, 0, 9)
+    every = record.rate / RATE
+    if not (every >= 1.0 and every.is_integer()):
+        raise InputError(
+            f"sample_rate: {record.rate} Hz is refused; allowed: a multiple of {RATE} Hz"
+        )
+    picked = slice(None, None, round(every))
     time = record.time[picked]
     names = [f"UNUSED_{i + 1}" for i in range(BLOCK - 1 + BLOCK_WIDTH)]
     formats = ["0"] * len(names)
@@ -131,37 +135,22 @@ def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -
         if group.channel not in record.channels and group.channel not in REQUIRED:
             continue
         for leg, values in enumerate(_legs(record, group, picked).T):
-            whole = np.rint(values * 10.0**decimals)
+            counts = np.rint(values * 10.0**decimals)
             index = BLOCK + group.first + leg - 2
             names[index], formats[index] = group.names[leg], f"%.{decimals}f"
-            columns.append(whole / 10.0**decimals + 0.0)
-            checksums[names[index]] = checksum(whole)
+            columns.append(counts / 10.0**decimals + 0.0)
+            checksums[names[index]] = checksum(counts)
     metadata = dict(record.metadata) | {"sample_rate": float(RATE)}
     trailer = Trailer(rows=time.size, decimals=decimals, checksums=checksums, metadata=metadata)
     checksums[LINE] = trailer.line()
-    footer = json.dumps(trailer.model_dump() | {"checksums": checksums})
+    footer = TRAILER + json.dumps(trailer.model_dump() | {"checksums": checksums})
+    how = {"fmt": ",".join(formats), "header": ",".join(names), "footer": footer, "comments": ""}
     with whole_file(target) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        np.savetxt(
-            file,
-            np.column_stack(columns),
-            fmt=",".join(formats),
-            header=",".join(names),
-            footer=TRAILER + footer,
-            comments="",
-        )
+        np.savetxt(file, np.column_stack(columns), **how)
     return target
 
 
-def _every(record: Record) -> int:
-    """How many samples of the record are one of the recorder."""
-    every = record.rate / RATE
-    if not (every >= 1.0 and every.is_integer()):
-        rate = record.rate
-        raise InputError(f"sample_rate: {rate} Hz is refused; allowed: a multiple of {RATE} Hz")
-    return round(every)
-
-
-def _legs(record: Record, group: Group, picked: slice) -> NDArray[np.float64]:
+def _legs(record: Record, group: Group, picked: slice) -> Column:
     """A channel in the file's unit, (N, 6), checked."""
     values = record[group.channel]
     if values.ndim != 2 or values.shape[1] != LEGS:

@@ -1,41 +1,45 @@
 """Reads facility CSV files and says exactly what is wrong with a broken one."""
 
-import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import check_file, validated
+from cmf_mj.core.settings import check_file, parsed_json, validated
 from cmf_mj.record.facility_csv import (
     BLOCK,
     BLOCK_WIDTH,
-    COMMENT,
     LAST,
     LAYOUT,
     LEGS,
     LINE,
     NAMES,
-    NOT_TEXT,
-    NUMBER,
     POSITIONS,
     RATE,
     REQUIRED,
     TIME,
     TIME_DECIMALS,
     TRAILER,
+    Column,
     Trailer,
     checksum,
     stroke,
 )
 from cmf_mj.record.record import Record
 
+_COMMENT = "#"
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_NOT_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
-class _Table(NamedTuple):
+
+@dataclass
+class _Table:
     """The text of a file, cut but not yet read."""
 
     path: Path
@@ -48,15 +52,24 @@ class _Table(NamedTuple):
     """Whether the header names the columns; otherwise they are where the report has them."""
     trailer: Trailer | None
 
+    def column(self, index: int) -> str:
+        """Number, spreadsheet letters and name of a column."""
+        letters, rest = "", index + 1
+        while rest:
+            rest, digit = divmod(rest - 1, 26)
+            letters = chr(ord("A") + digit) + letters
+        return f"column {index + 1} ({letters}, {self.names[index] or 'no name'})"
+
     def cell(self, sample: int, column: int | str) -> str:
         """Where a cell is, as an editor and a spreadsheet show it, and its text."""
         index = self.names.index(column) if isinstance(column, str) else column
         text = self.lines[sample].split(self.separator)[index].strip()
         return f"{self.path}: row {self.rows[sample]}, {self.column(index)}: {text[:40]!r}"
 
-    def column(self, index: int) -> str:
-        """Number, spreadsheet letters and name of a column."""
-        return f"column {index + 1} ({_letters(index)}, {self.names[index] or 'no name'})"
+    def refuse(self, column: str, bad: NDArray[np.bool_], why: str) -> None:
+        """Refuse the first sample of a column that is bad."""
+        if bad.any():
+            raise InputError(f"{self.cell(int(np.argmax(bad)), column)} {why}")
 
 
 def read_facility_csv(path: str | Path) -> Record:
@@ -75,10 +88,10 @@ def read_facility_csv(path: str | Path) -> Record:
     `recording`; `recording` names the file and says how its columns were identified.
     """
     table = _cut(Path(path))
+    _check_header(table)
     column = _values(table)
     _check_rows(table, column)
-    _check_stroke(table, column)
-    _check_sums(table, column)
+    _check_values(table, column)
     channels, channel_units = {}, {}
     for group in LAYOUT:
         if group.names[0] in column:
@@ -99,47 +112,39 @@ def read_facility_csv(path: str | Path) -> Record:
 
 def _cut(path: Path) -> _Table:
     """Cut a file into header, samples and trailer; every sample has as many cells."""
-    text = _text(path)
-    numbered = list(enumerate(re.split(r"\r\n|\n|\r", text), start=1))
-    comments = [(row, line) for row, line in numbered if line.lstrip().startswith(COMMENT)]
-    content = [(row, line) for row, line in numbered if not line.lstrip().startswith(COMMENT)]
-    while content and not content[-1][1].strip():
-        content.pop()
-    while content and not content[0][1].strip():
-        content.pop(0)
-    if not content:
+    numbered = list(enumerate(re.split(r"\r\n|\n|\r", _text(path)), start=1))
+    comments = [(row, line) for row, line in numbered if line.lstrip().startswith(_COMMENT)]
+    content = [(row, line) for row, line in numbered if not line.lstrip().startswith(_COMMENT)]
+    filled = [i for i, (_, line) in enumerate(content) if line.strip()]
+    if not filled:
         raise InputError(f"{path}: has neither a header row nor samples")
-    (header_row, header), samples = content[0], content[1:]
-    separator = _separator(header)
+    (header_row, header), *samples = content[filled[0] : filled[-1] + 1]
+    where, separator = f"{path}: row {header_row}", _separator(header)
     names = [_canonical(cell) for cell in header.split(separator)]
-    if all(NUMBER.fullmatch(name) for name in names):
+    if all(_NUMBER.fullmatch(name) for name in names):
         raise InputError(
-            f"{path}: row {header_row}: {header[:40].strip()!r} is numbers; "
-            "the first row must be a header"
+            f"{where}: {header[:40].strip()!r} is numbers; the first row must be a header"
         )
     if not samples:
-        raise InputError(f"{path}: row {header_row}: is a header; no samples follow")
-    by_name = bool(set(names) & set(NAMES))
+        raise InputError(f"{where}: is a header; no samples follow")
+    by_name = bool(set(names) & NAMES)
     if not by_name:  # a header of any text: the report skips the row
         separator = _separator(samples[0][1])
         width = len(samples[0][1].split(separator))
         names = [_canonical(cell) for cell in header.split(separator)]
-        names = _published(
-            f"{path}: row {header_row}", names if len(names) == width else [""] * width
-        )
+        names = _published(where, names if len(names) == width else [""] * width)
     for row, line in samples:
-        cells = len(line.split(separator)) if line.strip() else 0
-        if cells != len(names):
+        cells = line.split(separator) if line.strip() else []
+        if len(cells) != len(names):
             raise InputError(
-                f"{path}: row {row}: has {cells} columns, the last being "
-                f"{line.split(separator)[-1].strip()[:40] if cells else ''!r}; "
-                f"allowed: {len(names)}, as in the header"
+                f"{path}: row {row}: has {len(cells)} columns, the last being "
+                f"{cells[-1].strip()[:40] if cells else ''!r}; allowed: {len(names)}, as in the "
+                "header"
             )
-    if samples[-1][0] == numbered[-1][0]:
+    if row == numbered[-1][0]:
         raise InputError(
-            f"{path}: row {samples[-1][0]}, column {len(names)}: the file ends without a line end, "
-            f"so that {samples[-1][1].split(separator)[-1].strip()[:40]!r} may be cut off; "
-            "if it is whole, add a line end"
+            f"{path}: row {row}, column {len(names)}: the file ends without a line end, so that "
+            f"{cells[-1].strip()[:40]!r} may be cut off; if it is whole, add a line end"
         )
     rows, lines = [row for row, _ in samples], [line for _, line in samples]
     trailer = _read_trailer(path, comments)
@@ -160,8 +165,7 @@ def _text(path: Path) -> str:
         raise InputError(
             f"{path}: row {row}: byte 0x{content[error.start]:02x} is not UTF-8 text"
         ) from None
-    odd = NOT_TEXT.search(text)
-    if odd:
+    if odd := _NOT_TEXT.search(text):
         row = text.count("\n", 0, odd.start()) + 1
         raise InputError(f"{path}: row {row}: character 0x{ord(odd[0]):02x} is not text")
     return text
@@ -186,24 +190,19 @@ def _read_trailer(path: Path, comments: list[tuple[int, str]]) -> Trailer | None
     where = f"{path}: row {row}"
     if len(trailers) > 1:
         raise InputError(f"{where}: is a second line {TRAILER!r}; allowed: one")
-    try:
-        content = json.loads(line.removeprefix(TRAILER))
-    except ValueError as error:
-        raise InputError(f"{where}: the metadata are not JSON: {error}") from None
-    trailer = validated(Trailer, content, where)
-    if trailer.decimals not in range(10):
-        raise InputError(f"{where}: decimals: {trailer.decimals} is refused; allowed: 0 to 9")
+    trailer = validated(Trailer, parsed_json(line.removeprefix(TRAILER), where), where)
+    whole(f"{where}: decimals", trailer.decimals, 0, 9)
     return trailer
 
 
 def _published(where: str, names: list[str]) -> list[str]:
     """Header names with those of the leg positions at their published places."""
-    width = len(names)
-    if width != BLOCK_WIDTH and width < BLOCK - 1 + BLOCK_WIDTH:
+    width, full = len(names), BLOCK - 1 + BLOCK_WIDTH
+    if width != BLOCK_WIDTH and width < full:
         required = " and ".join(f"{g.name}_1 to _6" for g in LAYOUT if g.channel in REQUIRED)
         raise InputError(
             f"{where}: none of {width} columns is named as allowed: {required}; allowed without "
-            f"names: {BLOCK_WIDTH} columns or at least {BLOCK - 1 + BLOCK_WIDTH}"
+            f"names: {BLOCK_WIDTH} columns or at least {full}"
         )
     first = 0 if width == BLOCK_WIDTH else BLOCK - 1
     places = {first + index: name for name, index in POSITIONS.items()}
@@ -230,18 +229,16 @@ def _ours(name: str) -> bool:
     return name in NAMES or name in (TIME, LAST) or name.startswith("UNUSED_")
 
 
-def _values(table: _Table) -> dict[str, NDArray[np.float64]]:
+def _values(table: _Table) -> dict[str, Column]:
     """The columns with a known name; these, or else the whole block, are finite numbers."""
-    _check_header(table)
     read = {index for index, name in enumerate(table.names) if _ours(name)}
     if not table.by_name:
         first = table.names.index(next(iter(POSITIONS)))
         read |= set(range(first, first + BLOCK_WIDTH))
     indices = sorted(read)
+    how: dict[str, Any] = {"delimiter": table.separator, "usecols": indices, "comments": None}
     try:
-        values = np.loadtxt(
-            table.lines, delimiter=table.separator, usecols=indices, comments=None, ndmin=2
-        )
+        values = np.loadtxt(table.lines, ndmin=2, **how)
     except ValueError:
         values = np.array([[np.nan]])
     if not np.isfinite(values).all():
@@ -254,85 +251,64 @@ def _refuse_number(table: _Table, indices: list[int]) -> None:
         cells = line.split(table.separator)
         for index in indices:
             cell = cells[index].strip()
-            if not NUMBER.fullmatch(cell) or not np.isfinite(float(cell)):
+            if not _NUMBER.fullmatch(cell) or not np.isfinite(float(cell)):
                 raise InputError(
                     f"{table.cell(sample, index)} is refused; allowed: a finite number with a "
                     "decimal point"
                 )
 
 
-def _check_rows(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
+def _check_rows(table: _Table, column: dict[str, Column]) -> None:
     """Rows are at 128 Hz and none is missing, as far as the file shows."""
+    rows = len(table.rows)
     if TIME in column:
         time = column[TIME]
-        step = np.diff(time)
-        off = np.abs(step * RATE - 1.0) > 0.2  # a clock printed in ms is 0.13 off
-        if off.any():
-            sample = int(np.argmax(off)) + 1
+        steps = np.diff(time, prepend=time[0] - 1.0 / RATE)
+        off = np.abs(steps * RATE - 1.0) > 0.2  # a clock printed in ms is 0.13 off
+        after = f"s is {steps[np.argmax(off)]:.6g} s after the row before; allowed: 1/{RATE} s"
+        table.refuse(TIME, off, after)
+        span, due = time[-1] - time[0], (rows - 1) / RATE
+        if abs(span - due) > 1e-3 * due + 1e-3:
             raise InputError(
-                f"{table.cell(sample, TIME)} s is {step[sample - 1]:.6g} s after the row before; "
-                f"allowed: 1/{RATE} s"
-            )
-        whole = (time.size - 1) / RATE
-        if abs(time[-1] - time[0] - whole) > 1e-3 * whole + 1e-3:
-            rate = (time.size - 1) / (time[-1] - time[0])
-            raise InputError(
-                f"{table.cell(-1, TIME)} s makes the rate {rate:.5g} Hz; allowed: {RATE} Hz"
+                f"{table.cell(-1, TIME)} s makes the rate {(rows - 1) / span:.5g} Hz; "
+                f"allowed: {RATE} Hz"
             )
     if LAST in column:
-        last = np.arange(len(table.rows)) == len(table.rows) - 1
-        wrong = column[LAST] != last
-        if wrong.any():
-            raise InputError(
-                f"{table.cell(int(np.argmax(wrong)), LAST)} is refused; allowed: 1 in the last "
-                "row and 0 before, so rows are missing or added"
-            )
-    if table.trailer and table.trailer.rows != len(table.rows):
+        last = np.arange(rows) == rows - 1
+        why = "1 in the last row and 0 before, so rows are missing or added"
+        table.refuse(LAST, column[LAST] != last, f"is refused; allowed: {why}")
+    if table.trailer and table.trailer.rows != rows:
         raise InputError(
-            f"{table.path}: row {table.rows[-1]}: is sample {len(table.rows)} and the last; "
+            f"{table.path}: row {table.rows[-1]}: is sample {rows} and the last; "
             f"allowed: {table.trailer.rows} samples, as written"
         )
 
 
-def _check_stroke(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
-    limit = stroke(table.trailer.metadata if table.trailer else {})
+def _check_values(table: _Table, column: dict[str, Column]) -> None:
+    """Legs are within their stroke, and columns are as they were written."""
+    trailer, line = table.trailer, TRAILER.strip()
+    limit = stroke(trailer.metadata if trailer else {})
     for name in POSITIONS:
-        beyond = np.abs(column[name]) > limit
-        if beyond.any():
-            raise InputError(
-                f"{table.cell(int(np.argmax(beyond)), name)} in is refused; "
-                f"allowed: a leg position within +-{limit:g} in"
-            )
-
-
-def _check_sums(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
-    if table.trailer is None:
+        allowed = f"in is refused; allowed: a leg position within +-{limit:g} in"
+        table.refuse(name, np.abs(column[name]) > limit, allowed)
+    if trailer is None:
         return
-    sums = dict(table.trailer.checksums)
-    if sums.pop(LINE, None) != table.trailer.line():
-        raise InputError(f"{table.path}: the line {TRAILER.strip()!r} is not as it was written")
+    sums = dict(trailer.checksums)
+    if sums.pop(LINE, None) != trailer.line():
+        raise InputError(f"{table.path}: the line {line!r} is not as it was written")
     for name, written in sums.items():
-        decimals = TIME_DECIMALS if name == TIME else table.trailer.decimals
+        decimals = TIME_DECIMALS if name == TIME else trailer.decimals
         if name in column and written != checksum(column[name] * 10.0**decimals):
             raise InputError(
                 f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
-                f"If that is meant, delete the line {TRAILER.strip()!r}"
+                f"If that is meant, delete the line {line!r}"
             )
 
 
-def _decimals(column: dict[str, NDArray[np.float64]]) -> int:
+def _decimals(column: dict[str, Column]) -> int:
     """Decimals that leg positions have; 15 where they have as many as a double holds."""
     values = np.stack([column[name] for name in POSITIONS])
     return next((n for n in range(10) if np.array_equal(np.round(values, n), values)), 15)
-
-
-def _letters(column: int) -> str:
-    """Spreadsheet name of a column, 0-based: 66 is BO."""
-    name, rest = "", column + 1
-    while rest:
-        rest, digit = divmod(rest - 1, 26)
-        name = chr(ord("A") + digit) + name
-    return name
 
 
 def read_recording(path: Path) -> Record:

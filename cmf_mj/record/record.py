@@ -88,11 +88,7 @@ class Record:
         return Record, (self.time, dict(self.channels), dict(self.units), dict(self.metadata))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """A channel by name.
-
-        Raises:
-            InputError: no such channel; the message lists those there are.
-        """
+        """A channel by name; refused with a list of those there are."""
         return self.channels[check_name("channel", name, self.channels)]
 
     def __repr__(self) -> str:
@@ -124,11 +120,7 @@ class Record:
         return signal
 
     def signal_as(self, kind: type[AnySignal]) -> AnySignal:
-        """The signal, if it is of one kind.
-
-        Raises:
-            InputError: it is of another.
-        """
+        """The signal, refused if it is not of one kind."""
         signal = self.signal
         if not isinstance(signal, kind):
             needed = kind.model_fields["kind"].annotation
@@ -139,11 +131,7 @@ class Record:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz].
-
-        Raises:
-            InputError: there is none, or the times do not have it.
-        """
+        """Sampling rate [Hz]; refused where there is none, or the times do not have it."""
         rate, time = self.metadata.get("sample_rate", np.nan), self.time
         known = isinstance(rate, int | float) and not isinstance(rate, bool)
         if not (known and 0.0 < rate < np.inf):
@@ -183,8 +171,7 @@ class Record:
     def load(path: str | Path) -> "Record":
         """Read a record that `save` wrote to `path`; values come back bit for bit.
 
-        Raises:
-            InputError: the file is damaged or not a record of this project.
+        A damaged file, or one that is no record of this project, is refused.
         """
         source = Path(path)
         table, header = read_headed(source, _SCHEMA_KEY, RecordHeader)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from cmf_mj import signals
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units

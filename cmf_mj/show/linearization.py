@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.linear.poles import Mode, dof_model, leg_model, reduced
+from cmf_mj.analysis.linear.poles import Mode, reduced
 from cmf_mj.analysis.measures import are_stable, joined
 from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
@@ -44,14 +44,12 @@ class LinearizationStudy(NamedTuple):
 
 def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> LinearizationStudy:
     """Close a law around a linearised plant; `signals` are degrees of freedom or legs."""
-    responses, loops = {}, {name: linear.loop(law, name) for name in signals}
-    for name in signals:
-        if name.startswith("leg_"):
-            moved = reduced(leg_model(linear.system, int(name[4:])), outputs=["leg_position"])
-        else:
-            model = dof_model(linear.system, linear.plant, linear.pose, name)
-            moved = reduced(model, outputs=[name])
-        responses[name] = loop_response(moved, FREQUENCIES)
+    loops = {name: linear.loop(law, name) for name in signals}
+    plants = {name: linear.model(name) for name in signals}
+    responses = {
+        name: loop_response(reduced(plant, outputs=plant.output_labels[:1]), FREQUENCIES)
+        for name, plant in plants.items()
+    }
     closed = {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()}
     stable = all(are_stable(loop.poles()) for loop in loops.values())
     return LinearizationStudy(linear, law, linear.modes(), responses, closed, stable)

@@ -8,8 +8,14 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.identification.arx import Candidate, Residuals, fit_percentage, simulated
-from cmf_mj.analysis.identification.model import PolynomialModel, Root
+from cmf_mj.analysis.identification.estimation import Candidate
+from cmf_mj.analysis.identification.model import (
+    PolynomialModel,
+    Residuals,
+    Root,
+    fit_percentage,
+    simulated,
+)
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.measures import joined
 from cmf_mj.core import units

@@ -9,6 +9,7 @@ not Fourier lines.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -26,6 +27,7 @@ from cmf_mj.signals.signal import (
     Duration,
     Dwell,
     Frequency,
+    OneAxis,
     Other,
     Signal,
     SingleSignal,
@@ -58,12 +60,10 @@ ROUNDS = (
 """Frequencies of the seven channels in the five rounds [Hz], Table 2-3."""
 
 
-def _dwells(
-    tones: Sequence[tuple[float, float]],
-    transient: float,
-    signal: "SevenSines | SteppedSines",
+def _in_sequence(
+    signal: "SevenSines | SteppedSines", tones: Sequence[tuple[float, float]], transient: float = 0
 ) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-    """History and dwells of (frequency [Hz], amplitude) tones in sequence."""
+    """History and dwells of (frequency [Hz], amplitude) tones."""
     rate, fade, cycles = signal.rate, signal.fade, signal.cycles
     rest = np.zeros(round(signal.settle * rate))
     before = round((fade + transient) * rate)
@@ -105,8 +105,7 @@ class SevenSines(SingleSignal):
         return self.settle + sum(self.cycles / f + around for f in ROUNDS[self.number - 1])
 
     def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-        tones = [(frequency, self.size) for frequency in ROUNDS[self.number - 1]]
-        return _dwells(tones, 0.0, self)
+        return _in_sequence(self, [(f, self.size) for f in ROUNDS[self.number - 1]])
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -117,11 +116,10 @@ class SevenSines(SingleSignal):
         return self._made()[0]
 
 
-class SteppedSines(Signal):
+class SteppedSines(OneAxis):
     """Each frequency at each amplitude, for describing functions."""
 
     kind: Literal["stepped_sines"]
-    dof: Dof  #: Degree of freedom.
     frequencies: Annotated[tuple[Frequency, ...], Field(min_length=1)]  #: One after the other [Hz].
     amplitudes: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
     """At each frequency, one after the other [m or rad, or with unit]."""
@@ -148,17 +146,15 @@ class SteppedSines(Signal):
         return {"amplitudes": self._sizes()}
 
     def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-        tones = [(f, a) for f in self.frequencies for a in self._sizes()]
-        return _dwells(tones, self.transient, self)
+        return _in_sequence(self, list(product(self.frequencies, self._sizes())), self.transient)
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
         """One a sine."""
         return self._made()[1]
 
-    def command(self, seed: int = 0) -> Command:
-        """The sines with their rests."""
-        return Command(along({self.dof: self._made()[0]}), self)
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        return self._made()[0]
 
 
 class FadedSines(Signal):
@@ -257,7 +253,7 @@ class OrthogonalMultisines(Lines):
         return Command(along(histories), self, seed)
 
 
-class AccelerationStep(Signal):
+class AccelerationStep(OneAxis):
     """A demand whose acceleration steps to `acceleration`, holds, and is taken back.
 
     Constant acceleration for `hold` [s], then the opposite for the same time: the demand ends at
@@ -265,7 +261,6 @@ class AccelerationStep(Signal):
     """
 
     kind: Literal["acceleration_step"]
-    dof: Dof  #: Degree of freedom.
     acceleration: float  #: In m/s^2 or rad/s^2.
     hold: Duration  #: Time of each half [s].
     at: Duration = 1.0  #: Start [s].
@@ -280,14 +275,12 @@ class AccelerationStep(Signal):
             raise InputError(f"acceleration: {self.acceleration} over {self.hold} s is no step")
         check_highest("acceleration", self.acceleration * self.hold**2)
 
-    def command(self, seed: int = 0) -> Command:
-        """Rest, path and rest."""
+    def _history(self, seed: int) -> NDArray[np.float64]:
         rest = round(self.at * self.rate)
         time = np.arange(1, round(self.hold * self.rate) + 1) / self.rate
         rise = 0.5 * self.acceleration * time**2
         end = self.acceleration * self.hold**2
-        history = np.concatenate([np.zeros(rest), rise, end - rise[::-1], np.full(rest, end)])
-        return Command(along({self.dof: history}), self)
+        return np.concatenate([np.zeros(rest), rise, end - rise[::-1], np.full(rest, end)])
 
 
 class Waypoints(Signal):
@@ -362,17 +355,9 @@ def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[
     From a to b, with s from 0 to 1 over the stretch: a + (b - a) (10 s^3 - 15 s^4 + 6 s^5), whose
     peak speed is 1.875 times the mean (Flash and Hogan, 1985).
 
-    Args:
-        times: of the points [s], from 0 upwards, (m,).
-        values: at the points, e.g. extensions [m], (m, n).
-        rate: of the machine's control law [Hz].
-
-    Returns:
-        (N, n), one row a control frame, the last point included.
-
-    Raises:
-        InputError: fewer than two points, times that do not rise from 0, or values that are not
-            one finite row a point.
+    `times` (m,) [s] rise from 0, `values` (m, n) are e.g. extensions [m], `rate` is that of the
+    machine's control law [Hz]. The result is (N, n), one row a control frame, the last point
+    included.
 
     >>> cmf_mj.signals.waypoints([0.0, 2.0], [[0.0], [0.4]])[[1024, 2048, -1], 0].round(3)
     array([0.041, 0.2  , 0.4  ])

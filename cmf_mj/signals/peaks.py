@@ -12,7 +12,6 @@ infinite: velocity and acceleration of a step, a pulse or a staircase, accelerat
 starts or stops in motion (a chirp or multisine without `fade`).
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,25 +47,6 @@ class Peaks(NamedTuple):
     """Of the legs [m/s^2], (6,); infinite where a degree of freedom's is."""
 
 
-class Limits(NamedTuple):
-    """What a command must stay within; `command_limits` gives those of a machine.
-
-    Velocities and accelerations are free: those of `cmf_mj.machine.limits` bound what the
-    control law does, not what may be tried.
-    """
-
-    displacement: Sequence[tuple[float, float]]
-    """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down."""
-    leg_displacement: float  #: Largest leg extension and retraction from neutral [m].
-
-
-def command_limits(machine: str | Path | Machine = models.CMF) -> Limits:
-    """Operational displacements and working stroke of a machine; of the CMF, Table 2-1."""
-    carrier = load_machine(machine)
-    axes = load_motion_limits(None, carrier).axes
-    return Limits(tuple(axis.operational.si for axis in axes), carrier.working_stroke)
-
-
 def peaks(command: Command, machine: str | Path | Machine = models.CMF) -> Peaks:
     """Largest displacement, velocity and acceleration per degree of freedom and per leg."""
     legs = pose_to_legs(command.pose, machine)
@@ -86,26 +66,25 @@ def peaks(command: Command, machine: str | Path | Machine = models.CMF) -> Peaks
     )
 
 
-def check_limits(
-    command: Command,
-    limits: Limits | None = None,
-    machine: str | Path | Machine = models.CMF,
-) -> Peaks:
-    """Peaks of a command within the limits, default those of the machine; call it before the run.
+def check_limits(command: Command, machine: str | Path | Machine = models.CMF) -> Peaks:
+    """Peaks of a command within a machine's limits; call it before the run.
 
-    Raises an `InputError` that lists each quantity beyond its limit, with both.
+    These are its operational displacements, of the CMF those of Table 2-1, and the working stroke
+    of its legs. Velocities and accelerations are free: those of `cmf_mj.machine.limits` bound what
+    the control law does, not what may be tried. Raises an `InputError` that lists each quantity
+    beyond its limit, with both.
     """
-    allowed = limits or command_limits(machine)
-    largest = peaks(command, machine)
+    carrier = load_machine(machine)
+    allowed, most = load_motion_limits(None, carrier).operational, carrier.working_stroke
+    largest = peaks(command, carrier)
     faults = []
     for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
-        low, high = allowed.displacement[i]
+        low, high = allowed[i]
         for value in (command.pose[:, i].min(), command.pose[:, i].max()):
             if not low <= value <= high:
                 faults.append(f"{dof}: {value:.4g} {unit}; allowed: {low:.4g} to {high:.4g} {unit}")
     for leg, value in enumerate(largest.leg_displacement, start=1):
-        if value > allowed.leg_displacement:
-            most = allowed.leg_displacement
+        if value > most:
             faults.append(f"leg {leg} displacement: {value:.4g} m; allowed: at most {most:.4g} m")
     if faults:
         raise InputError("; ".join(faults))

@@ -213,10 +213,26 @@ class Other(Signal):
         raise InputError(f"signal: {self.kind!r} cannot be made again from its description")
 
 
-class SingleSignal(Signal):
+class OneAxis(Signal):
     """A signal along one degree of freedom."""
 
     dof: Dof  #: Degree of freedom.
+
+    @abstractmethod
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        """Displacement at each frame [m or rad], (N,)."""
+
+    def command(self, seed: int = 0) -> "Command":
+        """The signal as a table of poses."""
+        fixed = getattr(self, "seed", None)
+        seed = seed if fixed is None else fixed
+        poses = along({self.dof: self._history(seed)})
+        return Command(poses, self, seed if hasattr(self, "seed") else None)
+
+
+class SingleSignal(OneAxis):
+    """A signal of one amplitude along one degree of freedom."""
+
     amplitude: Amplitude  #: Size [m or rad], or size and unit, such as `[2.0, "in"]`.
 
     @model_validator(mode="after")
@@ -231,17 +247,6 @@ class SingleSignal(Signal):
 
     def _sizes_in_si(self) -> dict[str, Any]:
         return {"amplitude": self.size}
-
-    @abstractmethod
-    def _history(self, seed: int) -> NDArray[np.float64]:
-        """Displacement at each frame [m or rad], (N,)."""
-
-    def command(self, seed: int = 0) -> "Command":
-        """The signal as a table of poses."""
-        fixed = getattr(self, "seed", None)
-        seed = seed if fixed is None else fixed
-        poses = along({self.dof: self._history(seed)})
-        return Command(poses, self, seed if hasattr(self, "seed") else None)
 
 
 @dataclass(frozen=True)

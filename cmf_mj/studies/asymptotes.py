@@ -43,11 +43,11 @@ from cmf_mj.analysis.frequency_response import falls
 from cmf_mj.core.arrays import shaped
 from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.peaks import command_limits
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,10 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
     legs = pose_to_legs(about, plant.machine)
     spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, legs)
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
+    limits = load_motion_limits(None, plant.machine)
     return Asymptotes(
         dof=dof,
-        displacement=float(np.abs(command_limits(plant.machine).displacement[index]).min()),
+        displacement=float(np.abs(limits.operational[index]).min()),
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         speed=speed,
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,

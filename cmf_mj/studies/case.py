@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.measures import Measures, joined, measure_loop, sweep_response
+from cmf_mj.analysis.measures import Measures, joined, measure_loop, step_metrics, sweep_response
+from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.published import Published, published
-from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name

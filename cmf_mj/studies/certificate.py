@@ -21,8 +21,8 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import optimize
 
-from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder, write_text

@@ -32,12 +32,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy import linalg
 
-from cmf_mj.analysis.linear.binding import bound
-from cmf_mj.analysis.linear.law import FEEDBACK, dcl_state_space, labels
 from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.loop import dcl_state_space, labels
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import reduced
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.structured import Uncertain
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
@@ -31,12 +31,12 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_index
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
-from cmf_mj.signals.peaks import command_limits
 from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.studies.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.capacity import least_allowed, relief_flow
@@ -191,7 +191,7 @@ def _run(
     pressure = record["supply_pressure"][rows]
     supply = plant.hydraulics.supply
     legs = max(float(np.abs(record[n][rows]).max()) for n in ("leg_reference", "leg_extension"))
-    limits = np.array(command_limits(plant.machine).displacement)
+    limits = load_motion_limits(None, plant.machine).operational
     excursion = np.vstack([demand[::every], pose])
     used = np.maximum(excursion / limits[:, 1], excursion / limits[:, 0]).max()
     ratios = {

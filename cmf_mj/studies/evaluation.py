@@ -23,9 +23,8 @@ from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import bandwidths, matrix_frequency_response
 from cmf_mj.analysis.linear.linear import BAND, Linear, loop_measures
 from cmf_mj.analysis.measurable import dof_history
-from cmf_mj.analysis.measures import Measures, crosstalk, joined, measure_records
-from cmf_mj.analysis.response.spectra import welch_response
-from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.analysis.measures import Measures, crosstalk, joined, measure_records, step_metrics
+from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.channel import load_sensors

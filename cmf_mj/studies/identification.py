@@ -5,22 +5,12 @@ the model closed with the law and compared with the measured loop as in Table 4-
 on a grid of ARX models by their fit to the validation run; the model is then refined.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal, get_args
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, frequency_response
-from cmf_mj.analysis.identification.arx import (
-    Residuals,
-    Selection,
-    arx,
-    plant_response,
-    residual_analysis,
-    select_orders,
-    simulation_fit,
-)
 from cmf_mj.analysis.identification.continuous import (
     LoopErrors,
     ResponseFit,
@@ -28,17 +18,23 @@ from cmf_mj.analysis.identification.continuous import (
     loop_errors,
     to_continuous,
 )
-from cmf_mj.analysis.identification.data import Experiment, experiment
-from cmf_mj.analysis.identification.model import Orders, PolynomialModel
-from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.analysis.identification.data import Experiment, experiment, plant_response
+from cmf_mj.analysis.identification.estimation import Selection, arx, output_error, select_orders
+from cmf_mj.analysis.identification.model import (
+    Orders,
+    PolynomialModel,
+    Residuals,
+    residual_analysis,
+    simulation_fit,
+)
+from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import Case, dof_amplitude
 
-Method = Literal["arx", "iv", "oe"]
+Method = Literal["arx", "oe"]
 Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
 
 SHARE = 0.6
@@ -81,11 +77,10 @@ def identify(
     """Identify leg velocity from valve command along a leg or degree of freedom.
 
     The last record validates, the others are fitted jointly; of a single one the first `SHARE` is
-    fitted. `axis` is surge to yaw, or leg_1 and so on; `method` is `arx`, `iv` (refined
-    instrumental variables, the reference as instrument, since the records are of a closed loop) or
-    `oe`. Default orders are the fewest parameters of an ARX grid within 0.2 % of the best
-    validation fit. `law` drove the records, by default the shipped one they name; `step` is a step
-    under it, to compare the loop's damping with.
+    fitted. `axis` is surge to yaw, or leg_1 and so on; `method` is `arx` or `oe`. Default orders
+    are the fewest parameters of an ARX grid within 0.2 % of the best validation fit. `law` drove
+    the records, by default the shipped one they name; `step` is a step under it, to compare the
+    loop's damping with.
     """
     check_name("method", method, get_args(Method))
     if not records:
@@ -96,9 +91,8 @@ def identify(
     if orders is None:
         selection = select_orders(estimation, validation, **_GRID)
         orders = selection.best().orders
-    fits: dict[str, Callable[..., PolynomialModel]] = {"arx": arx, "oe": output_error}
-    fits["iv"] = partial(instrumental_variable, instrument="reference")
-    model = fits[method](estimation, Orders(*orders))
+    fit = {"arx": arx, "oe": output_error}[method]
+    model = fit(estimation, Orders(*orders))
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]
     recorded = records[-1].metadata.get("law")

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.binding import bound
-from cmf_mj.analysis.modes import envelope_poses
+from cmf_mj.analysis.modes import bound, envelope_poses
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import within

@@ -24,10 +24,9 @@ from cmf_mj.analysis.frequency_response import (
     rounds_response,
 )
 from cmf_mj.analysis.measurable import CLEAR, EXCITED_SHARE, demand_share, dof_history
-from cmf_mj.analysis.measures import Measures, joined
+from cmf_mj.analysis.measures import Measures, joined, step_metrics
 from cmf_mj.analysis.metrics import correlation_delay
-from cmf_mj.analysis.response.spectra import Estimator
-from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads
@@ -234,7 +233,7 @@ def _crosstalk(case: Case, plant: Plant, driven: str) -> NDArray[np.float64]:
     size = case.size / dof_amplitude(case.dof) * dof_amplitude(driven)
     record = case.run(signals.sine(driven, size, CROSSTALK, cycles=10.0), plant)
     moved = dof_accelerations(record)[_whole_cycles(record, CROSSTALK, 6)]
-    return metrics.crosstalk(moved, DOFS.index(driven))
+    return metrics.acceleration_crosstalk(moved, DOFS.index(driven))
 
 
 class RecordingMeasures(NamedTuple):

@@ -5,13 +5,13 @@ from functools import cache
 import control
 import numpy as np
 import pytest
-from followed_commands import record_of
+from followed_commands import answer, record_of, second_order
 from numpy.typing import NDArray
-from scipy import optimize, signal
+from scipy import optimize
 
 from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
 from cmf_mj.analysis.frequency_response import LINGER, line_bandwidths
-from cmf_mj.analysis.response.spectra import Estimator
+from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
@@ -24,13 +24,7 @@ KINDS = ("chirp", "multisine")
 def response(command: signals.Command, system: control.TransferFunction) -> NDArray[np.float64]:
     """Pose history (N, 6) of `system`, inputs joined by lines: below 10 Hz the sampled system is
     the continuous one within (2 pi 10 / 2048)^2 / 12 = 1e-4 of gain, without delay."""
-    sampled = control.sample_system(system, 1 / RATE, method="foh")
-    return signal.lfilter(sampled.num[0][0], sampled.den[0][0], command.pose, axis=0)
-
-
-def second_order(zeta: float, hertz: float, gain: float = 1.0) -> control.TransferFunction:
-    omega = 2 * np.pi * hertz
-    return control.tf([gain * omega**2], [1.0, 2 * zeta * omega, omega**2])
+    return answer(command, system, "foh")
 
 
 def excitation(kind: str, dof: str = "heave", amplitude: float = AMPLITUDE) -> signals.Command:

@@ -3,8 +3,7 @@
 import control
 import numpy as np
 import pytest
-from followed_commands import record_of
-from scipy import signal
+from followed_commands import answer, record_of, second_order
 
 from cmf_mj import frequency_response, signals
 from cmf_mj.analysis.measures import (
@@ -19,14 +18,11 @@ from cmf_mj.core.units import FRAME
 
 def test_records_and_loop_agree_in_every_measure() -> None:
     """A second-order loop with a static gain of 0.9: the sweep, the step and the poles."""
-    omega, damping = 2.0 * np.pi * 2.0, 0.4
-    system = control.tf([0.9 * omega**2], [1.0, 2.0 * damping * omega, omega**2])
+    damping = 0.4
+    system = second_order(damping, 2.0, 0.9)
     loop = control.sample_system(control.ss(system), FRAME, method="zoh")
-    sampled = control.sample_system(system, FRAME, method="zoh")
     sweep, step = (
-        record_of(
-            command, signal.lfilter(sampled.num[0][0], sampled.den[0][0], command.pose, axis=0), 8
-        )
+        record_of(command, answer(command, system), 8)
         for command in (signals.chirp("heave", 0.01), signals.step("heave", 0.0254))
     )
     measured, computed = measure_records(sweep, step), measure_loop(loop)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from cmf_mj.analysis.metrics import (
+    acceleration_crosstalk,
     acceleration_noise,
     correlation_delay,
-    crosstalk,
     describing_function,
     dynamic_threshold,
     fit_second_order,
@@ -75,9 +75,11 @@ def test_describing_function_of_a_saturation() -> None:
 def test_crosstalk_is_a_ratio_of_rms() -> None:
     driven = wave(1.0, 8.0, 1.0)
     others = np.column_stack([0.1 * driven, driven, 0.5 + 0.02 * driven, *[0 * driven] * 3])
-    np.testing.assert_allclose(crosstalk(others, 1), [0.1, 1.0, 0.02, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        acceleration_crosstalk(others, 1), [0.1, 1.0, 0.02, 0, 0, 0], atol=1e-12
+    )
     with pytest.raises(ValueError, match="driven: degree of freedom 5 does not move"):
-        crosstalk(others, 5)
+        acceleration_crosstalk(others, 5)
 
 
 @pytest.mark.parametrize("width", [0.02, 0.1])

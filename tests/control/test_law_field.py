@@ -19,8 +19,7 @@ import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.law import dcl_state_space
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import closed_loop, dcl_state_space
 from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.law import Gains
 from cmf_mj.core.units import FRAME, INCH, POUND_FORCE

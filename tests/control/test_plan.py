@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
-from cmf_mj.analysis.linear.binding import nominal_modes
-from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space
+from cmf_mj.analysis.linear.plants import FEEDBACK
+from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES, make_shape
 from cmf_mj.control.dcl import DclState, make_dcl

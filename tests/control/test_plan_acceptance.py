@@ -11,7 +11,7 @@ import pytest
 
 from cmf_mj import Hexapod, load_hydraulics
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.law import FEEDBACK
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains

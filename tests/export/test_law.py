@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Record, law_names, load_law, pose_to_legs, signals, simulate
-from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcl import DclState
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.electronics.chain import ElectronicsSettings

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 import cmf_mj
 from cmf_mj import signals
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
-from cmf_mj.analysis.linear.law import DCL_INPUTS, dcl_state_space
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import load_law

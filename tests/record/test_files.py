@@ -345,7 +345,7 @@ MUTATED = {
         lambda t: "\n".join(lines_of(t)[:20]) + "\n",
         r"row 20, column 2 \(B, LAST_ROW\): '0' is refused; allowed: 1 in the last row",
     ),
-    "truncated metadata": (lambda t: t[:-60], "row 42: the metadata are not JSON"),
+    "truncated metadata": (lambda t: t[:-60], "row 42: is not valid JSON"),
     "short row": (lambda t: t.replace(lines_of(t)[6], lines_of(t)[6][:-4]), "row 7: has 177 col"),
     "long row": (lambda t: t.replace(lines_of(t)[6], lines_of(t)[6] + ",3.25"), "row 7: has 180 "
                  "columns, the last being '3.25'; allowed: 179"),
@@ -406,7 +406,7 @@ MUTATED = {
     "metadata of another kind": (lambda t: no_trailer(t) + "# cmf_mj [1]\n", "row 42: "),
     "metadata without a field": (lambda t: t.replace('"rows": 40, ', ""), "row 42: rows: is miss"),
     "decimals out of range": (lambda t: t.replace('"decimals": 6', '"decimals": 99'),
-                              "row 42: decimals: 99 is refused; allowed: 0 to 9"),
+                              "row 42: decimals: 99 is refused; allowed: a whole number f"),
 }  # fmt: skip
 
 
@@ -481,7 +481,7 @@ def test_other_number_of_legs_is_refused(tmp_path):
 
 @pytest.mark.parametrize("decimals", [-1, 10, 2.5])
 def test_decimals_out_of_range_are_refused(tmp_path, decimals):
-    with pytest.raises(ValueError, match=f"decimals: {decimals} is refused; allowed: 0 to 9"):
+    with pytest.raises(ValueError, match=f"decimals: {decimals} is refused; allowed: a whole"):
         write_facility_csv(synthetic(), tmp_path / "run.csv", decimals=decimals)
 
 
@@ -493,20 +493,13 @@ def fail_half_way(file, *_, **__):
     raise OSError("disk full")
 
 
-def test_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(np, "savetxt", fail_half_way)
-    with pytest.raises(OSError, match="disk full"):
-        write_facility_csv(synthetic(), tmp_path / "run.csv")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
-    path = write_facility_csv(synthetic(), tmp_path / "run.csv")
-    before = path.read_bytes()
-    monkeypatch.setattr(np, "savetxt", fail_half_way)
-    with pytest.raises(OSError, match="disk full"):
-        write_facility_csv(synthetic(samples=5), path)
-    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+def test_an_interrupted_write_leaves_what_was_there(tmp_path, monkeypatch):
+    for kept in (b"", write_facility_csv(synthetic(), tmp_path / "run.csv").read_bytes()):
+        put(tmp_path, kept) if kept else (tmp_path / "run.csv").unlink()
+        with monkeypatch.context() as broken, pytest.raises(OSError, match="disk full"):
+            broken.setattr(np, "savetxt", fail_half_way)
+            write_facility_csv(synthetic(samples=5), tmp_path / "run.csv")
+        assert [path.read_bytes() for path in tmp_path.iterdir()] == [kept] * bool(kept)
 
 
 def test_folders_are_made(tmp_path):

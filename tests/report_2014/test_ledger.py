@@ -7,7 +7,7 @@ from shared import SINGLE, WORKING_STROKE, printed, report_leg
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.measures import FREQUENCIES, measure_loop
-from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.analysis.periodic import sine_response
 from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units

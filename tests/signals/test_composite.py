@@ -70,9 +70,9 @@ def test_peak_is_the_amplitude(kind):
     np.testing.assert_allclose(result, expected, rtol=1.2e-4, atol=0.0)
 
 
-@pytest.mark.parametrize("kind", AT_REST)
+@pytest.mark.parametrize("kind", (*AT_REST, "step"))
 def test_description_is_json_and_repeats_the_command(kind):
-    command = AT_REST[kind](seed=3)
+    command = AT_REST[kind](seed=3) if kind in AT_REST else signals.step("heave", AMPLITUDE)
     described = json.loads(json.dumps(dict(command.description)))
     assert described.pop("kind") == kind
     if command.seed is not None:
@@ -289,54 +289,6 @@ def test_stepped_sines_keep_their_amplitude_through_the_transient():
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments", "message"),
-    [
-        ("pulse", {"width": 0.0}, "width: 0.0 is refused: input should be greater than 0"),
-        ("pulse", {"width": 1e-4}, "width: 0.0001 s must be two frames or more"),
-        (
-            "pulse",
-            {"width": 12.5},
-            "width: 12.5 s after 1.0 s must be within the 13.0 s of the run",
-        ),
-        (
-            "chirp",
-            {"fade": -1.0},
-            "fade: -1.0 is refused: input should be greater",
-        ),
-        ("noise", {"scale": "loud"}, "scale: 'loud' is refused: input should be 'peak' or 'rms'"),
-        ("noise", {"fade": 60.0}, "fade: 60.0 s must be at most half the duration of 100.0 s"),
-        ("noise", {"start": 2.0, "stop": 1.0}, "stop: no multiple of 0.01 Hz lies in 2.0 to 1.0"),
-        (
-            "noise",
-            {"stop": 1100.0},
-            "stop: 1100 Hz must be at most half the control rate, 1024 Hz",
-        ),
-        (
-            "multisine",
-            {"spectrum": "pink"},
-            "spectrum: 'pink' is refused: input should be 'flat' or",
-        ),
-        ("multisine", {"corner": 0.0}, "corner: 0.0 is refused: input should be greater than or"),
-        ("multisine", {"fade": 30.0}, "fade: 30.0 s must be at most the period of 20.0 s"),
-        (
-            "seven_sines",
-            {"number": 6},
-            "number: 6 is refused: input should be less",
-        ),
-        (
-            "seven_sines",
-            {"number": 1, "cycles": 2.5},
-            "cycles: 2.5 is refused: input should",
-        ),
-        ("seven_sines", {"number": 1, "fade": 0.0}, "fade: 0.0 is refused"),
-    ],
-)
-def test_argument_out_of_range_is_named(kind, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        getattr(signals, kind)("heave", AMPLITUDE, **arguments)
-
-
-@pytest.mark.parametrize(
     ("frequencies", "amplitudes", "options", "message"),
     [
         ((), (0.1,), {}, r"frequencies: \(\) is refused"),
@@ -344,14 +296,7 @@ def test_argument_out_of_range_is_named(kind, arguments, message):
         ((1.0, -2.0), (0.1,), {}, "frequencies.1: -2.0 is refused"),
         ((1100.0,), (0.1,), {}, "frequencies: 1100 Hz must be at most half the control rate"),
         ((1.0,), (np.nan,), {}, "amplitudes.0: nan is refused: must be a number in m or rad"),
-        (
-            (1.0,),
-            (0.1,),
-            {"cycles": 0},
-            "cycles: 0 is refused: input should be greater",
-        ),
-        ((1.0,), (0.1,), {"transient": -1.0}, "transient: -1.0 is refused"),
-        ((1.0,), (0.1,), {"settle": 0.0}, "settle: 0.0 is refused"),
+        ((1.0,), (0.1,), {"cycles": 2.5}, "cycles: 2.5 is refused: input should"),
     ],
 )
 def test_stepped_sines_out_of_range_are_named(frequencies, amplitudes, options, message):

@@ -12,8 +12,10 @@ from pydantic import ValidationError
 
 from cmf_mj import signals
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import validated
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command
 
 AMPLITUDE = 0.33 * 0.0254
@@ -42,18 +44,6 @@ def test_only_the_named_degree_of_freedom_moves(kind, dof):
     ]
 
 
-@pytest.mark.parametrize("kind", EXCITATIONS)
-def test_peak_is_the_amplitude(kind):
-    """To the sample: 2048 Hz catches the crest of a 10 Hz sine within 0.5 (pi 10 / 2048)^2."""
-    peak = np.abs(heave(EXCITATIONS[kind]())).max()
-    assert AMPLITUDE * (1.0 - 1.2e-4) < peak <= AMPLITUDE * (1.0 + 1e-12)
-
-
-@pytest.mark.parametrize("kind", ["step", "sine", "chirp"])
-def test_starts_at_the_pose_zero(kind):
-    assert not EXCITATIONS[kind]().pose[0].any()
-
-
 def test_multisine_starts_nearest_to_zero():
     """It is periodic: the start is the sample closest to a zero crossing."""
     once = heave(EXCITATIONS["multisine"]())
@@ -67,15 +57,6 @@ def test_starts_and_ends_at_rest(kind):
     speed = np.abs(np.diff(heave(EXCITATIONS[kind]()))) * RATE / AMPLITUDE
     assert speed[0] < 1e-4 and speed[-1] < 1e-4
     assert speed.max() > 1.0
-
-
-@pytest.mark.parametrize("kind", EXCITATIONS)
-def test_description_repeats_the_command(kind):
-    command = EXCITATIONS[kind]()
-    described = dict(command.description)
-    assert described.pop("kind") == kind
-    again = getattr(signals, kind)(**described)
-    assert np.array_equal(again.pose, command.pose)
 
 
 @pytest.mark.parametrize("kind", EXCITATIONS)
@@ -129,17 +110,6 @@ def test_chirp_frequency_rises_linearly(start, stop, duration):
     assert crossing.size >= np.floor((start + stop) * duration) - 1
 
 
-def test_chirp_stays_between_its_frequencies():
-    """Half a period between crossings is within 1/(2 stop) and 1/(2 start)."""
-    command = signals.chirp("heave", AMPLITUDE, start=0.5, stop=4.0, duration=16.0)
-    sweep = heave(command)[2 * RATE : -2 * RATE]
-    before = np.flatnonzero(sweep[1:-1] * sweep[2:] < 0.0) + 1
-    crossing = (before + sweep[before] / (sweep[before] - sweep[before + 1])) / RATE
-    frequency = 0.5 / np.diff(crossing)
-    assert (np.diff(frequency) > 0.0).all()
-    assert 0.5 < frequency[0] < 0.8 and 3.9 < frequency[-1] < 4.0
-
-
 def test_chirp_defaults_are_the_report_s():
     """Section 2.5: 0.01 to 10 Hz in 100 s; two seconds of rest before and after."""
     command = signals.chirp("heave", AMPLITUDE)
@@ -184,12 +154,6 @@ def test_multisine_runs_on_smoothly_from_period_to_period():
     assert np.abs(np.diff(heave(command))).max() < 2.0 * np.pi * 5.0 * AMPLITUDE / RATE
 
 
-def test_same_seed_same_phases():
-    first, again = (signals.multisine("heave", AMPLITUDE, period=2.0, seed=5) for _ in range(2))
-    assert first.seed == 5
-    assert np.array_equal(first.pose, again.pose)
-
-
 def test_other_seed_other_phases_same_lines():
     one, two = (signals.multisine("heave", AMPLITUDE, period=2.0, seed=s) for s in (1, 2))
     assert np.abs(heave(one) - heave(two)).max() > 0.1 * AMPLITUDE
@@ -230,44 +194,56 @@ def test_command_of_a_wrong_shape_is_refused(shape):
 @pytest.mark.parametrize(
     ("kind", "arguments", "message"),
     [
-        ("step", {"at": 0.0}, "at: 0.0 is refused: input should be greater than 0"),
-        ("step", {"duration": np.nan}, "duration: nan is refused: input should be a finite number"),
         ("step", {"at": 14.0}, "at: 14.0 s must be less than the duration of 13.0 s"),
-        ("sine", {"frequency": 0.0}, "frequency: 0.0 is refused"),
-        ("sine", {"frequency": 1.0, "cycles": -1.0}, "cycles: -1.0 is refused"),
-        ("sine", {"frequency": 1.0, "fade": np.inf}, "fade: inf is refused"),
         ("sine", {"frequency": 2000.0}, "frequency: 2000 Hz must be at most half the control rate"),
-        ("chirp", {"start": -1.0}, "start: -1.0 is refused"),
-        ("chirp", {"settle": 0.0}, "settle: 0.0 is refused"),
-        ("chirp", {"duration": 0.0}, "duration: 0.0 is refused"),
-        (
-            "chirp",
-            {"stop": 2000.0},
-            "stop: 2000 Hz must be at most half the control rate",
-        ),
+        ("chirp", {"stop": 2000.0}, "stop: 2000 Hz must be at most half the control rate"),
         ("chirp", {"start": 11.0}, "stop: 10.0 Hz must be above start, 11.0 Hz"),
+        ("pulse", {"width": 1e-4}, "width: 0.0001 s must be two frames or more"),
+        (
+            "pulse",
+            {"width": 12.5},
+            "width: 12.5 s after 1.0 s must be within the 13.0 s",
+        ),
+        ("noise", {"scale": "loud"}, "scale: 'loud' is refused: input should be 'peak' or 'rms'"),
+        ("noise", {"fade": 60.0}, "fade: 60.0 s must be at most half the duration of 100.0 s"),
+        ("noise", {"start": 2.0, "stop": 1.0}, "stop: no multiple of 0.01 Hz lies in 2.0 to 1.0"),
         ("multisine", {"period": 0.3001}, "period: 0.3001 s must be a whole number of frames"),
+        ("multisine", {"start": 0.11, "stop": 0.14}, "stop: no odd multiple of 0.05 Hz lies in"),
         (
             "multisine",
-            {"periods": 1},
-            "periods: 1 is refused: input should be greater",
+            {"spectrum": "pink"},
+            "spectrum: 'pink' is refused: input should be",
         ),
-        ("multisine", {"start": 0.11, "stop": 0.14}, "stop: no odd multiple of 0.05 Hz lies in"),
-        ("multisine", {"stop": np.nan}, "stop: nan is refused"),
+        ("multisine", {"fade": 30.0}, "fade: 30.0 s must be at most the period of 20.0 s"),
     ],
 )
 def test_argument_out_of_range_is_named(kind, arguments, message):
-    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+    with pytest.raises(ValueError, match=message):
         getattr(signals, kind)("heave", AMPLITUDE, **arguments)
 
 
-@pytest.mark.parametrize("kind", EXCITATIONS)
-def test_unknown_degree_of_freedom_lists_the_six(kind):
-    with pytest.raises(
-        ValueError,
-        match="dof: 'up' is refused: input should be 'surge', 'sway', ",
-    ):
-        EXCITATIONS[kind]("up")
+@pytest.mark.parametrize("signal", composite._BY_NAME.values())
+def test_numbers_beyond_their_bounds_are_refused_by_name(signal):
+    """From the schema: what lies beyond each bound, and what is no finite number."""
+    beyond = {"gt": 0, "ge": -1, "lt": 0, "le": 1}
+    checked = 0
+    for name, field in signal.model_fields.items():
+        values = [
+            getattr(rule, bound) + step
+            for rule in field.metadata
+            for bound, step in beyond.items()
+            if hasattr(rule, bound)
+        ]
+        for value in values + [np.nan, np.inf] * (field.annotation is float):
+            with pytest.raises(InputError, match=f"{name}: {value} is refused"):
+                validated(signal, {name: value}, "")
+            checked += 1
+    assert checked >= 2
+
+
+def test_unknown_degree_of_freedom_lists_the_six():
+    with pytest.raises(ValueError, match="dof: 'up' is refused: input should be 'surge', 'sway', "):
+        signals.step("up", AMPLITUDE)
 
 
 @pytest.mark.parametrize("rate", [200, 1000, 5000, 10_000])

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
-from cmf_mj.analysis.linear.binding import nominal_modes
+from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.control.plan import actuator_polynomial
 from cmf_mj.core.files import write_table

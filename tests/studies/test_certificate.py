@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.analysis.modes import bound
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian

@@ -89,9 +89,9 @@ def test_tables_and_files_say_what_was_identified(
 
 
 def test_a_single_run_is_split_and_orders_may_be_given(records: list[Record]) -> None:
-    alone = identify(records[:1], "leg_2", method="iv", orders=(4, 3, 1))
+    alone = identify(records[:1], "leg_2", method="arx", orders=(4, 3, 1))
     assert alone.selection is None
-    assert alone.model.method == "iv"
+    assert alone.model.method == "arx"
     assert alone.validation.samples == pytest.approx(0.4 * 64.0 * 61.0, abs=2)
     assert alone.validation_fit > 94.0
 
@@ -120,7 +120,7 @@ def test_command_line_identifies_recordings_and_simulations_alike(
 
 
 def test_bad_methods_and_signals_are_named(records: list[Record]) -> None:
-    with pytest.raises(ValueError, match="method: 'magic' is not one of arx, iv, oe"):
+    with pytest.raises(ValueError, match="method: 'magic' is not one of arx, oe"):
         identify(records, "heave", method="magic")
     with pytest.raises(ValueError, match="records: none given"):
         identify([], "heave")

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import load_hydraulics, load_law
-from cmf_mj.analysis.linear.binding import nominal_modes
+from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains

@@ -1,6 +1,6 @@
 """System identification from records: data, models, their refinement, fits and validation.
 
-    record -> experiment -> arx | instrumental_variable | output_error -> PolynomialModel
+    record -> experiment -> arx | output_error -> PolynomialModel
            -> plant_response -> fit_response -> ResponseFit
     model  -> simulation_fit, residual_analysis; to_continuous -> loop_errors
 

@@ -29,8 +29,7 @@ from cmf_mj.analysis.identification.data import Real
 from cmf_mj.analysis.identification.model import Complex, PolynomialModel
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
-from cmf_mj.analysis.measures import Measures, joined, measure_loop
-from cmf_mj.analysis.step_response import StepMetrics
+from cmf_mj.analysis.measures import Measures, StepMetrics, joined, measure_loop
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError

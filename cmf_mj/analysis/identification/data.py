@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, signal
 
+from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import RATE as FRAMES
 from cmf_mj.machine.geometry import DOFS
@@ -35,6 +36,9 @@ Real = NDArray[np.float64]
 RATE = 64.0
 """Default sampling rate [Hz], half the facility recorder's: the legs' modes lie below 15 Hz, and a
 model at a rate far above what is excited learns little and suffers much from noise."""
+
+RECORDER = 128.0
+"""Sampling rate of measured responses [Hz], the facility recorder's."""
 
 POSITIONS = ("leg_position", "leg_reference")
 """Leg channels that are mapped to a pose; all others by the Jacobian."""
@@ -62,7 +66,7 @@ class Experiment:
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     reference: Real | None = None
-    """External excitation, (N, nr), free of noise: the instrument of `instrumental_variable`."""
+    """External excitation, (N, nr), free of noise."""
     name: str = ""  #: Of the run.
 
     def __post_init__(self) -> None:
@@ -150,17 +154,11 @@ def decimated(values: Real, factor: int) -> Real:
     return values
 
 
-def _indices(field: str, have: tuple[str, ...], names: Sequence[str] | None) -> list[int]:
-    if names is None:
-        return list(range(len(have)))
-    return [have.index(check_name(field, name, have)) for name in names]
-
-
 def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str], machine: Machine) -> Real:
     """A leg channel (N, n) along the axes, (N, axes)."""
     values = legs[channel]
     names = [*DOFS, *(f"leg_{i + 1}" for i in range(values.shape[1]))]
-    chosen = _indices("axes", tuple(names), axes)
+    chosen = [names.index(check_name("axes", axis, names)) for axis in axes]
     if min(chosen) >= len(DOFS):
         return values[:, [i - len(DOFS) for i in chosen]]
     pose = legs_to_pose(legs[channel if channel in POSITIONS else "leg_position"], machine)
@@ -229,3 +227,28 @@ def _unit(axis: str, unit: str) -> str:
     """Unit of a leg signal along an axis: times rad/m where the axis is a rotation."""
     turned = {"1": "rad/m", "m": "rad", "m/s": "rad/s", "m/s^2": "rad/s^2"}
     return turned.get(unit, f"{unit} rad/m") if axis in DOFS[3:] else unit
+
+
+def plant_response(record: Record, axis: str) -> FrequencyResponse:
+    """Response from the command at the valve to leg velocity along a leg or degree of freedom.
+
+    The record is of a chirp, noise or multisine along the axis, surge to yaw or leg_1 and so on.
+    Lines lie in the band of the excitation, in SI per full command; the coherence is the lesser of
+    reference to input and reference to output. Raises `InputError` without excitation.
+    """
+    # The analysis rate, or the record's where it is lower or no multiple.
+    factor = record.rate / RECORDER
+    rate = RECORDER if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
+    series = experiment(record, axis, rate=rate)
+    if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
+        raise InputError(f"axis: the record holds no demand in {axis}")
+    to_input, to_output = (
+        excited_response(series.reference[:, 0], values[:, 0], series.rate, record.signal)
+        for values in (series.input, series.output)
+    )
+    response = to_output.response / to_input.response
+    shares = [each.radius / np.abs(each.response) for each in (to_output, to_input)]
+    coherence = np.minimum(to_input.coherence, to_output.coherence)
+    bound = (shares[0] + shares[1]) * np.abs(response)
+    names = {"inputs": list(series.input_names), "outputs": list(series.output_names)}
+    return FrequencyResponse(response, 2.0 * np.pi * to_input.frequency, coherence, bound, **names)

@@ -7,7 +7,7 @@ an input and a delay of n_k samples:
     A = 1 + a_1 q^-1 + ... + a_na q^-na,   B = b_1 q^-nk + ... + b_nb q^-(nk + nb - 1)
 
 The noise enters as white e[k] on the right (`equation`: ARX, Eqs 4.8, 4.9) or as y = B/A u + v
-(`output`: output error, instrumental variables). The parameters of a row are a_1 .. a_na, then b of
+(`output`: output error). The parameters of a row are a_1 .. a_na, then b of
 the first input, of the second and so on; `covariances` holds one matrix a row in that order.
 """
 
@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import signal
+from scipy import signal, stats
 
 from cmf_mj.analysis.identification.data import LABELS, Experiment, Real
 from cmf_mj.core.errors import InputError
@@ -72,7 +72,7 @@ class PolynomialModel:
     covariances: Real  #: Of the parameters of each row, (ny, p, p).
     noise_variance: Real  #: Of e or v, (ny,), in squares of the outputs' units.
     noise: Literal["equation", "output"]  #: Where the noise enters.
-    method: str  #: How the model was fitted: arx, iv or oe.
+    method: str  #: How the model was fitted: arx or oe.
     samples: int  #: Samples the fit used.
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
@@ -280,3 +280,99 @@ def from_rows(
         **{name: getattr(like, name) for name in LABELS},
         converged=all(row.converged for row in rows),
     )
+
+
+CONFIDENCE = 0.99
+"""Probability of the bounds of a right model."""
+
+
+def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
+    """Fit of each output (ny,) in per cent: 100 is perfect, 0 no better than the mean.
+
+    A model that leaves the finite numbers has -inf; an output that does not move is refused.
+    """
+    y, model = np.asarray(measured, dtype=float), np.asarray(modelled, dtype=float)
+    if y.shape != model.shape:
+        raise InputError(f"modelled: shape is {model.shape}; measured has {y.shape}")
+    y, model = (x[:, None] if x.ndim == 1 else x for x in (y, model))
+    spread = np.linalg.norm(y - y.mean(axis=0), axis=0)
+    if not (spread > 0.0).all():
+        raise InputError("measured: an output does not move; a fit to it is not defined")
+    with np.errstate(over="ignore", invalid="ignore"):
+        missed = np.linalg.norm(y - model, axis=0) / spread
+    return np.asarray(100.0 * (1.0 - np.where(np.isnan(missed), np.inf, missed)))
+
+
+def simulated(model: PolynomialModel, experiment: Experiment) -> Real:
+    """Outputs (N, ny) of the model, driven by the inputs alone.
+
+    The initial state of every row is fitted to the measured output by least squares, as `compare`
+    does; `PolynomialModel.simulate` begins at rest.
+    """
+    model.check(experiment)
+    outputs = model.simulate(experiment.input)
+    for row in range(model.outputs):
+        free = model.free_responses(row, experiment.samples)
+        missing = experiment.output[:, row] - outputs[:, row]
+        if np.isfinite(free).all() and np.isfinite(missing).all():
+            outputs[:, row] += free @ np.linalg.lstsq(free, missing, rcond=None)[0]
+    return outputs
+
+
+def simulation_fit(model: PolynomialModel, experiment: Experiment) -> Real:
+    """Fit of each output (ny,) of the simulated model in per cent."""
+    return fit_percentage(experiment.output, simulated(model, experiment))
+
+
+def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
+    """What the model leaves of the outputs, (N - lag, ny): e (`equation`) or v (`output`)."""
+    modelled = simulated if model.noise == "output" else PolynomialModel.predicted
+    return (experiment.output - modelled(model, experiment))[model.orders.lag :]
+
+
+class Residuals(NamedTuple):
+    """Correlations of the residual of one output, with the bounds of a right model."""
+
+    lags: Real  #: 0 to the largest [samples], (L,).
+    auto: Real  #: R_ee / R_ee(0), (L,).
+    auto_bound: float
+    cross: Real  #: R_eu / sqrt(R_ee(0) R_uu(0)) for each input, (nu, L).
+    cross_bound: Real  #: (nu,).
+
+    @property
+    def cross_outside(self) -> Real:
+        """Share of the lags at which the cross-correlation exceeds its bound, (nu,)."""
+        return np.asarray(np.mean(np.abs(self.cross) > self.cross_bound[:, None], axis=1))
+
+
+def residual_analysis(
+    model: PolynomialModel, experiment: Experiment, *, lags: int = 40
+) -> Residuals:
+    """Correlate the residuals of a model's first output with themselves and with the inputs."""
+    e = residuals(model, experiment)[:, 0]
+    if not 1 <= lags < e.size:
+        raise InputError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
+    u = experiment.input[model.orders.lag :]
+    e, u = e - e.mean(), u - u.mean(axis=0)
+    size = float(np.sqrt(np.mean(e**2)))
+    if size == 0.0:
+        raise InputError("experiment: the residuals are zero; they have no correlation")
+    e = e / size
+    u = u / np.sqrt(np.mean(u**2, axis=0))
+    auto = _correlation(e, e, lags)
+    point = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    drives = [_correlation(column, column, lags) for column in u.T]
+    spread = np.array([1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])) for drive in drives])
+    return Residuals(
+        np.arange(lags + 1.0),
+        auto,
+        point / np.sqrt(e.size),
+        np.stack([_correlation(e, column, lags) for column in u.T]),
+        point * np.sqrt(np.clip(spread, 0.0, None) / e.size),
+    )
+
+
+def _correlation(a: Real, b: Real, lags: int) -> Real:
+    """mean(a[k] b[k-l]) for l = 0 .. lags."""
+    full = signal.correlate(a, b, mode="full", method="fft") / a.size
+    return np.asarray(full[b.size - 1 : b.size + lags])

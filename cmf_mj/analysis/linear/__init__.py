@@ -2,6 +2,6 @@
 
 `assembly.linearize` gives the state space from valve commands to what the sensors of the legs read,
 about the rest of `operating_point`; `poles` makes smaller systems of it and says what its modes
-are. `law` is the DCL without its clamps, `loop` closes it around any plant, `plants` has those of a
+are. `loop` has the DCL without its clamps and closes it around any plant, `plants` has those of a
 leg. `linear.Linear` is a plant linearised once, with all that is asked of it under any law.
 """

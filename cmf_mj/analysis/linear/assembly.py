@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.linear import ports
-from cmf_mj.analysis.linear.law import FEEDBACK, labels
+from cmf_mj.analysis.linear.loop import labels
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import VALVES

@@ -31,23 +31,24 @@ from scipy.signal import cont2discrete
 
 from cmf_mj.analysis.frequency_response import bandwidths, falls
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
-from cmf_mj.analysis.linear.law import labels
-from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
+from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop, labels
 from cmf_mj.analysis.linear.operating_point import operating_point
-from cmf_mj.analysis.linear.poles import Mode, jacobian_of, modes
+from cmf_mj.analysis.linear.plants import FEEDBACK
+from cmf_mj.analysis.linear.poles import Mode, leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import Excitation
 from cmf_mj.analysis.measures import (
     Measures,
     are_stable,
     joined,
     least_damped_mode,
+    measure_step,
     oscillations,
 )
-from cmf_mj.analysis.step_response import measure_step
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Gains, Law, load_law
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS, dof_index
+from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -102,8 +103,13 @@ class Linear:
 
     @cached_property
     def jacobian(self) -> Array:
-        """d(legs)/d(pose), (6, 6)."""
-        return jacobian_of(self.plant, self.pose)
+        """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility."""
+        if self.plant.legs != len(DOFS):
+            raise InputError(
+                f"plant: has {self.plant.legs} legs; degrees of freedom need the facility's "
+                f"{len(DOFS)}"
+            )
+        return pose_jacobian(np.zeros(6) if self.pose is None else self.pose, self.plant.machine)
 
     def sensed(self, errors: Mapping[str, Array]) -> "Linear":
         """The same plant behind sensors; `errors` are shares by channel, (n,) each."""
@@ -116,7 +122,33 @@ class Linear:
 
     def modes(self) -> tuple[Mode, ...]:
         """Modes of the plant without a law, slowest first."""
-        return modes(self.system, self.plant, self.pose)
+        return modes(self.system, self.jacobian)
+
+    def model(self, signal: str) -> control.StateSpace:
+        """One degree of freedom, moved by all legs and read from all legs, or a leg, `leg_model`.
+
+        With J = d(legs)/d(pose) the commands are c = J_i w and the pose J^-1 l. A leg of full speed
+        k then makes a pose of speed k w while the oil does not give way. The motion the others make
+        along is left free. The input `<dof>_command` is a fraction of full command per leg and unit
+        of J [1 for m, 1/m for rad]; outputs are `<dof>` [m or rad], `<dof>_rate` and
+        `<dof>_acceleration`.
+        """
+        system, legs = self.system, self.plant.legs
+        if signal.startswith("leg_"):
+            return leg_model(system, int(signal[4:]))
+        index = dof_index(signal)
+        inverse = np.linalg.inv(self.jacobian)[index]
+        rows = np.zeros((3, int(system.noutputs)))
+        for i, name in enumerate(FEEDBACK[:3]):
+            rows[i, [system.output_labels.index(n) for n in labels((name,), legs)]] = inverse
+        columns = np.zeros((int(system.ninputs), 1))
+        places = [system.input_labels.index(n) for n in labels(("command",), legs)]
+        columns[places, 0] = self.jacobian[:, index]
+        b, c, d = (np.asarray(m) for m in (system.B, system.C, system.D))
+        matrices = system.A, b @ columns, rows @ c, rows @ d @ columns
+        names = {"inputs": [f"{signal}_command"], "states": system.state_labels}
+        names["outputs"] = [signal, f"{signal}_rate", f"{signal}_acceleration"]
+        return reduced(control.ss(*matrices, system.dt, name=f"{system.name}_{signal}", **names))
 
     def leg_loop(self, law: str | Law, *, command_delay: int = 1) -> control.StateSpace:
         """From the demands of all legs to their positions under a law, see `closed_loop`.

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME
+
+FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
+"""What a leg's sensors give the DCL [m, m/s, m/s^2, Pa, Pa]."""
 
 _POSITION, _VELOCITY, _ACCELERATION = FEEDBACK[:3]
 

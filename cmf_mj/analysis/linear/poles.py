@@ -5,20 +5,17 @@ from typing import NamedTuple
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space, labels, spread
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space, labels, reached
+from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.machine.geometry import DOFS, dof_index
-from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 
@@ -41,7 +38,7 @@ def reduced(
     b, c, d = b[:, columns], c[rows], d[np.ix_(rows, columns)]
     links = a != 0.0
     kept = np.flatnonzero(
-        spread(links, (b != 0.0).any(axis=1)) & spread(links.T, (c != 0.0).any(axis=0))
+        reached(links, (b != 0.0).any(axis=1)) & reached(links.T, (c != 0.0).any(axis=0))
     )
     names = {
         "inputs": [system.input_labels[i] for i in columns],
@@ -77,44 +74,6 @@ def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
     )
 
 
-def jacobian_of(plant: Plant, pose: ArrayLike | None = None) -> Matrix:
-    """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility."""
-    if plant.legs != len(DOFS):
-        raise InputError(
-            f"plant: has {plant.legs} legs; degrees of freedom need the facility's {len(DOFS)}"
-        )
-    return pose_jacobian(np.zeros(6) if pose is None else pose, plant.machine)
-
-
-def dof_model(
-    system: control.StateSpace, plant: Plant, pose: ArrayLike | None, dof: str
-) -> control.StateSpace:
-    """One degree of freedom of a linearised plant, moved by all legs and read from all legs.
-
-    With J = d(legs)/d(pose) the commands are c = J_i w and the pose J^-1 l. A leg of full speed k
-    then makes a pose of speed k w while the oil does not give way. The motion the others make along
-    is left free. `system` is of `linearize` for the plant in the pose (6,) [m, rad].
-
-    The input `<dof>_command` is a fraction of full command per leg and unit of J [1 for m, 1/m for
-    rad]; outputs are `<dof>` [m or rad], `<dof>_rate` and `<dof>_acceleration`.
-    """
-    index = dof_index(dof)
-    jacobian = jacobian_of(plant, pose)
-    inverse = np.linalg.inv(jacobian)[index]
-    rows = np.zeros((3, int(system.noutputs)))
-    for i, name in enumerate(FEEDBACK[:3]):
-        places = [system.output_labels.index(n) for n in labels((name,), plant.legs)]
-        rows[i, places] = inverse
-    places = [system.input_labels.index(n) for n in labels(("command",), plant.legs)]
-    columns = np.zeros((int(system.ninputs), 1))
-    columns[places, 0] = jacobian[:, index]
-    b, c, d = (np.asarray(m) for m in (system.B, system.C, system.D))
-    matrices = system.A, b @ columns, rows @ c, rows @ d @ columns
-    names = {"inputs": [f"{dof}_command"], "states": system.state_labels}
-    names["outputs"] = [dof, f"{dof}_rate", f"{dof}_acceleration"]
-    return reduced(control.ss(*matrices, system.dt, name=f"{system.name}_{dof}", **names))
-
-
 _FAMILIES = {
     "drive": ("drive",),
     "spool": ("spool",),
@@ -136,22 +95,23 @@ class Mode(NamedTuple):
     damping_ratio: float  #: -Re / modulus; 1 for a stable real pole, NaN for an integrator.
     shares: dict[str, float]  #: Shares of drive, spool, motion, oil and supply, sum 1.
     leg_shape: NDArray[np.complex128]  #: Leg motion, (n,), the largest 1; zero where no leg moves.
-    dof_shares: NDArray[np.float64]
+    dof_shares: Matrix
     """Shares of the degrees of freedom in the leg motion, (6,); NaN where none are asked for."""
 
 
-def modes(
-    system: control.StateSpace, plant: Plant | None = None, pose: ArrayLike | None = None
-) -> tuple[Mode, ...]:
+def modes(system: control.StateSpace, jacobian: Matrix | None = None) -> tuple[Mode, ...]:
     """All modes of a linearised plant, slowest first.
 
     Of poles that coincide, such as those of uncoupled equal legs, only the space of all is
-    determined, not the shape of one. `plant`, with the legs of the facility in the `pose` of
-    `system`, is for the shares of degrees of freedom.
+    determined, not the shape of one. With the `jacobian` d(legs)/d(pose) (6, 6) they have shares of
+    degrees of freedom.
     """
     if not system.isctime(strict=True):
         raise InputError("system: is discrete; a linearised plant, which is continuous, is needed")
-    family = [_family(name) for name in system.state_labels]
+    kinds = [
+        next(k for k, starts in _FAMILIES.items() if n.startswith(starts))
+        for n in system.state_labels
+    ]
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
     poles = np.where(np.abs(poles) < _STILL, 0.0, poles)
@@ -160,7 +120,6 @@ def modes(
     right = right * scale[:, None]
     legs = int(system.ninputs)
     rows = [system.state_labels.index(name) for name in labels(("leg_position",), legs)]
-    jacobian = None if plant is None else jacobian_of(plant, pose)
     result = []
     for i in np.argsort(np.abs(poles), kind="stable"):
         if poles[i].imag < 0.0:
@@ -168,30 +127,17 @@ def modes(
         size = float(np.abs(poles[i]))
         shape = right[rows, i]
         most = shape[np.argmax(np.abs(shape))]
-        parts = list(zip(factors[:, i], family, strict=True))
         moves = np.abs(most) > 1e-12 * np.abs(right[:, i]).max()
         shape = shape / most if moves else np.zeros(legs, dtype=complex)
         damping = float(-poles[i].real / size) if size > _STILL else float("nan")
+        parts = list(zip(factors[:, i], kinds, strict=True))
         shares = {name: float(sum(f for f, kind in parts if kind == name)) for name in _FAMILIES}
-        dofs = _dof_shares(shape, jacobian)
+        dofs = np.full(6, np.nan)
+        if jacobian is not None and moves:
+            along = jacobian * np.linalg.solve(jacobian, shape)
+            dofs = np.real(np.conj(shape) @ along) / float(np.sum(np.abs(shape) ** 2))
         result.append(Mode(complex(poles[i]), size, damping, shares, shape, dofs))
     return tuple(result)
-
-
-def _family(state: str) -> str:
-    for family, starts in _FAMILIES.items():
-        if state.startswith(starts):
-            return family
-    raise InputError(f"system: its state {state!r} is none of a linearised plant")
-
-
-def _dof_shares(
-    shape: NDArray[np.complex128], jacobian: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
-    if jacobian is None or not shape.any():
-        return np.full(6, np.nan)
-    parts = jacobian * np.linalg.solve(jacobian, shape)
-    return np.real(np.conj(shape) @ parts) / float(np.sum(np.abs(shape) ** 2))
 
 
 _FREQUENCY = np.geomspace(2.0, 100.0, 4000)

@@ -154,23 +154,48 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float
     >>> 1.96 < 1.0 / peak_bound(loop) <= 2.0
     True
     """
-    _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)
-    a = loop.a / scale[:, None] * scale * np.exp(-1j * turn)
-    b, c = loop.b / scale[:, None] * np.exp(-1j * turn), loop.c * scale
-    one, poles = np.eye(len(a)), np.linalg.eigvals(a)
+    cover = _Cover(loop, turn, least)
+    bottom, top = cover.width(0.0), float(np.abs(cover.poles).max()) / _NARROW
+    begin, end = cover.raised(0.0, 0.5 * bottom, bottom)[1], cover.raised(top, 2.0 * top, np.inf)[0]
+    left = [(begin, end)]
+    while left:
+        low, high = left.pop()
+        if high <= low:
+            continue
+        omega = float(np.sqrt(low * high))
+        scaling = cover.known[omega] = cover.best(omega)
+        cover.beta = max(cover.beta * _SLACK ** (len(cover.known) > _MANY), _SLACK * scaling.beta)
+        begin, end = cover.reach(omega, scaling._replace(beta=cover.beta))
+        if min(omega - begin, end - omega) < cover.width(omega):
+            width = cover.width(omega)
+            begin, end = cover.raised(omega - width, omega, omega + width)
+        left += [(low, begin), (end, high)]
+    return cover.beta
 
-    def width(omega: float) -> float:
-        return _NARROW * float(np.abs(1j * omega - poles).min())
 
-    def response(*omegas: float) -> Complex:
+class _Cover:
+    """The ray of a loop, its scalings by frequency, and the beta that they prove."""
+
+    def __init__(self, loop: Uncertain, turn: float, least: float) -> None:
+        _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)
+        self.loop, self.beta, self.known = loop, least, dict[float, Scaling]()
+        self.a = loop.a / scale[:, None] * scale * np.exp(-1j * turn)
+        self.b, self.c = loop.b / scale[:, None] * np.exp(-1j * turn), loop.c * scale
+        self.poles = np.linalg.eigvals(self.a)
+
+    def width(self, omega: float) -> float:
+        return _NARROW * float(np.abs(1j * omega - self.poles).min())
+
+    def response(self, *omegas: float) -> Complex:
         finite = np.array([0.0 if np.isinf(omega) else omega for omega in omegas])
-        moves = c @ np.linalg.solve(1j * finite[:, None, None] * one - a, b[None])
-        return np.asarray(np.isfinite(omegas)[:, None, None] * moves + loop.d)
+        inside = 1j * finite[:, None, None] * np.eye(len(self.a)) - self.a
+        moves = self.c @ np.linalg.solve(inside, self.b[None])
+        return np.asarray(np.isfinite(omegas)[:, None, None] * moves + self.loop.d)
 
-    def reach(omega: float, scaling: Scaling) -> tuple[float, float]:
+    def reach(self, omega: float, scaling: Scaling) -> tuple[float, float]:
         """The interval about a frequency on which the scaling proves its beta."""
-        t, inverse = scaling.t, np.linalg.inv(scaling.t)
-        bs, cs, ds = b @ inverse, t @ c, t @ loop.d @ inverse
+        t, inverse, a = scaling.t, np.linalg.inv(scaling.t), self.a
+        bs, cs, ds = self.b @ inverse, t @ self.c, t @ self.loop.d @ inverse
         r = _gain(ds, scaling.s) - scaling.beta**2 * np.eye(len(ds))
         s = cs.conj().T @ ds - 1j * cs.conj().T @ scaling.s
         inside = np.linalg.solve(r, np.hstack([s.conj().T, bs.conj().T]))
@@ -184,51 +209,33 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float
         below = [omega, *crossing[crossing <= omega][::-1], 0.0]
         ends = [omega, omega]
         for i, side in enumerate((below, above)):
-            for near, far in pairwise(side):
+            for start, far in pairwise(side):
                 sure = far if far in (0.0, np.inf) else omega + _SURE * (far - omega)
-                middle = 2.0 * near if np.isinf(far) else 0.5 * (near + far)
-                if largest(response(middle, sure), scaling) > scaling.beta**2:
+                middle = 2.0 * start if np.isinf(far) else 0.5 * (start + far)
+                if largest(self.response(middle, sure), scaling) > scaling.beta**2:
                     break
                 ends[i] = sure
         return ends[0], ends[1]
 
-    known, beta = dict[float, Scaling](), least
-
-    def best(omega: float, *omegas: float) -> Scaling:
+    def best(self, omega: float, *omegas: float) -> Scaling:
         """Of one frequency or of several about it, from the nearest known and from none."""
-        m, found = response(*(omegas or (omega,))), []
-        others = sorted(known, key=lambda w: abs(np.log(w / omega)))
-        for start in (*(known[w] for w in others[:2]), None):
-            found.append(point_bound(m, loop.sizes, start, _ENOUGH * beta))
-            if found[-1].beta < _GOOD * beta:
+        m, found = self.response(*(omegas or (omega,))), []
+        others = sorted(self.known, key=lambda w: abs(np.log(w / omega)))
+        for start in (*(self.known[w] for w in others[:2]), None):
+            found.append(point_bound(m, self.loop.sizes, start, _ENOUGH * self.beta))
+            if found[-1].beta < _GOOD * self.beta:
                 break
         return min(found, key=lambda one: one.beta)
 
-    def cover(low: float, omega: float, high: float) -> tuple[float, float]:
-        """Raise beta until one scaling serves from low to high."""
-        nonlocal beta
-        scaling = best(omega, low, omega, high)
-        beta = max(beta, _SLACK * scaling.beta)
+    def raised(self, low: float, omega: float, high: float) -> tuple[float, float]:
+        """The interval after beta was raised until one scaling serves from low to high."""
+        scaling = self.best(omega, low, omega, high)
+        self.beta = max(self.beta, _SLACK * scaling.beta)
         while True:
-            begin, end = reach(omega, scaling._replace(beta=beta))
+            begin, end = self.reach(omega, scaling._replace(beta=self.beta))
             if begin <= low and high <= end:
                 return begin, end
-            beta *= _SLACK
-
-    bottom, top = width(0.0), float(np.abs(poles).max()) / _NARROW
-    left = [(cover(0.0, 0.5 * bottom, bottom)[1], cover(top, 2.0 * top, np.inf)[0])]
-    while left:
-        low, high = left.pop()
-        if high <= low:
-            continue
-        omega = float(np.sqrt(low * high))
-        known[omega] = best(omega)
-        beta = max(beta * _SLACK ** (len(known) > _MANY), _SLACK * known[omega].beta)
-        begin, end = reach(omega, known[omega]._replace(beta=beta))
-        if min(omega - begin, end - omega) < width(omega):
-            begin, end = cover(omega - width(omega), omega, omega + width(omega))
-        left += [(low, begin), (end, high)]
-    return beta
+            self.beta *= _SLACK
 
 
 def _adjoint(m: Complex) -> Complex:

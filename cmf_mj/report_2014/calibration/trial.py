@@ -18,10 +18,8 @@ from pydantic import Field, model_validator
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.poles import leg_model
-from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
+from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop, step_metrics
 from cmf_mj.analysis.published import Published, published_results
-from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
@@ -209,7 +207,7 @@ def linear_results(
     """
     linear = Linear(plant_of(study, values))
     if study.plant == "single_legs":
-        leg = leg_model(linear.system, 1)
+        leg = linear.model("leg_1")
         loops = {name: closed_loop(law_of(study, name, values), leg) for name in laws}
     else:
         loops = {name: linear.loop(law_of(study, name, values), "heave") for name in laws}

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.linear.poles import dof_model, limit_cycle
+from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.facility.unknowns import Unknown, Unknowns
@@ -137,7 +137,7 @@ def predictions(linear: Linear, heave: Mapping[str, Measures]) -> dict[str, floa
     stated = {
         f"{law}_{field}": float(getattr(heave[law], field)) for _, law in ROWS for field in _FIELDS
     }
-    model = dof_model(linear.system, linear.plant, linear.pose, "heave")
+    model = linear.model("heave")
     response = control.frequency_response(model, 2.0 * np.pi * _LINES).frdata[1, 0]
     features = _fit_features(response, model.poles())
     return stated | dict(zip(_FIT_NAMES, features, strict=True))

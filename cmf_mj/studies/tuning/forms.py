@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.binding import modes_of_cab, nominal_modes
+from cmf_mj.analysis.modes import modes_of_cab, nominal_modes
 from cmf_mj.control.coordinates import Modes
 from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law

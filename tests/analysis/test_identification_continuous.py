@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from identified_systems import RATE, SIXTH, lag, noisy, pair, series
 
-from cmf_mj.analysis.identification.arx import arx
 from cmf_mj.analysis.identification.continuous import fit_response, in_field_units, to_continuous
-from cmf_mj.analysis.identification.refinement import output_error
+from cmf_mj.analysis.identification.estimation import arx, output_error
 
 FREQUENCY = np.linspace(0.1, 16.0, 160)
 LEG = lag(3.0) * pair(11.0, 0.11) * control.tf([1.0 / 1.2, 1.0], [1.0 / 1.1, 1.0])
@@ -51,7 +50,7 @@ def test_band_limited_model_becomes_the_continuous_one() -> None:
     u[band] = np.exp(2j * np.pi * rng.uniform(size=int(band.sum())))
     y = u * control.frequency_response(SIXTH, 2.0 * np.pi * line).frdata[0, 0]
     run = series(np.fft.irfft(u), np.fft.irfft(y))
-    model = output_error(run, (6, 7, 0), start=arx(run, (6, 7, 0)))
+    model = output_error(run, (6, 7, 0))
     inside = (FREQUENCY > 0.2) & (FREQUENCY < 10.0)
     expected = true(SIXTH)[inside]
     fitted = to_continuous(model).rational

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.spectra import DRIVEN, NEIGHBOURS, Complex, Estimate, Real
+from cmf_mj.analysis import spectra
+from cmf_mj.analysis.spectra import DRIVEN, NEIGHBOURS, Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
 
@@ -39,7 +39,7 @@ def fit_sines(values: ArrayLike, angle: ArrayLike, *, drift: bool = False) -> Si
 
 
 def periodic_response(
-    x: ArrayLike, y: ArrayLike, rate: float, period: float, *, lines: ArrayLike | None = None
+    x: ArrayLike, y: ArrayLike, rate: float, period: float, lines: NDArray[np.int64]
 ) -> Estimate:
     """Response to a periodic input, averaged over whole periods but the first: no leakage.
 
@@ -47,17 +47,15 @@ def periodic_response(
     ed., chapter 4). With G_p of period p, var = sum_p |G_p - G|^2 / (P (P - 1)).
 
     x and y are (N,). `period` [s] is a whole number of samples; a rest of the record is ignored.
-    `lines` are the driven multiples of 1 / `period`, (K,); default those on which the input has
-    more than `DRIVEN` of its largest amplitude. State them where the input was measured.
+    `lines` are the driven multiples of 1 / `period`, (K,), ascending.
     """
     spectra_x, spectra_y = (
         spectra.period_spectra(each, rate, period) for each in spectra.as_pair(x, y)
     )
     power = np.mean(np.abs(spectra_x) ** 2, axis=0)
-    chosen = _orders(lines, power.size) if lines is not None else _driven(power)
-    xs, ys = spectra_x[:, chosen], spectra_y[:, chosen]
-    if not np.all(power[chosen] > 0.0):
-        raise InputError(f"lines: {chosen[power[chosen] == 0.0][0]} holds no input")
+    xs, ys = spectra_x[:, lines], spectra_y[:, lines]
+    if not np.all(power[lines] > 0.0):
+        raise InputError(f"lines: {lines[power[lines] == 0.0][0]} holds no input")
     periods = xs.shape[0]
     power_x = np.mean(np.abs(xs) ** 2, axis=0)
     response = np.mean(np.conj(xs) * ys, axis=0) / power_x
@@ -65,35 +63,31 @@ def periodic_response(
     noise = squares / (periods * (periods - 1)) if periods > 1 else np.full_like(squares, np.nan)
     cross = np.abs(np.mean(np.conj(xs) * ys, axis=0)) ** 2
     return Estimate(
-        chosen / period,
+        lines / period,
         response,
-        spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=0)),
+        spectra.share_of(cross, power[lines] * np.mean(np.abs(ys) ** 2, axis=0)),
         spectra.confidence_radius(noise, periods - 1.0),
-        np.full(chosen.size, float(periods)),
+        np.full(lines.size, float(periods)),
     )
 
 
-def sine_response(
-    x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike, *, settle: float = 0.0
-) -> Estimate:
+def sine_response(x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike) -> Estimate:
     """Response at the frequency of a sine, or of several in one run, by least squares.
 
     A constant, the sines and their harmonics up to the third are fitted at once to whole cycles of
     the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a line
     is the mean power of the residual on the `NEIGHBOURS` lines about it.
 
-    x and y are (N,), `frequency` [Hz] a number or (K,), `settle` the time to drop before the first
-    cycle [s]. Raises `InputError` for frequencies out of range or too close, no whole cycle, no
-    input at one of them.
+    x and y are (N,) in steady state, `frequency` [Hz] a number or (K,). Raises `InputError` for
+    frequencies out of range or too close, no whole cycle, no input at one of them.
     """
     xs, ys = spectra.as_pair(x, y)
     chosen = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
     if chosen.size == 0 or not (chosen[0] > 0.0 and chosen[-1] < 0.5 * rate):
         raise InputError(f"frequency: {chosen} Hz; allowed: above 0 and below {0.5 * rate} Hz")
-    begin = round(settle * rate)
-    cycles = int((xs.size - begin) * chosen[0] / rate + 1e-9)
+    cycles = int(xs.size * chosen[0] / rate + 1e-9)
     if cycles < 1:
-        raise InputError(f"frequency: no whole cycle of {chosen[0]} Hz after settle, {settle} s")
+        raise InputError(f"frequency: no whole cycle of {chosen[0]} Hz in {xs.size} samples")
     size = round(cycles * rate / chosen[0])
     resolution = rate / size
     if chosen.size > 1 and np.diff(chosen).min() < 0.9 * resolution:
@@ -102,7 +96,7 @@ def sine_response(
         )
     sines = _with_harmonics(chosen, resolution, 0.5 * rate)
     angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
-    both = np.column_stack([xs, ys])[begin : begin + size]
+    both = np.column_stack([xs, ys])[:size]
     fit = fit_sines(both, angle)
     tones = fit.amplitude[: chosen.size]
     amplitude = np.abs(tones[:, 0])
@@ -120,23 +114,6 @@ def sine_response(
         spectra.confidence_radius(noise, count),
         count + 1.0,
     )
-
-
-def _driven(power: Real) -> NDArray[np.intp]:
-    inner = np.concatenate([[0.0], power[1:]])
-    lines = np.flatnonzero(inner > DRIVEN**2 * inner.max())
-    if lines.size == 0:
-        raise InputError("x: no line is driven; the input does not move")
-    return lines
-
-
-def _orders(lines: ArrayLike, size: int) -> NDArray[np.intp]:
-    orders = np.asarray(lines)
-    if orders.ndim != 1 or orders.size == 0 or not np.issubdtype(orders.dtype, np.integer):
-        raise InputError(f"lines: {lines!r} must be a list of whole numbers")
-    if orders.min() < 1 or orders.max() >= size:
-        raise InputError(f"lines: {orders.min()} to {orders.max()}; allowed: 1 to {size - 1}")
-    return np.sort(orders)
 
 
 def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
@@ -183,7 +160,7 @@ def matrix_response(
     power[0] = 0.0
     driven = power > DRIVEN**2 * power.max(axis=0)
     frequency = np.arange(power.shape[0]) / period
-    chosen = spectra.within(frequency, band, 0.5 / period) & driven.any(axis=1)
+    chosen = spectra.lines_within(frequency, band, 0.5 / period) & driven.any(axis=1)
     frequency, driven = frequency[chosen], driven[chosen]
     spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
     if frequency.size == 0:
@@ -209,26 +186,17 @@ def matrix_response(
 def stitch(estimates: Sequence[Estimate]) -> Estimate:
     """Join the lines of several rounds in order of frequency.
 
-    Of a line that several rounds measured, that of the highest coherence stays, in a matrix the
-    highest mean coherence. Rounds of different shapes are refused.
+    Of a line that several rounds measured, that of the highest coherence stays.
     """
-    rounds = list(estimates)
-    if not rounds:
-        raise InputError("estimates: none given; at least one is needed")
-    shapes = {estimate.response.shape[1:] for estimate in rounds}
-    if len(shapes) > 1:
-        raise InputError(f"estimates: shapes a line {sorted(shapes)}; must be the same")
-    frequency = np.concatenate([estimate.frequency for estimate in rounds])
-    coherence = np.concatenate([estimate.coherence for estimate in rounds])
-    rank = coherence.reshape(frequency.size, -1).mean(axis=1)
+    frequency = np.concatenate([estimate.frequency for estimate in estimates])
+    rank = np.concatenate([estimate.coherence for estimate in estimates])
     kept: list[int] = []
     for i in np.argsort(frequency, kind="stable"):
         if kept and np.isclose(frequency[i], frequency[kept[-1]], rtol=1e-6, atol=0.0):
             kept[-1] = int(i) if rank[i] > rank[kept[-1]] else kept[-1]
         else:
             kept.append(int(i))
-
-    return Estimate(*(np.concatenate(part)[kept] for part in zip(*rounds, strict=True)))
+    return Estimate(*(np.concatenate(part)[kept] for part in zip(*estimates, strict=True)))
 
 
 def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:

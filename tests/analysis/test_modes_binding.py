@@ -7,15 +7,15 @@ import pytest
 
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.modes import bound
 from cmf_mj.control.coordinates import make_shape, mode_mass
 from cmf_mj.control.law import Law
+from cmf_mj.core.settings import validated
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine.cab import load_cab, recorded_cab
 from cmf_mj.record.record import Record
-from cmf_mj.report_2014.calibration.trial import law_of
 
 MODAL = load_law("modal_plan")
 HEAVY = load_cab("ifd").changed("heavy", mass=14e3, centre_of_mass=(0.2, 0.1, 1.1))
@@ -73,7 +73,8 @@ def test_a_run_says_which_cab_it_was(run: Record, tmp_path: Path) -> None:
     again = Record.load(run.save(tmp_path / "run.parquet"))
     assert again.metadata["cab"] == "heavy"
     assert recorded_cab(again.metadata) == HEAVY
-    assert law_of(again).modes == bound(MODAL, HEAVY).modes
+    recorded = validated(Law, again.metadata["law_parameters"], "law_parameters")
+    assert recorded.modes == bound(MODAL, HEAVY).modes
     assert recorded_cab({"cab": "rfd"}) == load_cab("rfd")
     assert recorded_cab({}) is None
 

@@ -22,15 +22,15 @@ from cmf_mj.analysis.frequency_response import (
     line_bandwidths,
     matrix_frequency_response,
 )
-from cmf_mj.analysis.identification.arx import arx, plant_response, simulation_fit
 from cmf_mj.analysis.identification.continuous import (
     fit_response,
     in_field_units,
     loop_errors,
     to_continuous,
 )
-from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
+from cmf_mj.analysis.identification.data import experiment, plant_response
+from cmf_mj.analysis.identification.estimation import arx, output_error
+from cmf_mj.analysis.identification.model import simulation_fit
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.models import hardware_velocity
@@ -74,7 +74,7 @@ def records(legs: SingleLegs) -> Mapping[str, Record]:
     }
 
 
-@pytest.mark.parametrize("method", [arx, instrumental_variable, output_error])
+@pytest.mark.parametrize("method", [arx, output_error])
 @pytest.mark.parametrize("kind", ["multisine", "chirp", "noise", "pulse"])
 def test_closed_loop_of_the_identified_single_leg_has_its_bandwidth(
     records: Mapping[str, Record], measured: FrequencyResponse, kind: str, method

@@ -3,31 +3,19 @@
 from functools import cache
 from typing import Any
 
-import control
 import numpy as np
 import pytest
-from followed_commands import record_of
+from followed_commands import answer, record_of, second_order
 from numpy.typing import NDArray
-from scipy import optimize, signal
+from scipy import optimize
 
 from cmf_mj import Record, signals, step_metrics
-from cmf_mj.analysis.step_response import damping_from_overshoot, resonant_damping
+from cmf_mj.analysis.measures import damping_from_overshoot, resonant_damping
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
 STEP = -0.0254
 """The report's 1 in heave step [m], upwards."""
-
-
-def response(command: signals.Command, system: control.TransferFunction) -> NDArray[np.float64]:
-    """Pose history (N, 6) of `system` in every degree of freedom; exact for steps (hold)."""
-    sampled = control.sample_system(system, 1 / RATE, method="zoh")
-    return signal.lfilter(sampled.num[0][0], sampled.den[0][0], command.pose, axis=0)
-
-
-def second_order(zeta: float, hertz: float, gain: float = 1.0) -> control.TransferFunction:
-    omega = 2 * np.pi * hertz
-    return control.tf([gain * omega**2], [1.0, 2 * zeta * omega, omega**2])
 
 
 @cache
@@ -42,7 +30,7 @@ def stepped(
 ) -> Record:
     """The response to a step at 1 s of 8 s, at 256 Hz by default."""
     command = signals.step(dof, amplitude, at=1.0, duration=8.0)
-    return record_of(command, response(command, second_order(zeta, hertz, gain)), every)
+    return record_of(command, answer(command, second_order(zeta, hertz, gain)), every)
 
 
 def unit_step(time: NDArray[np.float64] | float, zeta: float, hertz: float) -> Any:
@@ -137,7 +125,7 @@ def test_rise_and_settling_times_are_those_of_the_formula(zeta: float, hertz: fl
 def test_a_sparser_record_gives_the_same_measures() -> None:
     """One frame in eight: times to 1/256 s, peak to (pi 2.5 Hz / 256)^2 / 2 of the ringing."""
     command = signals.step("heave", STEP, at=1.0, duration=8.0)
-    feedback = response(command, second_order(0.4, 2.5))
+    feedback = answer(command, second_order(0.4, 2.5))
     full = step_metrics(record_of(command, feedback))
     sparse = step_metrics(record_of(command, feedback, every=8))
     assert sparse.overshoot == pytest.approx(full.overshoot, abs=1e-3)
@@ -150,7 +138,7 @@ def test_a_sparser_record_gives_the_same_measures() -> None:
 def test_a_standing_offset_before_the_step_does_not_count() -> None:
     """Measures start from the rest before the step, wherever that is. 1e-9: Newton's tolerance."""
     command = signals.step("heave", STEP, at=1.0, duration=8.0)
-    feedback = response(command, second_order(0.4, 2.5))
+    feedback = answer(command, second_order(0.4, 2.5))
     plain = step_metrics(record_of(command, feedback, 8))
     offset = np.zeros(6)
     offset[DOFS.index("heave")] = 0.003
@@ -219,7 +207,7 @@ def test_a_ring_that_no_platform_motion_has_is_seen() -> None:
     """The verdict is on the legs: a ring in surge spoils the verdict of a heave step, whose own
     measures stay clean."""
     command = signals.step("heave", STEP, at=1.0, duration=8.0)
-    feedback = response(command, second_order(0.5, 3.0))
+    feedback = answer(command, second_order(0.5, 3.0))
     clean = step_metrics(record_of(command, feedback, 8))
     time = np.arange(command.pose.shape[0]) / RATE
     feedback[:, DOFS.index("surge")] += 0.005 * np.sin(2 * np.pi * 5.0 * time)
@@ -247,7 +235,7 @@ def test_a_limit_cycle_is_seen_in_the_shortest_record_accepted() -> None:
     on swinging by 20 % of the step is unstable in any record long enough to be measured."""
     for seconds in np.arange(2.0, 8.0, 0.25):
         command = signals.step("heave", STEP, at=1.0, duration=1.0 + float(seconds))
-        feedback = response(command, second_order(0.6, 3.0))
+        feedback = answer(command, second_order(0.6, 3.0))
         time = np.arange(command.pose.shape[0]) / RATE
         feedback[:, DOFS.index("heave")] += 0.1 * STEP * np.sin(2 * np.pi * 5.0 * time)
         try:

@@ -1,6 +1,6 @@
-"""Equation-error least squares (ARX) and the choice of its orders.
+"""Least squares (ARX) with the choice of its orders, and output error, free of ARX's bias.
 
-Each row of the model is linear in its parameters (Eq 4.10),
+Each row of an ARX model is linear in its parameters (Eq 4.10),
 
     y[k] = phi[k] theta + e[k],   phi = (-y[k-1] .. -y[k-na], u_j[k-nk] .. u_j[k-nk-nb+1])
 
@@ -10,7 +10,16 @@ and is solved by QR of the regressors of all experiments together, each scaled t
 
 Consistent where the noise really enters as A y = B u + e. Noise on a motion sensor enters as
 y = B/A u + v: the past outputs in phi then hold the noise, and poles are biased towards more
-damping. `output_error` and `instrumental_variable` are free of that.
+damping. Output error is free of that: it minimises the simulation error over all experiments,
+
+    sum_k (y[k] - sum_j B_j(q)/A(q) u_j[k] - free response)^2
+
+by Gauss-Newton steps in a trust region (`scipy.optimize.least_squares`), with the exact Jacobian
+dy/da_i = -q^-i yhat / A, dy/db = q^-l u / A, every column scaled. The initial state of every run is
+one of the unknowns; it is linear and taken out at each step. The start is ARX on series
+filtered by 1/A of ARX (K. Steiglitz and L. McBride, IEEE Trans. Automatic Control 10 (1965)
+461-464). Consistent for noise v of any colour
+that the inputs do not know; where a law feeds it back to the valves they do, and v must be white.
 
 Orders: with V the mean square of e over the samples that every candidate explains,
 
@@ -22,143 +31,26 @@ fit shows which order gains by it.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import product
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import linalg, signal, stats
+from scipy import linalg, optimize, signal
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
-from cmf_mj.analysis.identification.data import Experiment, Real, experiment
-from cmf_mj.analysis.identification.model import FittedRow, Orders, PolynomialModel, from_rows
+from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.model import (
+    STABILITY,
+    FittedRow,
+    Orders,
+    PolynomialModel,
+    from_rows,
+    simulation_fit,
+)
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.record.record import Record
 
-CONFIDENCE = 0.99
-"""Probability of the bounds of a right model."""
-
-
-def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
-    """Fit of each output (ny,) in per cent: 100 is perfect, 0 no better than the mean.
-
-    A model that leaves the finite numbers has -inf; an output that does not move is refused.
-    """
-    y, model = np.asarray(measured, dtype=float), np.asarray(modelled, dtype=float)
-    if y.shape != model.shape:
-        raise InputError(f"modelled: shape is {model.shape}; measured has {y.shape}")
-    y, model = (x[:, None] if x.ndim == 1 else x for x in (y, model))
-    spread = np.linalg.norm(y - y.mean(axis=0), axis=0)
-    if not (spread > 0.0).all():
-        raise InputError("measured: an output does not move; a fit to it is not defined")
-    with np.errstate(over="ignore", invalid="ignore"):
-        missed = np.linalg.norm(y - model, axis=0) / spread
-    return np.asarray(100.0 * (1.0 - np.where(np.isnan(missed), np.inf, missed)))
-
-
-def simulated(model: PolynomialModel, experiment: Experiment) -> Real:
-    """Outputs (N, ny) of the model, driven by the inputs alone.
-
-    The initial state of every row is fitted to the measured output by least squares, as `compare`
-    does; `PolynomialModel.simulate` begins at rest.
-    """
-    model.check(experiment)
-    outputs = model.simulate(experiment.input)
-    for row in range(model.outputs):
-        free = model.free_responses(row, experiment.samples)
-        missing = experiment.output[:, row] - outputs[:, row]
-        if np.isfinite(free).all() and np.isfinite(missing).all():
-            outputs[:, row] += free @ np.linalg.lstsq(free, missing, rcond=None)[0]
-    return outputs
-
-
-def simulation_fit(model: PolynomialModel, experiment: Experiment) -> Real:
-    """Fit of each output (ny,) of the simulated model in per cent."""
-    return fit_percentage(experiment.output, simulated(model, experiment))
-
-
-def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
-    """What the model leaves of the outputs, (N - lag, ny): e (`equation`) or v (`output`)."""
-    modelled = simulated if model.noise == "output" else PolynomialModel.predicted
-    return (experiment.output - modelled(model, experiment))[model.orders.lag :]
-
-
-class Residuals(NamedTuple):
-    """Correlations of the residual of one output, with the bounds of a right model."""
-
-    lags: Real  #: 0 to the largest [samples], (L,).
-    auto: Real  #: R_ee / R_ee(0), (L,).
-    auto_bound: float
-    cross: Real  #: R_eu / sqrt(R_ee(0) R_uu(0)) for each input, (nu, L).
-    cross_bound: Real  #: (nu,).
-
-    @property
-    def cross_outside(self) -> Real:
-        """Share of the lags at which the cross-correlation exceeds its bound, (nu,)."""
-        return np.asarray(np.mean(np.abs(self.cross) > self.cross_bound[:, None], axis=1))
-
-
-def residual_analysis(
-    model: PolynomialModel, experiment: Experiment, *, lags: int = 40
-) -> Residuals:
-    """Correlate the residuals of a model's first output with themselves and with the inputs."""
-    e = residuals(model, experiment)[:, 0]
-    if not 1 <= lags < e.size:
-        raise InputError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
-    u = experiment.input[model.orders.lag :]
-    e, u = e - e.mean(), u - u.mean(axis=0)
-    size = float(np.sqrt(np.mean(e**2)))
-    if size == 0.0:
-        raise InputError("experiment: the residuals are zero; they have no correlation")
-    e = e / size
-    u = u / np.sqrt(np.mean(u**2, axis=0))
-    auto = _correlation(e, e, lags)
-    point = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
-    drives = [_correlation(column, column, lags) for column in u.T]
-    spread = np.array([1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])) for drive in drives])
-    return Residuals(
-        np.arange(lags + 1.0),
-        auto,
-        point / np.sqrt(e.size),
-        np.stack([_correlation(e, column, lags) for column in u.T]),
-        point * np.sqrt(np.clip(spread, 0.0, None) / e.size),
-    )
-
-
-def _correlation(a: Real, b: Real, lags: int) -> Real:
-    """mean(a[k] b[k-l]) for l = 0 .. lags."""
-    full = signal.correlate(a, b, mode="full", method="fft") / a.size
-    return np.asarray(full[b.size - 1 : b.size + lags])
-
-
-RATE = 128.0
-"""Sampling rate of the analysis [Hz], the facility recorder's."""
-
-
-def plant_response(record: Record, axis: str) -> FrequencyResponse:
-    """Response from the command at the valve to leg velocity along a leg or degree of freedom.
-
-    The record is of a chirp, noise or multisine along the axis, surge to yaw or leg_1 and so on.
-    Lines lie in the band of the excitation, in SI per full command; the coherence is the lesser of
-    reference to input and reference to output. Raises `InputError` without excitation.
-    """
-    # The analysis rate, or the record's where it is lower or no multiple.
-    factor = record.rate / RATE
-    rate = RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
-    series = experiment(record, axis, rate=rate)
-    if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
-        raise InputError(f"axis: the record holds no demand in {axis}")
-    to_input, to_output = (
-        excited_response(series.reference[:, 0], values[:, 0], series.rate, record.signal)
-        for values in (series.input, series.output)
-    )
-    response = to_output.response / to_input.response
-    shares = [each.radius / np.abs(each.response) for each in (to_output, to_input)]
-    coherence = np.minimum(to_input.coherence, to_output.coherence)
-    bound = (shares[0] + shares[1]) * np.abs(response)
-    names = {"inputs": list(series.input_names), "outputs": list(series.output_names)}
-    return FrequencyResponse(response, 2.0 * np.pi * to_input.frequency, coherence, bound, **names)
-
+_EVALUATIONS = 200
+"""Most simulations of a row."""
 
 Criterion = Literal["aic", "bic", "validation"]
 
@@ -328,3 +220,86 @@ def select_orders(
         aic, bic = float(misfit + 2.0 * count * len(factors)), float(misfit + count * penalty)
         candidates.append(Candidate(orders, count * len(factors), loss, aic, bic, fit, stable))
     return Selection(tuple(candidates))
+
+
+def output_error(
+    experiments: Experiment | Sequence[Experiment], orders: Orders | tuple[int, int, int]
+) -> PolynomialModel:
+    """Fit an output-error model to one or several experiments.
+
+    Poles of the ARX start outside the unit circle are reflected first and listed in the result's
+    `reflected`; the fit stays stable. A search that has not ended is marked by the result's
+    `converged`. Raises `InputError` as `arx`.
+    """
+    runs = as_experiments(experiments)
+    begin = arx(runs, orders).stabilised()
+    rows = [_OutputError(runs, begin, row).solve() for row in range(begin.outputs)]
+    samples = sum(run.samples for run in runs)
+    made = from_rows(begin.orders, rows, runs[0], method="oe", samples=samples)
+    return replace(made, reflected=begin.reflected)
+
+
+def _filtered(a: Real, series: Real) -> Real:
+    """Series (N, ...) filtered by 1/A."""
+    return np.asarray(signal.lfilter([1.0], a, series, axis=0))
+
+
+class _OutputError:
+    """The simulation error of one row and its Jacobian."""
+
+    def __init__(self, runs: list[Experiment], start: PolynomialModel, row: int) -> None:
+        self.runs, self.orders, self.row = runs, start.orders, row
+        self.size = float(np.sqrt(np.mean(np.concatenate([r.output[:, row] for r in runs]) ** 2)))
+        # Least squares on series filtered by 1/A is nearer to the simulation error.
+        a = start.denominators[row]
+        seen = [
+            replace(r, input=_filtered(a, r.input), output=_filtered(a, r.output)) for r in runs
+        ]
+        factor = _factor(seen, row, self.orders, self.orders.lag)
+        theta = _solve(factor, np.arange(factor.triangle.shape[1] - 1))[0].parameters
+        self.first = self._model(theta).stabilised().parameters()
+
+    def _model(self, theta: Real) -> PolynomialModel:
+        """The model of this row, of which nothing but the parameters is known."""
+        row = FittedRow(theta, np.full((theta.size, theta.size), np.nan), np.nan)
+        return from_rows(self.orders, [row], self.runs[0], method="oe", samples=0)
+
+    def errors(self, theta: Real) -> Real:
+        """Scaled simulation errors of all runs; infinite where a pole is outside."""
+        model = self._model(theta)
+        if np.abs(np.roots(model.denominators[0])).max() > 1.0 + STABILITY:
+            return np.full(sum(run.samples for run in self.runs), np.inf)
+        return np.concatenate([self._one(model, run, jacobian=False) for run in self.runs])
+
+    def jacobian(self, theta: Real) -> Real:
+        model = self._model(theta)
+        return np.concatenate([self._one(model, run, jacobian=True) for run in self.runs])
+
+    def _one(self, model: PolynomialModel, run: Experiment, *, jacobian: bool) -> Real:
+        """Of one run, with its best initial state, or the Jacobian of that (Kaufman's form)."""
+        a = model.denominators[0]
+        free, _ = np.linalg.qr(model.free_responses(0, run.samples))
+        y = model.simulate(run.input)[:, 0]
+        missing = run.output[:, self.row] - y
+        start = free @ (free.T @ missing)
+        if not jacobian:
+            return np.asarray((missing - start) / self.size)
+        lag = model.orders.lag
+        back = np.pad(_filtered(a, y + start), (lag, 0))
+        drives = np.pad(_filtered(a, run.input), ((lag, 0), (0, 0)))
+        slope = regressors(back, drives, model.orders, lag)
+        return np.asarray((free @ (free.T @ slope) - slope) / self.size)
+
+    def solve(self) -> FittedRow:
+        how: dict[str, Any] = {"method": "trf", "x_scale": "jac", "max_nfev": _EVALUATIONS}
+        how |= {"ftol": 1e-8, "xtol": 1e-9, "gtol": 1e-9}
+        fit = optimize.least_squares(self.errors, self.first, self.jacobian, **how)
+        states = self.orders.na * len(self.runs)
+        freedom = fit.fun.size - fit.x.size - states
+        variance = 2.0 * float(fit.cost) / freedom
+        scale = np.linalg.norm(fit.jac, axis=0)
+        r = np.linalg.qr(fit.jac / scale, mode="r")
+        half = linalg.solve_triangular(r, np.eye(scale.size)) / scale[:, None]
+        return FittedRow(
+            fit.x, variance * (half @ half.T), variance * self.size**2, bool(fit.success)
+        )

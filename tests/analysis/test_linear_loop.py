@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
-from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
+from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space, loop_response
+from cmf_mj.analysis.linear.plants import FEEDBACK, UnitTransferFunction, leg_plant
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Gains, Law, ReferenceModel, law_names, load_law

@@ -18,9 +18,9 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.operating_point import linear_mechanics, operating_point
-from cmf_mj.analysis.linear.poles import dof_model, leg_model, modes, reduced
+from cmf_mj.analysis.linear.poles import leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
-from cmf_mj.analysis.response.periodic import fit_sines
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
@@ -462,7 +462,7 @@ def test_mean_of_the_slopes_would_not_agree(hexapod: Hexapod) -> None:
 
 def test_reduced_systems_answer_alike(hexapod: Hexapod) -> None:
     system = linearize(hexapod)
-    heave = reduced(dof_model(system, hexapod, None, "heave"), outputs=["heave"])
+    heave = reduced(Linear(hexapod).model("heave"), outputs=["heave"])
     assert heave.nstates < system.nstates
     jacobian_legs = pose_to_legs(np.array([0.0, 0.0, 1e-6, 0.0, 0.0, 0.0])) / 1e-6
     legs = [f"leg_position_{i + 1}" for i in range(6)]
@@ -487,7 +487,7 @@ def test_reduced_systems_answer_alike(hexapod: Hexapod) -> None:
 
 
 def test_modes_name_what_takes_part(hexapod: Hexapod) -> None:
-    result = modes(linearize(hexapod), hexapod)
+    result = Linear(hexapod).modes()
     assert sum(1 if m.pole.imag == 0.0 else 2 for m in result) == linearize(hexapod).nstates
     for mode in result:
         assert sum(mode.shares.values()) == pytest.approx(1.0, abs=1e-9)
@@ -556,7 +556,7 @@ def test_arguments_out_of_range_are_refused(hexapod: Hexapod) -> None:
     with pytest.raises(ValueError, match="outputs: 'speed' is not one of"):
         reduced(system, outputs=["speed"])
     with pytest.raises(ValueError, match="plant: has 1 legs"):
-        dof_model(system, slide(), None, "heave")
+        Linear(slide()).model("heave")
     with pytest.raises(ValueError, match="ratio: -1"):
         outward_share(-1.0)
     with pytest.raises(ValueError, match="system: is discrete"):

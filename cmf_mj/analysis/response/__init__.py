@@ -1,1 +1,0 @@
-"""Frequency responses from sampled inputs and outputs: estimators with honest bounds."""
