@@ -28,7 +28,7 @@ FRAME = 1.0 / 2048.0
 
 def valve_of(drive: float, second: float, time: float = FRAME, **own: float) -> Valve:
     """A valve of given corners whose steps are `time` long, the first stage half of it."""
-    numbers = {"null_bias": 0.0, "overlap": 0.0, "play": 0.0, "threshold": 0.0} | own
+    numbers = {"null_bias": 0.0, "overlap": 0.0, "play": 0.0, "threshold_pressure": 0.0} | own
     halves, whole = lag_weights(drive, second, 0.5 * time), lag_weights(drive, second, time)
     return Valve(*halves, *whole, cap_gain=2.0, rod_gain=1.0, **numbers)
 

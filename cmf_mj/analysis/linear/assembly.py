@@ -142,7 +142,7 @@ def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
         for name in ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
     )
     inverse = np.linalg.inv(mechanics.mass)
-    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous)
+    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous_friction)
     slopes = {
         "position": (position, -inverse @ mechanics.stiffness),
         "speed": (speed, -inverse @ damping),

@@ -5,10 +5,11 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from hydraulic_equations import ATMOSPHERE, areas, content_ratio
+from hydraulic_equations import ATMOSPHERE, areas, content_ratio, oil_content, stored_energy
+from power_balance import power_balance
 from scipy import integrate
 
-from cmf_mj import Hexapod, Record, SingleLegs, signals, simulate
+from cmf_mj import Hexapod, Record, SingleLegs, drive, load_hydraulics, signals, simulate
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import HYDRAULICS
@@ -142,3 +143,66 @@ def test_accumulators_do_the_work_of_their_gas() -> None:
     given = record["energy"][lowest, 1] / p.accumulator_count.value
     assert given == pytest.approx(work, rel=1e-2)
     assert given > 1e4
+
+
+# Pressures and extensions of a record alone, against the state itself
+
+LEVER = np.linspace(0.0, 0.3, 2048)[:, None] * np.array([1.0, -1.0, 0.5, 1.0, 0.0, -0.5])
+
+
+def pressurised(name: str) -> HydraulicParameters:
+    """A set whose tank stands under 50 psi."""
+    parameters = load_hydraulics(name)
+    tank = parameters.return_pressure.model_copy(update={"value": 50.0})
+    return parameters.model_copy(update={"return_pressure": tank})
+
+
+SETS = ["hardware", "lossy", "report", pressurised("hardware"), pressurised("report")]
+
+
+@pytest.mark.parametrize("hydraulics", SETS)
+def test_the_balance_is_that_of_the_hydraulic_state(
+    hydraulics: str | HydraulicParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Same sums from the state that `advance` kept: contents, not pressures."""
+    plant = SingleLegs(hydraulics)
+    kept = []
+    start = plant.start
+    monkeypatch.setattr(plant, "start", lambda pose=None: kept.append(start(pose)) or kept[-1])
+    first = plant.start()
+    begin = (
+        oil_content(plant.hydraulics, first),
+        stored_energy(plant.hydraulics, first, plant.extensions()),
+    )
+    record = drive(plant, LEVER)
+    state = kept[-1]
+    balance = power_balance(plant, record)
+    assert balance.oil[0] == pytest.approx(begin[0], rel=1e-12)
+    assert balance.oil[-1] == pytest.approx(oil_content(plant.hydraulics, state), rel=1e-12)
+    rise = stored_energy(plant.hydraulics, state, plant.extensions()) - begin[1]
+    assert balance.stored[-1] == pytest.approx(rise, rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("hydraulics", SETS)
+def test_nothing_is_left_over(hydraulics: str | HydraulicParameters) -> None:
+    plant = Hexapod(hydraulics=hydraulics)
+    balance = power_balance(plant, drive(plant, LEVER))
+    assert balance.delivered[-1] > 1e4
+    assert np.abs(balance.residual).max() < 1e-3 * balance.delivered[-1]
+    assert balance.oil == pytest.approx(balance.oil[0], rel=1e-6)
+    assert (balance.lost > -1e-6).all()
+    assert balance.work[-1] + balance.stored[-1] == pytest.approx(
+        balance.delivered[-1] - balance.lost[-1], rel=1e-3
+    )
+
+
+def test_a_chamber_torn_open_is_not_a_number() -> None:
+    """Legs let go under a load that pulls: rod chambers empty faster than they fill."""
+    plant = SingleLegs("hardware", static_load=-70e3)
+    lever = np.ones((1024, 6))
+    record = drive(plant, lever)
+    torn = np.minimum(record["cap_pressure"], record["rod_pressure"]).min(axis=1) < 0.0
+    assert 10 < torn.sum() < 1014
+    balance = power_balance(plant, record)
+    assert np.array_equal(np.isnan(balance.oil), torn)
+    assert np.array_equal(np.isnan(balance.residual), torn)
