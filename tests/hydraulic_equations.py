@@ -15,8 +15,7 @@ from cmf_mj.plant.hydraulics import (
     rest,
 )
 from cmf_mj.plant.oil import enthalpy
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE, TANK
 
 FRAME = 1.0 / 2048.0

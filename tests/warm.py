@@ -32,7 +32,7 @@ from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import sense
 from cmf_mj.plant.cylinder import Cylinder, make_cylinders
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
 from tests.control import test_limit_chain as limit_chain
 from tests.control import test_states as operating_states

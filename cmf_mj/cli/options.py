@@ -87,7 +87,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import CMF
-    from cmf_mj.plant.parameters.loading import hydraulics_of
+    from cmf_mj.plant.parameters import hydraulics_of
 
     machine = load_machine(ctx.meta.get(MACHINE, CMF))
     given = ctx.get_parameter_source(field)
@@ -125,7 +125,7 @@ CAMERAS = ("overview", "side", "front")
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
-OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
+OIL, SENSORS = "plant.parameters:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
 MACHINES = "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"

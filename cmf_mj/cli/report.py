@@ -91,7 +91,7 @@ def laws_command() -> None:
 @listing("parameters")
 def parameters_command(hydraulics: options.HydraulicSet = "hardware") -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
-    from cmf_mj.plant.parameters.loading import load_hydraulics
+    from cmf_mj.plant.parameters import load_hydraulics
     from cmf_mj.show.listing import parameter_table
 
     show(parameter_table(load_hydraulics(hydraulics)))

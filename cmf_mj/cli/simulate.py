@@ -204,7 +204,7 @@ def capacity_command(
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
-    from cmf_mj.plant.parameters.loading import load_hydraulics
+    from cmf_mj.plant.parameters import load_hydraulics
     from cmf_mj.show import capacity as report
     from cmf_mj.studies.capacity import envelope as envelopes
     from cmf_mj.studies.capacity.verdict import capacity, manoeuvre

@@ -33,7 +33,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 
 
 class ElectronicsParts(NamedTuple):
@@ -58,7 +58,7 @@ class ElectronicsSettings(Settings):
     seed: Seed | None = None  #: Of the sensors' noise; default that of the scenario, or 0.
 
     def of(self, machine: Machine) -> ElectronicsParts:
-        """All loaded, with the ranges of a machine; see `plant.parameters.loading.fitting`."""
+        """All loaded, with the ranges of a machine; see `plant.parameters.fitting`."""
         fitted = fitting(machine)
         return ElectronicsParts(
             load_sensors(self.sensors, fitted),

@@ -23,7 +23,7 @@ from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.studies.mismatch import Mismatch
 
 ACTIONS = ("pose", "valves", "residual")

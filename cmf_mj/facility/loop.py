@@ -37,7 +37,7 @@ from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Faults, Timeline, strike
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
-from cmf_mj.plant.native import Mechanics, call
+from cmf_mj.plant.native import Stepper, call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
 
@@ -57,7 +57,7 @@ _UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
 class Dynamics(NamedTuple):
     """A plant as the loop steps it, and its state."""
 
-    mechanics: Mechanics
+    mechanics: Stepper
     hydraulics: Hydraulics
     state: HydraulicState
     faults: Faults

@@ -32,7 +32,7 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import Event
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, commanded

@@ -48,7 +48,7 @@ from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 
 RECORD_EVERY = 8

@@ -46,8 +46,7 @@ from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, pilot_station
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.signals.signal import check_positive
 
 TESTS = (

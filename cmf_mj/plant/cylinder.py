@@ -32,7 +32,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.oil import density, make_oil
-from cmf_mj.plant.parameters.hydraulics import (
+from cmf_mj.plant.parameters import (
     HydraulicParameters,
     cap_area,
     piston_leakage,

@@ -18,7 +18,7 @@ import numpy as np
 
 from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 _DAMPING_TIME = 0.005
 """t [s]."""

@@ -35,7 +35,7 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.friction import make_frictions, slide
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
@@ -184,6 +184,30 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
 
 
 @inlined
+def _set_out(state, last, share, least):  # type: ignore[no-untyped-def]
+    """Known contents of a stage, and guesses: pressures go on as over the last step or stage."""
+    stage, network = state.stage, state.supply
+    for leg in range(state.pressure.shape[0]):
+        pair = stage.chambers[leg]
+        cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
+        if last:
+            pair.cap_known += share * (pair.cap_content - pair.cap_known)
+            pair.rod_known += share * (pair.rod_content - pair.rod_known)
+            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
+            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
+        else:
+            pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+            pair.cap = max(cap + _GAMMA * pair.cap_change, least)
+            pair.rod = max(rod + _GAMMA * pair.rod_change, least)
+    for node in range(CONTENTS + 1):
+        if last:
+            stage.known[node] += share * (stage.node[node] - stage.known[node])
+        else:
+            stage.known[node] = network[node]
+            stage.node[node] = network[node]
+
+
+@inlined
 def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignore[no-untyped-def]
     """Add to the energies what a stage passes in its time, over its part of the motion."""
     for i in range(len(FLOWS)):
@@ -225,27 +249,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     converged = True
     for last in (False, True):
         _open(hydraulics, state, faults, last, command, before, after)
-        # Known contents, and guesses: pressures go on changing as over the last step or stage.
-        for leg in range(legs):
-            pair = chambers[leg]
-            cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
-            if last:
-                share = (step - weight) / weight
-                pair.cap_known += share * (pair.cap_content - pair.cap_known)
-                pair.rod_known += share * (pair.rod_content - pair.rod_known)
-                pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
-                pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
-            else:
-                pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-                pair.cap = max(cap + _GAMMA * pair.cap_change, least)
-                pair.rod = max(rod + _GAMMA * pair.rod_change, least)
-        for node in range(CONTENTS + 1):
-            if last:
-                share = (step - weight) / weight
-                stage.known[node] += share * (stage.node[node] - stage.known[node])
-            else:
-                stage.known[node] = network[node]
-                stage.node[node] = network[node]
+        _set_out(state, last, (step - weight) / weight, least)
         solved = solve(
             hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, weight
         )

@@ -21,7 +21,7 @@ import numpy as np
 
 from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 ATMOSPHERE = 101325.0
 """Standard atmosphere [Pa]."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRESSURE, GAS = range(9)
 """State of the supply: contents of both manifolds, oil in one accumulator [m^3], pump flow

@@ -29,7 +29,7 @@ import numpy as np
 from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import density, make_oil
-from cmf_mj.plant.parameters.hydraulics import VALVES, HydraulicParameters, cap_area, rod_area
+from cmf_mj.plant.parameters import VALVES, HydraulicParameters, cap_area, rod_area
 
 NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
 """What a valve obeys: its command, a value put on the spool by a fault, or nothing."""

@@ -19,7 +19,7 @@ from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.show.film.stage import FilmStage
 from cmf_mj.show.look import BLUE, ORANGE, save_figure, stack
 from cmf_mj.studies.machine_check import MachineCheck

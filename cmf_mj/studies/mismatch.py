@@ -27,7 +27,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings, load_sensors
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import (
+from cmf_mj.plant.parameters import (
     ACTUATOR_FIELDS,
     VALVE_FIELDS,
     VALVES,

@@ -28,8 +28,7 @@ from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads
 from cmf_mj.plant.oil import density
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
 from cmf_mj.show.linearization import save_system
 

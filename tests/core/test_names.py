@@ -25,7 +25,7 @@ from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot.cueing.settings import load_washout
 from cmf_mj.plant.attach import attach_hydraulics
-from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
+from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.report_2014.posterior.run import acceleration_law
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.mismatch import with_valve_gains

@@ -13,7 +13,7 @@ from cmf_mj.plant.cylinder import (
     throttled,
     volumes,
 )
-from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
+from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 
 BETA = units.to_si("psi", 100000.0)
 

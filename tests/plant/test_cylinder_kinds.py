@@ -10,7 +10,7 @@ import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.core.settings import validated
 from cmf_mj.plant.attach import attach_hydraulics
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 MASS, GRAVITY = 2000.0, 9.80665

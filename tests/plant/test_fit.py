@@ -13,8 +13,7 @@ from cmf_mj.facility.run import drive
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 
 STILL = np.zeros((4, 6))

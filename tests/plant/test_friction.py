@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate
 
 from cmf_mj.plant.friction import Friction, make_frictions, slide
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 
 LBF, INCH = 0.45359237 * 9.80665, 0.0254
 CONTACT = Friction(600.0, 0.6, 0.003, 1e-4, 500.0)

@@ -30,8 +30,7 @@ from scipy import integrate, optimize
 
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
+from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
 
 CAP = 2
 """First column of the pressures in a row (drive, spool, p_cap, p_rod)."""

@@ -11,8 +11,7 @@ from scipy import integrate
 
 from cmf_mj import Hexapod, Record, SingleLegs, drive, load_hydraulics, signals, simulate
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import HYDRAULICS
+from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 PLANTS = {"hexapod": Hexapod, "single_legs": SingleLegs}

@@ -8,7 +8,7 @@ from cmf_mj import Hexapod, SingleLegs
 from cmf_mj.core import units
 from cmf_mj.facility.run import drive
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 MINUTE = np.zeros((60 * 2048, 6))
 

@@ -30,7 +30,7 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import paired_circles
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.plant.parameters.loading import fitting, hydraulics_of
+from cmf_mj.plant.parameters import fitting, hydraulics_of
 from cmf_mj.plant.single_legs import design_point
 
 GRAVITY = 9.80665

@@ -10,7 +10,7 @@ from scipy import optimize
 from cmf_mj import Hexapod, Record, SingleLegs
 from cmf_mj.facility.run import drive
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 PLANTS = {"hexapod": Hexapod, "single_legs": SingleLegs}

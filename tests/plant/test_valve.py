@@ -17,8 +17,7 @@ from scipy import linalg, signal
 from cmf_mj.core import units
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
+from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
 from cmf_mj.plant.solver import solve
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
 from cmf_mj.plant.valve import Valve, lag_weights, make_valves, opening, orifice, spool

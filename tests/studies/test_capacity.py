@@ -22,7 +22,7 @@ from cmf_mj.control.plan import actuator_polynomial
 from cmf_mj.facility.run import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
 from cmf_mj.studies.capacity.envelope import largest_sine, performance_envelope
 from cmf_mj.studies.capacity.verdict import (

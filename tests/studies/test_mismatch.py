@@ -12,7 +12,7 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.sensors.channel import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies import effects, evaluation
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.mismatch import LIMIT, Mismatch, Spread, with_gain_errors

@@ -27,7 +27,7 @@ from cmf_mj.analysis.linear.law import FEEDBACK, labels
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
-from cmf_mj.plant.parameters.hydraulics import VALVES
+from cmf_mj.plant.parameters import VALVES
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import gas_pressure
 

@@ -17,7 +17,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.machine.kinematics import pose_jacobian
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record

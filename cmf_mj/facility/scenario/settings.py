@@ -32,7 +32,7 @@ from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import MOST_FORCE, Event, Failure
 from cmf_mj.plant.hexapod import make_plant
-from cmf_mj.plant.parameters.loading import hydraulics_of
+from cmf_mj.plant.parameters import hydraulics_of
 from cmf_mj.signals.signal import plain
 
 LEGS = 6  #: Of the machines that a scenario runs.

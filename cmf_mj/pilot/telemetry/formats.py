@@ -40,7 +40,7 @@ from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion, gravity_in_body
 from cmf_mj.pilot.telemetry.check import Telemetry, check
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 Row = tuple[float, ...]
 """Twelve numbers: time, specific force, angular rate, attitude, speed, height; NaN if unknown."""

@@ -28,8 +28,7 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import dof_model, limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
-from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import OF_THE_SUPPLY, HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.studies.case import make_case
 

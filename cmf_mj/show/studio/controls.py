@@ -16,7 +16,7 @@ from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of,
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
-from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
+from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.choices import Knob, knobs, words
 from cmf_mj.show.studio.desk import Desk, by_hand, pick

@@ -32,8 +32,7 @@ from cmf_mj.facility.run import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.peaks import command_limits

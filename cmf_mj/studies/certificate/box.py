@@ -24,7 +24,7 @@ from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine.geometry import DOFS, FLIP
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY
+from cmf_mj.plant.parameters import OF_THE_SUPPLY
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
 from cmf_mj.studies.tuning.search import save_law
 

@@ -94,17 +94,15 @@ def table_of(laws: Mapping[str, Law], cabs: Sequence[LinearCab], seeds: Seeds) -
     return Table("", HEADER, lines)
 
 
-def main() -> None:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--cabs", default=",".join(CABS))
     parser.add_argument("--out", type=Path, default=Path("out/field"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the table."""
     cabs = [linear_cab(Hexapod(cab)) for cab in options.cabs.split(",")]
     table = table_of(variants(), cabs, (None, 1))
     table.save(options.out / "linear.md")
     print(table.markdown())
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accept_law import poses
 
 from cmf_mj import Hexapod, load_hydraulics, load_law
 from cmf_mj.analysis.linear.linear import Linear
@@ -22,11 +21,12 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.studies.case import Case, dof_amplitude, make_case, qualities
 from cmf_mj.studies.mismatch import with_valve_gains
+from law_tables.accept import poses
 
 CAB, SEED = "ifd", 1
 
 CORNERS = (13, 18)
-"""Two of `accept_law.poses`, which lean to opposite sides."""
+"""Two of `accept.poses`, which lean to opposite sides."""
 
 LEG_MODE = 10.9
 """Mode that a law in legs takes all legs to have, that of heave [Hz]."""
@@ -115,14 +115,16 @@ def row(name: str, law: Law, dofs: list[str], jobs: int) -> list[float | str]:
     return [name, *neutral, *corners, worst(found[-1:])[0], share, 100.0 * noise]
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--dofs", default="surge,heave,roll")
     parser.add_argument("--only", default="", help="variants, by how they begin")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("out/modal_plan"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
     only, dofs = tuple(options.only.split(",")), options.dofs.split(",")
     chosen = {name: law for name, law in variants().items() if name.startswith(only)}
     rows = []
@@ -132,7 +134,3 @@ def main() -> None:
     table = Table("", COLUMNS, rows)
     table.save(options.out / "ablation.md")
     print(table.markdown())
-
-
-if __name__ == "__main__":
-    main()

@@ -1,21 +1,24 @@
 """Hydraulic parameters: cylinders, servo-valves, oil, losses and the supply.
 
-The numbers live in `hydraulics.toml`; this module names them, checks them and derives from them.
-A set describes one actuator, which all are equal to unless `actuators` says otherwise, and the
-supply they share. Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk modulus,
-Ps, Pt supply and return pressure.
+The numbers live in `hydraulics.toml`; this module names, checks and loads them. A set describes one
+actuator, which all are equal to unless `actuators` says otherwise, and the supply they share.
+Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk modulus, Ps, Pt supply and
+return pressure.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import create_model, model_validator
 
 from cmf_mj.core import quantity as kind
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.core.settings import Name, Settings
+from cmf_mj.core.settings import Fitting, Loader, Name, Settings, merged, validated
+from cmf_mj.machine.machine import Machine, load_machine
 
 VALVES = ("valve_1", "valve_2")
 """The servo-valves of an actuator; the second passes nothing where there is one."""
@@ -173,11 +176,6 @@ class HydraulicParameters(_Actuator):
         """Ar, annulus on the rod side [m^2]."""
         return rod_area(self.quantities())
 
-    @property
-    def leakage(self) -> float:
-        """Laminar piston leakage L [m^3/s/Pa], see `piston_leakage`."""
-        return piston_leakage(self.quantities())
-
     def quantities(self) -> dict[str, Quantity]:
         """All numbers of the set by name, in the order of the class."""
         return {name: value for name, value in self if isinstance(value, Quantity)}
@@ -221,3 +219,83 @@ def piston_leakage(values: Mapping[str, Quantity]) -> float:
     area = cap_area(values) + rod_area(values)
     rate, half = values["leak_rate"].si, values["half_stroke"].si
     return rate * half * area / (4.0 * values["bulk_modulus"].si)
+
+
+HYDRAULICS = ("report", "hardware", "lossy")
+"""Names of the shipped parameter sets."""
+
+
+load_hydraulics = Loader(
+    HydraulicParameters,
+    Path(__file__).with_name("hydraulics.toml"),
+    what="hydraulics",
+    names=HYDRAULICS,
+    default="hardware",
+    levels=0,
+)
+"""Loads a hydraulic parameter set: `report`, `hardware`, `lossy`, or a file with `base`
+naming one of them and one table of changes."""
+
+
+def hydraulics_of(
+    machine: Machine, source: str | Path | HydraulicParameters | None = None
+) -> HydraulicParameters:
+    """A hydraulic set, by default that of the machine, whose half stroke its cylinders have.
+
+    Raises:
+        InputError: as `load_hydraulics`, or a refused table of the machine.
+    """
+    return _own(machine) if source is None else load_hydraulics(source)
+
+
+@lru_cache
+def _own(machine: Machine) -> HydraulicParameters:
+    if isinstance(machine.hydraulics, str):
+        return load_hydraulics(machine.hydraulics)
+    where, changes = f"{machine.name}: hydraulics", dict(machine.hydraulics)
+    base = load_hydraulics(
+        check_name(f"{where}: base", changes.pop("base", "hardware"), HYDRAULICS)
+    )
+    for field, owner in (("name", "machine"), ("half_stroke", "table legs")):
+        if field in changes:
+            raise InputError(f"{where}: {field}: is taken from the {owner}; leave it out")
+    own = {"name": machine.name, "half_stroke": machine.legs.half_stroke}
+    return validated(
+        HydraulicParameters, merged(base.model_dump(exclude_none=True), changes, 0) | own, where
+    )
+
+
+_LENGTHS, _SPEEDS, _PRESSURES = ("in", "m", "mm"), ("in/s", "m/s", "mm/s"), ("psi", "Pa", "bar")
+
+
+@lru_cache
+def fitting(machine: Machine) -> Fitting | None:
+    """Fits shipped settings, whose numbers are the CMF's, to another machine; None for the CMF.
+
+    Ranges, thresholds, tolerances and noise go with what they belong to: lengths with the half
+    stroke, speeds with the limit of leg velocity, pressures with the supply. All else stays.
+    """
+    own, cmf = (
+        (one.half_stroke, one.limits.leg.velocity.si, hydraulics_of(one).supply_pressure.si)
+        for one in (machine, load_machine())
+    )
+    if own == cmf:
+        return None
+    scale = {
+        unit: mine / its
+        for units, mine, its in zip((_LENGTHS, _SPEEDS, _PRESSURES), own, cmf, strict=True)
+        for unit in units
+    }
+    return partial(_fitted, scale, machine.name)
+
+
+def _fitted(scale: dict[str, float], name: str, table: dict[str, Any]) -> dict[str, Any]:
+    """A table with its quantities in proportion; tables in it likewise."""
+    factor = scale.get(str(table.get("unit", "")).removesuffix("/rtHz"))
+    if factor is not None:
+        source = f"{table['source']}; of the CMF, here in proportion to {name}"
+        return table | {"value": table["value"] * factor, "source": source}
+    return {
+        key: _fitted(scale, name, entry) if isinstance(entry, dict) else entry
+        for key, entry in table.items()
+    }

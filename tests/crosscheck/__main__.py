@@ -1,7 +1,7 @@
 """Does another engine compute the same motion? The plant and Exudyn on the same valve commands.
 
 Errors of leg extensions and chamber pressures, and the CPU time, over the mechanical step: table,
-data and figure. Needs the extra `verification`.
+data and figure. Needs the extra `verification`: `python tests/crosscheck --help`.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from pathlib import Path
 from cmf_mj.cli.common import progress_bar, refuse, show, written
 from cmf_mj.core.errors import CmfError, InputError
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CABS
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.signals.single import Chirp
@@ -183,9 +183,8 @@ def pose_of(text: str) -> tuple[float, ...]:
     return tuple(units.to_si(dof_unit(i), v) for i, v in enumerate(values))
 
 
-def main() -> None:
-    """Run the trials."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--laws", default="modal_plan")
     parser.add_argument("--cabs", default=",".join(CABS))
     parser.add_argument("--dofs", default=",".join(DOFS))
@@ -197,7 +196,10 @@ def main() -> None:
     parser.add_argument("--crosstalk", action="store_true", help="measure cross-talk, first seed")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("out/confirm"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the trials."""
     seeds = [int(part) or None for part in options.seeds.split(",")]
     laws = [load_law(name) for name in options.laws.split(",")]
     cabs, electronics = options.cabs.split(","), ElectronicsSettings() if options.noise else None
@@ -248,7 +250,3 @@ def main() -> None:
             rows,
         )
     print(f"{len(outcomes)} trials; written to {options.out}")
-
-
-if __name__ == "__main__":
-    main()

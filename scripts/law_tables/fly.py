@@ -59,14 +59,16 @@ def cycles(law: Law, number: int) -> bool:
     return bool(np.ptp(tail, axis=0).max() > 0.3)
 
 
-def main() -> None:
-    """Fly all laws."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--laws", default="velocity,model_following,modal_plan")
     parser.add_argument("--flights", default=",".join(flight_names()))
     parser.add_argument("--streams", type=int, default=36, help="wild streams")
     parser.add_argument("--out", type=Path, default=Path("out/flights"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Fly all laws."""
     flights = [name for name in options.flights.split(",") if name]
     header = ["law", *flights, "limit cycles"]
     lines = []
@@ -81,7 +83,3 @@ def main() -> None:
     table = Table("", header, lines)
     table.save(options.out / "flights.md")
     print(table.markdown())
-
-
-if __name__ == "__main__":
-    main()

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from cmf_mj.core.hold import advance, history, hold, settled
+from cmf_mj.core.filters import advance, history, hold, settled
 
 SYSTEM = (
     np.array([[0.0, 1.0], [-4.0, -2.4]]),

@@ -34,7 +34,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CABS
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.capacity.asymptotes import asymptotes
 from cmf_mj.studies.case import Case, dof_amplitude, make_case
 from cmf_mj.studies.mismatch import with_valve_gains
@@ -155,15 +155,17 @@ def line_of(group: str, line: str, runs: list[Found]) -> list[str]:
     return [group, line, stable, *cells]
 
 
-def main() -> None:
-    """Run the groups, print each run, and keep `accept.md` true to what has run."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--law", default="modal_plan")
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--quick", action="store_true", help="a part of it, in 30 s chirps")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("out/accept"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the groups, print each run, and keep `accept.md` true to what has run."""
     chosen = options.groups.split(",")
     todo = [one for one in runs(load_law(options.law), options.quick) if one.group in chosen]
     pool = Parallel(n_jobs=options.jobs, backend="threading", return_as="generator")
@@ -182,7 +184,3 @@ def main() -> None:
         rows = [line_of(*key, lines[key]) for key in ordered]
         table = Table("", (*header, "peak [dB]", "overshoot [%]", "zeta"), rows)
         table.save(options.out / "accept.md")
-
-
-if __name__ == "__main__":
-    main()

@@ -211,12 +211,14 @@ def draw(rows: list[list[Any]], gains: Gains, best: list[list[float]]) -> Figure
     return figure
 
 
-def main() -> None:
-    """Measure and draw."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--cab", default="ifd")
     parser.add_argument("--out", type=Path, default=Path("out/stiffness"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure and draw."""
     plant = Hexapod(options.cab, "hardware")
     rows = [point(plant, name, load_law(name)) for name in LAWS]
     own = load_law("modal_plan")
@@ -237,7 +239,3 @@ def main() -> None:
     for row in (*rows, *best):
         print(*row)
     print("modal_plan, one mode:", gains.damping[0], gains.damping_off[0], gains.share[0])
-
-
-if __name__ == "__main__":
-    main()
