@@ -8,7 +8,7 @@ warm start, timers), `headless` what the loop steps. `outside` is the share of a
 that `simulate` spends outside the loop, `speed_up_two_threads` the work done by two threads over
 that of one in the same time, by the clock on the wall. --start adds what a user waits for: import,
 `cmf --help`, and the first comparison with nothing compiled. --exudyn adds the CPU time of the
-open-loop run of `tests/crosscheck` in Exudyn over that of ours: with steps of one frame in both, and
+open-loop run of `tests/crosscheck` in Exudyn over ours: with steps of one frame in both, and
 with steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
 frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
 --many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from operator import and_
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
+from typing import Any, Generic, TypeVar, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -47,9 +47,6 @@ def groups(table: pa.Table, *names: str) -> Iterator[tuple[tuple[Any, ...], pa.T
     for one in sorted(alike, key=lambda one: one[_ROWS][0]):
         yield tuple(one[name] for name in names), table.take(one[_ROWS])
 
-
-if TYPE_CHECKING:
-    import rich.table
 
 Column = Sequence[str]
 """A title alone, for text; or a title and a format, for numbers and what stands at the right."""
@@ -103,7 +100,7 @@ class Table:
             [number(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows
         ]
 
-    def __rich__(self) -> "rich.table.Table":
+    def __rich__(self) -> Any:
         """The table for the terminal."""
         import rich.table
         from rich.box import HEAVY_HEAD, SIMPLE_HEAD

@@ -7,7 +7,7 @@ import copy
 from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -223,13 +223,7 @@ def hexapod_spec(
     scene, files = model_texts(load_cab(chosen.base, chosen.machine))
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
-        body = spec.body(edit.body)
-        if edit.part is None:
-            body.mass *= edit.factor
-            body.inertia = edit.factor * np.array(body.inertia)
-        else:
-            body.mass, body.ipos = edit.part.mass.si, edit.part.centre_of_mass.si
-            body.inertia, body.iquat = principal_axes(edit.part.tensor)
+        edit.apply(spec.body(edit.body))
     return spec
 
 
@@ -243,12 +237,8 @@ def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) ->
     edits = list(_edits(chosen))
     for edit in edits:
         body = model.body(edit.body)
-        if edit.part is None:
-            body.mass[:] *= edit.factor
-            body.inertia[:] *= edit.factor
-        else:
-            body.mass[:], body.ipos[:] = edit.part.mass.si, edit.part.centre_of_mass.si
-            body.inertia[:], body.iquat[:] = principal_axes(edit.part.tensor)
+        edit.apply(body)
+        if edit.part is not None:
             model.body_sameframe[body.id] = _same_frame(body.ipos, body.iquat)
     if edits:
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -278,6 +268,14 @@ class _Edit(NamedTuple):
     body: str
     part: RigidBody | None  #: New mass properties; None for a factor on mass and inertia.
     factor: float = 1.0
+
+    def apply(self, body: Any) -> None:
+        """Write it to a body of an editable or a compiled model."""
+        if self.part is None:
+            body.mass, body.inertia = self.factor * body.mass, self.factor * np.array(body.inertia)
+        else:
+            body.mass, body.ipos = self.part.mass.si, self.part.centre_of_mass.si
+            body.inertia, body.iquat = principal_axes(self.part.tensor)
 
 
 def _edits(cab: Cab) -> Iterator[_Edit]:
