@@ -26,12 +26,13 @@ from cmf_mj.facility.run import dcu_of
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.machine import models
-from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import paired_circles
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.parameters import fitting, hydraulics_of
 from cmf_mj.plant.single_legs import design_point
+from tests.plant.test_hexapod import Rigid
 
 GRAVITY = 9.80665
 
@@ -43,52 +44,6 @@ def turn(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
     y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     return np.asarray(z @ y @ x)
-
-
-def cross(arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, z = arm
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def rigid_machine(
-    cab: Cab, pose: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Reflected mass [kg] and static leg forces [N] of payload and legs, z down, from the numbers.
-
-    Platform velocities are those of the centroid and the angular velocity. A leg with unit vector n
-    and length L moves its rod along n, and turns with (I - n n') w / L, w the velocity of its upper
-    gimbal, about the lower one; what it turns about n is left out.
-    """
-    machine, payload = cab.machine, cab.payload
-    flip = np.diag([1.0, -1.0, -1.0])
-    rotated = turn(*pose[3:])
-    centre = rotated @ flip @ payload.centre
-    inertia = rotated @ flip @ payload.inertia @ flip @ rotated.T
-    moved = np.hstack([np.eye(3), -cross(centre)])
-    mass = payload.mass * moved.T @ moved
-    mass[3:, 3:] += inertia
-    down = np.array([0.0, 0.0, GRAVITY])
-    force = payload.mass * moved.T @ down
-    bar = machine.retracted
-    across = (3.0 * (bar / 40.0) ** 2 + bar**2) / 12.0
-    jacobian = np.empty((6, 6))
-    for leg, (a, b) in enumerate(zip(machine.geometry.upper, machine.geometry.lower, strict=True)):
-        arm = rotated @ a
-        line = pose[:3] + arm - b
-        length = float(np.linalg.norm(line))
-        n = line / length
-        gimbal = np.hstack([np.eye(3), -cross(arm)])
-        jacobian[leg] = n @ gimbal
-        aside = (np.eye(3) - np.outer(n, n)) / length
-        c, r = cab.legs.cylinder_mass.si, cab.legs.rod_mass.si
-        rod = length - 0.5 * bar
-        turning = c * (across + 0.25 * bar**2) + r * (across + rod**2)
-        leg_mass = r * np.outer(n, n) + turning * aside.T @ aside
-        mass += gimbal.T @ leg_mass @ gimbal
-        weight = c * 0.5 * bar * aside + r * (np.outer(n, n) + rod * aside)
-        force += gimbal.T @ weight.T @ down
-    inverse = np.linalg.inv(jacobian)
-    return inverse.T @ mass @ inverse, -inverse.T @ force
 
 
 def random_machine(generator: np.random.Generator) -> Machine:
@@ -133,20 +88,41 @@ def random_machine(generator: np.random.Generator) -> Machine:
     return Machine.model_validate(table)
 
 
+def check_model(plant: cmf_mj.Hexapod, pose: NDArray[np.float64]) -> None:
+    """Masses of the legs are those of the file, bars of the retracted length; payload, reflected
+    mass and static forces at a pose are those of rigid bodies."""
+    machine, cab = plant.machine, plant.cab_parameters
+    assert cab is not None
+    bar = machine.retracted
+    across = (3.0 * (bar / 40.0) ** 2 + bar**2) / 12.0
+    for leg, length in enumerate(machine.geometry.neutral, start=1):
+        for kind, mass, centre in (
+            ("cylinder", cab.legs.cylinder_mass.si, 0.5 * bar),
+            ("rod", cab.legs.rod_mass.si, length - 0.5 * bar),
+        ):
+            body = plant.model.body(f"{kind}_{leg}")
+            assert body.mass[0] == pytest.approx(mass, rel=1e-12)
+            assert body.ipos == pytest.approx([0.0, 0.0, centre], rel=1e-12)
+            assert body.inertia[0] == pytest.approx(mass * across, rel=1e-12)
+    for name, part in (("platform", cab.platform), ("cab/cab", cab)):
+        assert plant.model.body(name).mass[0] == pytest.approx(part.mass.si, rel=1e-12)
+        assert plant.model.body(name).ipos == pytest.approx(part.centre_of_mass.si, rel=1e-12)
+        moments = np.linalg.eigvalsh(part.tensor)  # its axes are checked as the plant is made
+        assert np.sort(plant.model.body(name).inertia) == pytest.approx(moments, rel=1e-12)
+    rigid, found = Rigid(plant, pose), plant.reflected_mass(pose)
+    assert np.abs(found - rigid.reflected).max() < 1e-6 * np.abs(found).max()
+    size = np.abs(rigid.forces).max()
+    np.testing.assert_allclose(plant.static_load(), rigid.forces, rtol=0, atol=1e-9 * size)
+
+
 def test_reflected_mass_and_static_forces_of_fifty_machines() -> None:
     """J^-T M J^-1 and the legs' static forces, each at a pose of its own."""
     generator = np.random.default_rng(21)
     for _ in range(50):
         cab = load_cab(None, random_machine(generator))
-        plant = cmf_mj.Hexapod(cab)
         pose = generator.uniform(-0.1, 0.1, 6)
         pose[:3] *= cab.machine.half_stroke
-        mass, force = rigid_machine(cab, pose)
-        found = plant.reflected_mass(pose)
-        assert np.abs(found - mass).max() < 1e-6 * np.abs(mass).max()
-        np.testing.assert_allclose(
-            plant.static_load(), force, rtol=0, atol=1e-9 * np.abs(force).max()
-        )
+        check_model(cmf_mj.Hexapod(cab), pose)
 
 
 @pytest.mark.parametrize("name", ["simona", "lab"])
@@ -268,9 +244,7 @@ def test_edited_gimbals_count_everywhere() -> None:
     assert np.abs(legs(pose) - pose_to_legs(pose, "lab")).max() > 1e-4
     np.testing.assert_allclose(legs_to_pose(legs(pose), machine), pose, rtol=0, atol=1e-9)
     plant = cmf_mj.Hexapod(machine=machine)
-    assert plant.cab_parameters is not None
-    mass = rigid_machine(plant.cab_parameters, pose)[0]
-    assert np.abs(plant.reflected_mass(pose) - mass).max() < 1e-6 * np.abs(mass).max()
+    check_model(plant, pose)
     stream = from_command(signals.step("roll", 0.1, duration=3.0), 80.0)
     record = operate(plant, machine.law, stream).record
     wanted = legs(np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]))
