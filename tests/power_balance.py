@@ -12,6 +12,7 @@ of `residual` and `oil` are not a number.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmf_mj import Record
 from cmf_mj.plant.cylinder import volumes
@@ -23,12 +24,12 @@ from cmf_mj.plant.plant import Plant
 class PowerBalance(NamedTuple):
     """Energies since the start [J] and oil [m^3], each (N,)."""
 
-    delivered: np.ndarray  #: Work of pump and accumulators.
-    lost: np.ndarray  #: Losses of the oil.
-    work: np.ndarray  #: Work on the pistons, friction included.
-    stored: np.ndarray  #: Rise of the energy of compression, and of what the tank holds.
-    residual: np.ndarray  #: delivered - lost - work - stored.
-    oil: np.ndarray  #: All oil, as the volume it would fill at atmospheric pressure.
+    delivered: NDArray[np.float64]  #: Work of pump and accumulators.
+    lost: NDArray[np.float64]  #: Losses of the oil.
+    work: NDArray[np.float64]  #: Work on the pistons, friction included.
+    stored: NDArray[np.float64]  #: Rise of the energy of compression, and of what the tank holds.
+    residual: NDArray[np.float64]  #: delivered - lost - work - stored.
+    oil: NDArray[np.float64]  #: All oil, as the volume it would fill at atmospheric pressure.
 
 
 def power_balance(plant: Plant, record: Record) -> PowerBalance:
@@ -38,8 +39,9 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
     ratio = np.vectorize(lambda pressure: density(oil, pressure)[0])
     passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
     delivered, work = passed["pump"] + passed["accumulators"], passed["mechanical"]
-    lost = sum(passed[name] for name in ("valves", "lines", "leakage", "relief", "burst"))
-    total = sum(record[f"{name}_content"] for name in ("supply", "return", "tank"))
+    losses = ("valves", "lines", "leakage", "relief", "burst")
+    lost = np.sum([passed[name] for name in losses], axis=0)
+    total = np.sum([record[f"{name}_content"] for name in ("supply", "return", "tank")], axis=0)
     total += supply.accumulators * record["accumulator_oil"]
     kept = record["tank_content"] * enthalpy(oil, supply.return_pressure)
     for name, volume in (("supply", supply.supply_volume), ("return", supply.return_volume)):
