@@ -6,7 +6,7 @@ what can fail.
 
 from collections import namedtuple
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +174,7 @@ def make_timeline(events: Sequence[Event], legs: int, rate: int = RATE) -> Timel
 
 
 _Numbers = namedtuple("_Numbers", KINDS)  # type: ignore[misc]
-_IS = _Numbers(*range(len(KINDS)))
+_IS: Any = _Numbers(*range(len(KINDS)))
 
 
 @compiled

@@ -17,7 +17,7 @@ crosses it stops there. Pressures stay above vacuum where gas fills a torn chamb
 """
 
 from collections import namedtuple
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst"
 """Powers of a stage [W]: delivered by pump and accumulators, lost in the others."""
 
 _Columns = namedtuple("_Columns", FLOWS)  # type: ignore[misc]
-_OF = _Columns(*range(len(FLOWS)))
+_OF: Any = _Columns(*range(len(FLOWS)))
 
 _TOLERANCE = 20.0
 """Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In

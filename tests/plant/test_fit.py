@@ -7,14 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from hydraulic_equations import changed
 
 from cmf_mj import Hexapod, InputError, SingleLegs
-from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.run import drive
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 
 STILL = np.zeros((4, 6))
@@ -36,12 +35,6 @@ SLIDE = """
   <actuator><motor name="leg" joint="leg"/></actuator>
 </mujoco>
 """
-
-
-def stroke(half: float) -> HydraulicParameters:
-    """The hardware's set with another half stroke [m]."""
-    changed = Quantity(value=half, unit="m", status="assumed", source="test")
-    return load_hydraulics().model_copy(update={"name": "other", "half_stroke": changed})
 
 
 def slide(joint: str = "", gap: float = 0.0) -> Plant:
@@ -182,7 +175,7 @@ def test_another_stroke_than_the_stops_is_refused(
         "0.9652 m from neutral; allowed: both the same"
     )
     with pytest.raises(InputError, match=re.escape(said)):
-        plant(hydraulics=stroke(half))
+        plant(hydraulics=changed("hardware", name="other", half_stroke=(half, "m")))
 
 
 def test_a_hexapod_has_the_stroke_of_the_kinematics() -> None:
@@ -192,7 +185,7 @@ def test_a_hexapod_has_the_stroke_of_the_kinematics() -> None:
         spec.joint(f"leg_{leg}").range = [-1.0, 1.0]
     said = "set 'other' gives leg_1 +-1 m, the kinematics +-0.9652 m; allowed: both the same"
     with pytest.raises(InputError, match=re.escape(said)):
-        Hexapod("gfd", stroke(1.0), spec=spec)
+        Hexapod("gfd", changed("hardware", name="other", half_stroke=(1.0, "m")), spec=spec)
 
 
 @pytest.mark.parametrize(

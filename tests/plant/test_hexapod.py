@@ -8,6 +8,7 @@ mass and moments are read from the compiled model.
 import mujoco
 import numpy as np
 import pytest
+from hydraulic_equations import changed
 from scipy.spatial.transform import Rotation
 
 from cmf_mj import Hexapod, SingleLegs, load_law, simulate
@@ -97,23 +98,10 @@ def gfd():
     return Hexapod("gfd")
 
 
-@pytest.fixture
-def sealed(tmp_path):
-    """Hydraulics without leakage, the only loss of a closed valve."""
-    path = tmp_path / "sealed.toml"
-    path.write_text(
-        'base = "hardware"\n[sealed]\n'
-        'leak_rate = { value = 0.0, unit = "1/s", status = "assumed", source = "test" }\n'
-    )
-    return path
+SEALED = changed("hardware", leak_rate=0.0)
+"""Without leakage, the only loss of a closed valve."""
 
-
-@pytest.fixture
-def no_command(tmp_path):
-    """A law whose gains are all zero."""
-    path = tmp_path / "nothing.toml"
-    path.write_text('[nothing]\ntitle = "No command"\ndirect_gain = {}\n')
-    return load_law(path)
+NO_COMMAND = load_law({"name": "nothing", "title": "No command", "direct_gain": {}})
 
 
 def massless(cab):
@@ -258,14 +246,14 @@ def test_heave_frequency_of_massless_legs_is_the_single_leg_mode():
 
 
 @pytest.mark.parametrize("pose", POSES[:2])
-def test_start_is_in_equilibrium(sealed, no_command, pose):
+def test_start_is_in_equilibrium(pose):
     """Two seconds without a command, valves closed, no leakage.
 
     The soft gimbals give by 0.02 micrometres as they take up the load (models/README.md) and the
     undamped oil rings about that: at most twice 0.02, over the direction cosine 0.83, at the
     platform. On average nothing moves a leg by 0.01 micrometres.
     """
-    record = simulate(Hexapod("gfd", sealed), no_command, np.tile(pose, (4096, 1)))
+    record = simulate(Hexapod("gfd", SEALED), NO_COMMAND, np.tile(pose, (4096, 1)))
     assert not record["valve_command"].any() and not record["valve_opening"].any()
     assert np.abs(record["platform_pose"] - pose).max() < 5e-8
     drift = record["leg_position"][-1024:].mean(axis=0) - kinematics.pose_to_legs(pose)
@@ -273,9 +261,9 @@ def test_start_is_in_equilibrium(sealed, no_command, pose):
 
 
 @pytest.mark.parametrize("pose", POSES[:2])
-def test_single_legs_start_in_equilibrium(sealed, no_command, pose):
+def test_single_legs_start_in_equilibrium(pose):
     """No gimbals to give: nothing moves at all."""
-    record = simulate(SingleLegs(sealed), no_command, np.tile(pose, (4096, 1)))
+    record = simulate(SingleLegs(SEALED), NO_COMMAND, np.tile(pose, (4096, 1)))
     moved = record["leg_position"] - kinematics.pose_to_legs(pose)
     assert np.abs(moved).max() < 1e-12
 

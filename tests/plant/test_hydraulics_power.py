@@ -5,11 +5,18 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from hydraulic_equations import ATMOSPHERE, areas, content_ratio, oil_content, stored_energy
+from hydraulic_equations import (
+    ATMOSPHERE,
+    areas,
+    changed,
+    content_ratio,
+    oil_content,
+    stored_energy,
+)
 from power_balance import power_balance
 from scipy import integrate
 
-from cmf_mj import Hexapod, Record, SingleLegs, drive, load_hydraulics, signals, simulate
+from cmf_mj import Hexapod, Record, SingleLegs, drive, signals, simulate
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -149,14 +156,8 @@ def test_accumulators_do_the_work_of_their_gas() -> None:
 LEVER = np.linspace(0.0, 0.3, 2048)[:, None] * np.array([1.0, -1.0, 0.5, 1.0, 0.0, -0.5])
 
 
-def pressurised(name: str) -> HydraulicParameters:
-    """A set whose tank stands under 50 psi."""
-    parameters = load_hydraulics(name)
-    tank = parameters.return_pressure.model_copy(update={"value": 50.0})
-    return parameters.model_copy(update={"return_pressure": tank})
-
-
-SETS = ["hardware", "lossy", "report", pressurised("hardware"), pressurised("report")]
+SETS = [*HYDRAULICS, *(changed(name, return_pressure=50.0) for name in ("hardware", "report"))]
+"""The shipped ones, and two whose tank stands under 50 psi."""
 
 
 @pytest.mark.parametrize("hydraulics", SETS)

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydraulic_equations import constant
+from hydraulic_equations import changed
 
-from cmf_mj import load_hydraulics, load_law
+from cmf_mj import load_law
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.studies.case import AMPLITUDE, Case, run_case
 
@@ -23,7 +23,7 @@ def test_regression_of_bandwidths_peak_and_damping(row: dict[str, Any]) -> None:
     (its step overshoots by the whole step), and magnifies what flows by content change of the
     gains, 0.1 %, tenfold: 0.1 dB there.
     """
-    hydraulics = constant(load_hydraulics("hardware"))
+    hydraulics = changed("hardware", supply="constant")
     cab = load_cab("gfd") if row["plant"] == "hexapod" else None
     law = load_law(row["law"])
     measures = run_case(Case(row["plant"], cab, hydraulics, law, row["dof"], AMPLITUDE)).measures

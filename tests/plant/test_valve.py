@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hydraulic_equations import (
     changed,
-    constant,
     content_ratio,
     machine,
     port_flows,
@@ -46,7 +45,7 @@ def lag_matrix(drive: float, second: float) -> np.ndarray:
 @pytest.fixture(params=HYDRAULICS)
 def parts(request: pytest.FixtureRequest) -> SimpleNamespace:
     """A set on a constant supply, its first valve, and the corners of that."""
-    p = constant(load_hydraulics(request.param))
+    p = changed(request.param, supply="constant")
     return SimpleNamespace(
         parameters=p,
         valve=make_valves(p, ["leg"], 0.5 * FRAME, FRAME)[0, 0],
