@@ -201,10 +201,7 @@ def _too_deep(where: str) -> InputError:
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
-    """Build `model` from a table that errors call `where`, e.g. `my.toml: stiff`.
-
-    The `InputError` has one line per fault, each naming field, value and what is allowed.
-    """
+    """Build `model` from a table that errors call `where`; refusals have one line per fault."""
     try:
         return model.model_validate(table)
     except ValidationError as error:
@@ -293,9 +290,6 @@ class Loader(Generic[Model]):
         """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already.
 
         Shipped numbers are `fitted` to a machine first; those of a file stay as they are.
-
-        Raises:
-            InputError: unknown set, unreadable file or a refused field; each is named.
         """
         if isinstance(source, self.model):
             return source
