@@ -32,13 +32,13 @@ laws: $(VENV)/ready
 	$(BIN)/cmf compare --laws all --hydraulics report --plants single_legs --dofs heave --out out/report-heave
 	$(BIN)/cmf compare --laws all --hydraulics out/constant.toml --out out/all
 	$(BIN)/cmf compare --laws $(LAWS),model_following,modal_plan --cab ifd --plants hexapod --dofs surge,heave,roll --measures --no-records --out out/measures
-	$(BIN)/python scripts/confirm_laws.py --laws $(LAWS),modal_plan --seeds 1 --quick --out out/field_confirm
-	$(BIN)/python scripts/confirm_laws.py --seeds 1 --quick --noise --out out/modal_plan
-	$(BIN)/python scripts/compare_field_laws.py
-	$(BIN)/python scripts/accept_law.py
-	$(BIN)/python scripts/fly_laws.py
-	$(BIN)/python scripts/ablate_modal_law.py
-	$(BIN)/python scripts/stiffness_laws.py
+	$(BIN)/python scripts/laws.py confirm --laws $(LAWS),modal_plan --seeds 1 --quick --out out/field_confirm
+	$(BIN)/python scripts/laws.py confirm --seeds 1 --quick --noise --out out/modal_plan
+	$(BIN)/python scripts/laws.py linear
+	$(BIN)/python scripts/laws.py accept
+	$(BIN)/python scripts/laws.py fly
+	$(BIN)/python scripts/laws.py ablate
+	$(BIN)/python scripts/laws.py stiffness
 	$(BIN)/python scripts/update_docs.py
 
 report: $(VENV)/ready-report

@@ -30,7 +30,7 @@ from .machine.machine import Machine as Machine
 from .machine.machine import load_machine as load_machine
 from .plant.attach import attach_hydraulics as attach_hydraulics
 from .plant.hexapod import Hexapod as Hexapod
-from .plant.parameters.loading import load_hydraulics as load_hydraulics
+from .plant.parameters import load_hydraulics as load_hydraulics
 from .plant.plant import Plant as Plant
 from .plant.single_legs import SingleLegs as SingleLegs
 from .record.record import Record as Record

@@ -8,12 +8,15 @@ warm start, timers), `headless` what the loop steps. `outside` is the share of a
 that `simulate` spends outside the loop, `speed_up_two_threads` the work done by two threads over
 that of one in the same time, by the clock on the wall. --start adds what a user waits for: import,
 `cmf --help`, and the first comparison with nothing compiled. --exudyn adds the CPU time of the
-open-loop run of `verify_plant.py` in Exudyn over that of ours: with steps of one frame in both, and
+open-loop run of `tests/crosscheck` in Exudyn over ours: with steps of one frame in both, and
 with steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
 frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
 --many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall
 and what the process grew by meanwhile. --plain adds the CPU time of a Numba without its inside
 (`cmf_mj/core/numba_inside.py`) over that of one with it: to compile a first run, and of a frame.
+--flight adds the seconds flown per second of one processor, washout, whole facility, record and
+comparison of what is felt included, and that time over as many bare steps. --study adds the cost of
+a linear case of the `mismatch` study, and the processor time of one process over that of two.
 """
 
 import argparse
@@ -26,13 +29,17 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from check_versions import PLAIN
+from joblib import Parallel, delayed, parallel_config
 from numba import njit
+from threadpoolctl import threadpool_limits
 
 from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate, simulate_many
 from cmf_mj.core.files import write_json, write_text
@@ -40,9 +47,14 @@ from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility import loop, session
 from cmf_mj.machine.cab import load_cab
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.fly import fly
+from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.plant import native
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.plant.native import quiet
+from cmf_mj.studies.engine import CASES, attempt
+from cmf_mj.studies.settings import StudyCase, load_study
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from crosscheck.verification import ENGINES, in_mujoco, valve_sines, verify  # noqa: E402
@@ -178,6 +190,45 @@ def ten_thousand() -> dict[str, float]:
     return {"many_s": round(seconds, 1), "many_growth_mib": round(grown[-1] - grown[0], 1)}
 
 
+def flying(repeat: int, bare: Callable[[int], float]) -> dict[str, float]:
+    """A flight of twenty seconds from aircraft to cab, and that over bare steps."""
+    motion = load_flight("engine_failure").motion
+    rows = motion.time <= motion.time[0] + 20.0
+    motion = PilotMotion(*(getattr(motion, one.name)[rows] for one in fields(motion)))
+    ratios, factors = [], []
+    for number in range(repeat + 1):  # the first compiles
+        begin = time.process_time()
+        flown = float(fly(motion, "velocity").operation.record.time[-1])
+        spent = time.process_time() - begin
+        if number:
+            factors.append(flown / spent)
+            ratios.append(spent / bare(round(flown * RATE)))
+    return {"flight_real_time_factor": round(max(factors), 2), "flight": round(min(ratios), 3)}
+
+
+def studying(repeat: int) -> dict[str, float]:
+    """Linear cases of twelve machines of the `mismatch` study in one process and in two."""
+    study = load_study("mismatch", changes={"draws": 12, "cabs": ["gfd"], "simulate_every": 0})
+    count, cases = len(study.laws), [case for case in study.cases if case.draw >= 0]
+    machines = [cases[i : i + count] for i in range(0, len(cases), count)]
+    spent: dict[int, list[float]] = {1: [], 2: []}
+    with threadpool_limits(1), parallel_config(backend="loky", inner_max_num_threads=1):
+        for number, jobs in product(range(repeat + 1), (1, 2)):  # the first imports
+            times = Parallel(n_jobs=jobs, batch_size=1)(delayed(_attempted)(m) for m in machines)
+            if number:
+                spent[jobs].append(sum(times))
+    return {
+        "study_case_s": round(min(spent[1]) / len(cases), 4),
+        "study_two_processes": round(min(spent[1]) / min(spent[2]), 3),
+    }
+
+
+def _attempted(machine: list[StudyCase]) -> float:
+    begin = time.process_time()
+    attempt(machine, CASES)
+    return time.process_time() - begin
+
+
 def table(result: dict[str, Any]) -> Table:
     """What was measured, in words."""
     words = {
@@ -197,6 +248,10 @@ def table(result: dict[str, Any]) -> Table:
         "many_growth_mib": "memory that the last 9000 of them took [MiB]",
         "plain_compile": "CPU time to compile by `njit` alone over that with Numba's inside",
         "plain_frame": "the same of a frame",
+        "flight_real_time_factor": "seconds flown with the pilot per second of one processor",
+        "flight": "a flight's time over as many bare steps of the headless model",
+        "study_case_s": "a linear case of the `mismatch` study, processor time [s]",
+        "study_two_processes": "processor time of one process over that of two",
         "exudyn_equal_step": "Exudyn's CPU time over ours, steps of 1/2048 s",
         "exudyn_at_our_error": "the same at the error of our step of 1/2048 s",
         "exudyn_at_1_um": "the same at an error of at most 1 um",
@@ -221,6 +276,8 @@ def main() -> None:
     parser.add_argument("--exudyn", action="store_true", help="also against Exudyn")
     parser.add_argument("--many", action="store_true", help="also ten thousand short cases")
     parser.add_argument("--plain", action="store_true", help="also against plain njit")
+    parser.add_argument("--flight", action="store_true", help="also a flight")
+    parser.add_argument("--study", action="store_true", help="also a study in two processes")
     parser.add_argument("--out", type=Path, help="folder for bench.json and the table bench.md")
     options = parser.parse_args()
     if options.repeat < 1 or options.seconds < 1.0:
@@ -272,6 +329,11 @@ def main() -> None:
         result |= ten_thousand()
     if options.plain:
         result |= against_plain(3)
+    if options.flight:
+        with native.untimed():
+            result |= flying(3, lambda count: bare_seconds(headless, load, count))
+    if options.study:
+        result |= studying(3)
     if options.exudyn:
         result |= against_exudyn(options.repeat)
     print(json.dumps(result, indent=2))

@@ -17,7 +17,6 @@ from cmf_mj.core import units
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine import models
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.signals.composite import waypoints
 
 CYLINDERS = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
@@ -86,7 +85,7 @@ def pull(plant: Plant, lever: str, seconds: float) -> Record:
 
 
 def report(plant: Plant, record: Record) -> str:
-    """Pressures, supply and balance as text."""
+    """Pressures, supply and energies as text."""
     bar, minute = 1e-5, 6e4
     lines = [f"{'':16}{'length':>16}{'cap':>12}{'rod':>12}{'force':>12}{'error':>8}"]
     lines.append(f"{'':16}{'m':>16}{'bar':>12}{'bar':>12}{'kN':>12}{'mm':>8}")
@@ -106,16 +105,10 @@ def report(plant: Plant, record: Record) -> str:
         f"supply {supply[0] * bar:.0f} bar, least {supply.min() * bar:.0f} bar; "
         f"pump at most {record['pump_flow'].max() * minute:.0f} l/min"
     )
-    balance = power_balance(plant, record)
-    given = max(balance.delivered[-1], 1.0)
     passed = dict(zip(ENERGIES, record["energy"][-1], strict=True))
     passed["rods"] = passed.pop("mechanical") - passed["friction"]
-    passed["compression"] = np.nan_to_num(balance.stored[-1])
     shares = [f"{name} {value * 1e-3:.1f}" for name, value in passed.items() if abs(value) >= 50.0]
     lines.append(f"energy [kJ]: {', '.join(shares)}")
-    left = np.nanmax(np.abs(balance.residual)) / given
-    oil = np.nanmax(np.abs(balance.oil / balance.oil[0] - 1.0))
-    lines.append(f"balance open by at most {left:.1e} of the work given, oil by {oil:.1e}")
     return "\n".join(lines)
 
 

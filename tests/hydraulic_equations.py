@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cmf_mj.core.settings import validated
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import (
@@ -15,8 +16,7 @@ from cmf_mj.plant.hydraulics import (
     rest,
 )
 from cmf_mj.plant.oil import enthalpy
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE, TANK
 
 FRAME = 1.0 / 2048.0
@@ -31,28 +31,19 @@ EQ_4_1 = np.roots([1, 491.9, 1.481e4, 2.488e6, 4.526e7, 8.755e6, 4.32e4])
 """Poles of Eq 4.1 from its printed denominator: -471.24, -0.807 +- 70.999j, -18.85, -0.190, ..."""
 
 
-def changed(source: str | HydraulicParameters, **values: float | str) -> HydraulicParameters:
-    """A set with other numbers, in the units it has, or another `supply`; checked anew."""
+def changed(
+    source: str | HydraulicParameters, **values: float | str | tuple[float, str]
+) -> HydraulicParameters:
+    """A set with other numbers, in the units it has or (number, unit), or another `supply` or
+    `name`; checked anew."""
     table = load_hydraulics(source).model_dump(exclude_none=True)
     for name, value in values.items():
         if isinstance(value, str):
             table[name] = value
         else:
-            table[name]["value"] = float(value)
-    return HydraulicParameters.model_validate(table)
-
-
-def with_leak_rate(parameters: HydraulicParameters, rate: float) -> HydraulicParameters:
-    return changed(parameters, leak_rate=rate)
-
-
-def without_leakage(parameters: HydraulicParameters) -> HydraulicParameters:
-    return with_leak_rate(parameters, 0.0)
-
-
-def constant(parameters: HydraulicParameters) -> HydraulicParameters:
-    """On a supply of constant pressure."""
-    return changed(parameters, supply="constant")
+            number, unit = value if isinstance(value, tuple) else (value, table[name]["unit"])
+            table[name] |= {"value": float(number), "unit": unit}
+    return validated(HydraulicParameters, table, "changed")
 
 
 def areas(p: HydraulicParameters) -> tuple[float, float]:

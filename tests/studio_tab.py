@@ -10,7 +10,7 @@ import msgspec
 import zstandard
 from websockets.sync.client import ClientConnection
 
-_SOAK = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "soak_studio.py"))
+_SOAK = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "soak.py"))
 
 CAMERA, connected, send, soak = (_SOAK[name] for name in ("CAMERA", "connected", "send", "soak"))
 

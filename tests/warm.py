@@ -30,8 +30,7 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import sense
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.cylinder import Cylinder, make_cylinders
-from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.plant.power_balance import power_balance
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
 from tests.control import test_limiter_chain as limit_chain
 from tests.control import test_states as operating_states
@@ -48,7 +47,6 @@ def table() -> None:
     step = signals.step("heave", 0.01, at=1 / 2048, duration=4 / 2048)
     record = simulate(machine, "velocity", step)
     replay(record, "velocity")
-    power_balance(machine, record)
     fault_of(record, make_protection(load_protection()), 1e7)
     gravity_history(record["leg_position"])
     inverse = make_dcl(load_law("modal_plan").bound_to("gfd"), 6).plan.inverse

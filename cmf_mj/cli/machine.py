@@ -38,7 +38,7 @@ def list_command(
     from cmf_mj.core.result import Field, Result, Table
     from cmf_mj.electronics.channel import load_sensors
     from cmf_mj.machine.models import machine_names
-    from cmf_mj.plant.parameters.loading import hydraulics_of
+    from cmf_mj.plant.parameters import hydraulics_of
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
 
     if name is not None and what not in ("hydraulics", "sensors"):

@@ -84,7 +84,7 @@ def of_machine(source: str, metavar: str, text: str) -> Any:
 
 def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     from cmf_mj.machine.models import CMF
-    from cmf_mj.plant.parameters.loading import hydraulics_of
+    from cmf_mj.plant.parameters import hydraulics_of
 
     machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
     given = ctx.get_parameter_source(field)
@@ -125,7 +125,7 @@ CAMERAS = ("overview", "side", "front")
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
-OIL, MACHINES = "plant.parameters.loading:HYDRAULICS", "machine.models:machine_names"
+OIL, MACHINES = "plant.parameters:HYDRAULICS", "machine.models:machine_names"
 SCENARIOS = "facility.scenario:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
 _WASHOUTS, _SHIPPED = "pilot.washout_settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"

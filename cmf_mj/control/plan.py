@@ -44,7 +44,7 @@ from cmf_mj.control.coordinates import Modes, PerMode, Positive, spread
 from cmf_mj.control.inverse import Inverse, Valves, make_inverse
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.hold import chain
+from cmf_mj.core.filters import chain
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.machine.machine import Machine
 

@@ -60,7 +60,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import ReferenceModel
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.hold import chain
+from cmf_mj.core.filters import chain
 
 
 class AdaptationState(NamedTuple):

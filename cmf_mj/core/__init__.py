@@ -1,5 +1,49 @@
-"""Ground for all rooms: units, settings, files, filters, the compiler."""
+"""Ground for all rooms: units, settings, files, filters, the compiler; and where caches go.
 
-from cmf_mj.core.caches import place
+Numba keeps compiled code next to the sources, matplotlib its list of fonts in the user's folders.
+A package that its user may not write to has its compiled code in the user's cache folder, and a
+user without one has both in a folder of his own below the system's for temporary files. Who sets
+NUMBA_CACHE_DIR or MPLCONFIGDIR has chosen.
+"""
 
-place()
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+_NUMBA, _MATPLOTLIB = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
+
+
+def _writable(folder: Path) -> bool:
+    """Whether a folder can be written to, or made."""
+    there = next((path for path in (folder, *folder.parents) if os.path.exists(path)), folder)
+    return folder.is_absolute() and there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+
+
+def _temporary() -> Path:
+    """A folder that only this user can write to: compiled code is run as it stands there."""
+    if not hasattr(os, "getuid"):
+        return Path(tempfile.gettempdir()) / "cmf-mj"
+    folder = Path(tempfile.gettempdir()) / f"cmf-mj-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    private = status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return folder if private and not folder.is_symlink() else Path(tempfile.mkdtemp("cmf-mj"))
+
+
+def place_caches() -> None:
+    """Set the variables of the caches that have to go elsewhere, before their owners look."""
+    package = Path(__file__).parents[1]
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
+    homeless = not (_writable(home) and _writable(config / "matplotlib"))
+    if homeless and _MATPLOTLIB not in os.environ:
+        os.environ[_MATPLOTLIB] = str(_temporary() / "matplotlib")
+    if _NUMBA not in os.environ and not _writable(package / "core" / "__pycache__"):
+        os.environ[_NUMBA] = str((_temporary() if homeless else home / "cmf-mj") / "numba")
+        if not Path(os.environ[_NUMBA]).exists():
+            where = f"{os.environ[_NUMBA]}, for {package} cannot be written to"
+            print(f"cmf: compiled code is kept in {where}", file=sys.stderr)
+
+
+place_caches()

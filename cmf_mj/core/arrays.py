@@ -1,6 +1,7 @@
-"""Arrays, mappings and lists that nobody can write to, and how large those of a run may be."""
+"""Arrays, mappings and lists that nobody can write to, their checks, and what kernels take."""
 
 import operator
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.errors import InputError, unknown_name
 
 Block = TypeVar("Block", bound=tuple[Any, ...])
+Params = TypeVar("Params", bound=tuple[Any, ...])
 
 MEMORY = 4 * 2**30
 """Most that any one part of a run, such as its record, may take [bytes]."""
@@ -104,6 +106,32 @@ def copied(block: Block) -> Block:
     """A named tuple of arrays, and of such tuples, with arrays of its own."""
     parts = (copied(part) if isinstance(part, tuple) else part.copy() for part in block)
     return type(block)(*parts)
+
+
+def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Params:
+    """The named tuple of a block: what is derived, and the rest by name from settings, in SI.
+
+    Settings are a table of them or an object; a quantity is taken in SI, anything else as it is.
+
+    >>> from cmf_mj.plant.friction import Friction
+    >>> compiled_params(Friction, cmf_mj.load_hydraulics("report"), excess=0.1).presliding
+    0.0001016
+    """
+    table = settings if isinstance(settings, Mapping) else vars(settings)
+    values = (derived[name] if name in derived else table[name] for name in kind._fields)  # type: ignore[attr-defined]
+    return kind(*(getattr(value, "si", value) for value in values))
+
+
+def record_array(kind: type[NamedTuple], rows: Iterable[Any]) -> np.recarray:
+    """Rows, each a `kind` or a list of them, as one array with the fields of `kind`.
+
+    Compiled functions take every array of an argument apart into its seven words, so that forty
+    arrays cost more to hand over than to use; one record array a kind costs one.
+    `record_array(Cylinder, cylinders)[2]` reads like one `Cylinder`, and `.cap_area` is an array.
+    """
+    dtype = np.dtype([(name, np.float64) for name in kind._fields])
+    values = [[*map(tuple, row)] if isinstance(row, list) else tuple(row) for row in rows]
+    return np.array(values, dtype=dtype).view(np.recarray)
 
 
 def _refused(self: object, *_: object, **__: object) -> NoReturn:

@@ -74,9 +74,6 @@ def claimed(folder: Path) -> Iterator[Path]:
     The lock is the system's and on the folder itself, so that it ends with the process however
     that ends. What a killed run left half-written is removed. A file system without locks gives
     none.
-
-    Raises:
-        InputError: it cannot be made or written to, or another run has it.
     """
     check_target(folder / "any", "out")
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]

@@ -29,7 +29,7 @@ class _PackageStamp:
 
 
 class UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):  # type: ignore[misc]
-    """Cache in NUMBA_CACHE_DIR, where the user or `core.caches` has set it."""
+    """Cache in NUMBA_CACHE_DIR, where the user or `core` has set it."""
 
 
 class InTree(_PackageStamp, caching.InTreeCacheLocator):  # type: ignore[misc]

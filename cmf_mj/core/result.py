@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from operator import and_
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
+from typing import Any, Generic, TypeVar, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -48,9 +48,6 @@ def groups(table: pa.Table, *names: str) -> Iterator[tuple[tuple[Any, ...], pa.T
         yield tuple(one[name] for name in names), table.take(one[_ROWS])
 
 
-if TYPE_CHECKING:
-    import rich.table
-
 Column = Sequence[str]
 """A title alone, for text; or a title and a format, for numbers and what stands at the right."""
 
@@ -87,8 +84,6 @@ class Table:
     caption: str = ""
     grouped: bool = False
     """In the terminal, write a first cell that repeats only once, and rule the groups off."""
-    rules: Collection[int] = ()  #: Rows to draw a rule above in the terminal.
-    ruled: bool = False  #: Draw a rule between all rows in the terminal.
 
     @property
     def header(self) -> list[str]:
@@ -103,18 +98,17 @@ class Table:
             [number(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows
         ]
 
-    def __rich__(self) -> "rich.table.Table":
+    def __rich__(self) -> Any:
         """The table for the terminal."""
         import rich.table
-        from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+        from rich.box import SIMPLE_HEAD
         from rich.markup import escape
 
         table = rich.table.Table(
             title=escape(self.title),
             caption=escape(self.caption),
             caption_justify="left",
-            box=HEAVY_HEAD if self.ruled else SIMPLE_HEAD,
-            show_lines=self.ruled,
+            box=SIMPLE_HEAD,
             pad_edge=False,
         )
         for column in self.columns:
@@ -125,7 +119,7 @@ class Table:
         first = ""
         for index, row in enumerate(self.cells):
             repeats = self.grouped and row[0] == first
-            if index and (index in self.rules or (self.grouped and not repeats)):
+            if index and self.grouped and not repeats:
                 table.add_section()
             first = row[0]
             table.add_row(*map(escape, ["", *row[1:]] if repeats else row))

@@ -201,10 +201,7 @@ def _too_deep(where: str) -> InputError:
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
-    """Build `model` from a table that errors call `where`, e.g. `my.toml: stiff`.
-
-    The `InputError` has one line per fault, each naming field, value and what is allowed.
-    """
+    """Build `model` from a table that errors call `where`; refusals have one line per fault."""
     try:
         return model.model_validate(table)
     except ValidationError as error:
@@ -251,34 +248,6 @@ Fitting = Callable[[dict[str, Any]], dict[str, Any]]
 """What makes the shipped table, which is for the CMF, that of another machine."""
 
 
-def named_set(
-    what: str,
-    names: Sequence[str],
-    shipped: Path,
-    source: str | Path,
-    *,
-    levels: int = 1,
-    fixed: Sequence[str] = (),
-    based: bool = True,
-    fitted: Fitting | None = None,
-) -> tuple[dict[str, Any], str]:
-    """The table, with its `name`, of a shipped set or a user's file, and what errors call it.
-
-    A shipped set has the entries of the table `[common]`, if there is one, and of the table of its
-    name. A user's file names a shipped set as `base` (unless `based` is false: then it holds every
-    entry) and holds one table, named after the new set, with what it changes. It may not change the
-    `fixed` fields. Errors call a set `what`; `levels` are those of `merged`. The shipped tables are
-    `fitted` first.
-    """
-    tables = read_toml(shipped) if fitted is None else fitted(read_toml(shipped))
-    sets = {name: tables.get("common", {}) | tables[name] for name in names}
-    if str(source) in sets:
-        return sets[str(source)] | {"name": str(source)}, f"{shipped.name}: {source}"
-    user = user_set(what, names, source, fixed=fixed, based=based)
-    start = sets[user.base] if based else {}
-    return merged(start, user.changes, levels) | {"name": user.name}, user.where
-
-
 class UserSet(NamedTuple):
     """The one table of a user's file."""
 
@@ -296,7 +265,7 @@ def user_set(
     fixed: Sequence[str] = (),
     based: bool = True,
 ) -> UserSet:
-    """Read the table of a user's file; arguments as of `named_set`."""
+    """Read the table of a user's set; arguments as of `Loader`."""
     path = user_file(what, names, source)
     content = read_toml(path)
     base = content.pop("base", None) if based else ""
@@ -317,8 +286,9 @@ def user_set(
 class Loader(Generic[Model]):
     """Loads the settings of a shipped file, called as `load(source)`.
 
-    A file of the user repeats what it changes: the shipped settings, or the shipped set that it
-    names as `base`, see `named_set`.
+    The file is one table, or has shipped sets: a table each, beside `[common]`, whose entries all
+    have. A user's file repeats what it changes of the whole; or names a shipped set as `base` and
+    holds one table, named after the new set, with what that changes.
     """
 
     model: type[Model]  #: Settings class.
@@ -327,7 +297,8 @@ class Loader(Generic[Model]):
     what: str = ""  #: How the settings are called in errors; checks the name of the user's file.
     names: tuple[str, ...] = ()  #: Shipped sets; none where the whole file is one, `default`.
     default: str = "default"  #: What is loaded without a source.
-    based: bool = True  #: Whether a file of the user has a `base`.
+    based: bool = True  #: Whether a user's set has a `base`; else it holds every entry.
+    fixed: tuple[str, ...] = ()  #: What a user's set may not change.
 
     def __call__(
         self, source: str | Path | Model | None = None, fitted: Fitting | None = None
@@ -335,36 +306,38 @@ class Loader(Generic[Model]):
         """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already.
 
         Shipped numbers are `fitted` to a machine first; those of a file stay as they are.
-
-        Raises:
-            InputError: unknown set, unreadable file or a refused field; each is named.
         """
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
         if fitted is None and chosen in (self.names or (self.default,)):
             return _once(self, chosen)
-        return self.read(chosen, fitted)
+        return validated(self.model, *self.table(chosen, fitted))
 
-    def read(self, chosen: str, fitted: Fitting | None = None) -> Model:
-        """Read the files that a shipped set or a user's file is made of; errors as of the call."""
-        if self.names:
-            how: Any = {"levels": self.levels, "based": self.based, "fitted": fitted}
-            return validated(
-                self.model, *named_set(self.what, self.names, self.shipped, chosen, **how)
-            )
-        table = read_toml(self.shipped) if fitted is None else fitted(read_toml(self.shipped))
-        if chosen == self.default:
-            return validated(self.model, table, self.shipped.name)
-        if self.what:
-            user_file(self.what, (self.default,), chosen)
-        return validated(self.model, merged(table, read_toml(Path(chosen)), self.levels), chosen)
+    def table(
+        self, chosen: str | Path, fitted: Fitting | None = None
+    ) -> tuple[dict[str, Any], str]:
+        """The table of a shipped set, with its `name`, or a user's, and what errors call it."""
+        chosen, shipped = str(chosen), read_toml(self.shipped)
+        shipped = shipped if fitted is None else fitted(shipped)
+        if not self.names:
+            if chosen == self.default:
+                return shipped, self.shipped.name
+            if self.what:
+                user_file(self.what, (self.default,), chosen)
+            return merged(shipped, read_toml(Path(chosen)), self.levels), chosen
+        sets = {name: shipped.get("common", {}) | shipped[name] for name in self.names}
+        if chosen in sets:
+            return sets[chosen] | {"name": chosen}, f"{self.shipped.name}: {chosen}"
+        user = user_set(self.what, self.names, chosen, fixed=self.fixed, based=self.based)
+        start = sets[user.base] if self.based else {}
+        return merged(start, user.changes, self.levels) | {"name": user.name}, user.where
 
 
 @cache
 def _once(loader: Loader[Model], chosen: str) -> Model:
     """A shipped set, read once: settings are not to be changed."""
-    return loader.read(chosen)
+    return validated(loader.model, *loader.table(chosen))
 
 
 def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:

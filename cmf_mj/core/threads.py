@@ -42,22 +42,17 @@ def on_threads(
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Result]:
-    """Results of all cases, in their order, whichever is finished first, on `jobs` threads.
+    """Results of all cases, in their order, on `jobs` threads, by default one a core.
 
-    The work on a case must share nothing that it changes with other cases. The default is a thread
-    a core. `progress` is called with (cases done, cases in all) after each, from the calling
-    thread.
+    The work on a case must share nothing that it changes with other cases. `progress` is called
+    from the calling thread with (cases done, cases in all), after each and all before it.
     """
     if jobs is not None and not 1 <= jobs <= MOST_JOBS:
         raise InputError(f"jobs: {jobs} must be at least 1 and at most {MOST_JOBS}")
-
-    def numbered(index: int) -> tuple[int, Result]:
-        return index, work(cases[index])
-
-    results: dict[int, Result] = {}
-    pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator_unordered")
-    for index, result in pool(delayed(numbered)(index) for index in range(len(cases))):
-        results[index] = result
+    results: list[Result] = []
+    pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator")
+    for result in pool(delayed(work)(case) for case in cases):
+        results.append(result)
         if progress is not None:
             progress(len(results), len(cases))
-    return [results[index] for index in range(len(cases))]
+    return results

@@ -41,7 +41,7 @@ from cmf_mj.machine.kinematics import MachineOrGimbals
 from cmf_mj.machine.leg_motion import LegAxesState, leg_axes_state, make_leg_axes, track, upward
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 
 
 class ElectronicsParts(NamedTuple):
@@ -66,7 +66,7 @@ class ElectronicsSettings(Settings):
     seed: Seed | None = None  #: Of the sensors' noise; default that of the scenario, or 0.
 
     def of(self, machine: Machine) -> ElectronicsParts:
-        """All loaded, with the ranges of a machine; see `plant.parameters.loading.fitting`."""
+        """All loaded, with the ranges of a machine; see `plant.parameters.fitting`."""
         fitted = fitting(machine)
         return ElectronicsParts(
             load_sensors(self.sensors, fitted),

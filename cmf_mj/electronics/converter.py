@@ -111,7 +111,7 @@ def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedbac
     """Filter states (n, s, 2) of converters that have seen the feedback for a long time."""
     return LegFeedback(
         *(
-            filters.settled(converter.low_pass, values)
+            filters.settled_filter(converter.low_pass, values)
             for converter, values in zip(converters, feedback, strict=True)
         )
     )

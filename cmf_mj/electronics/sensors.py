@@ -128,7 +128,9 @@ def sensor_state(
         "platform_accelerometer": _STILL[3:] if accelerometer is None else accelerometer,
     }
     filled = {
-        field: filters.settled(getattr(sensors, field).low_pass, np.asarray(values[field], float))
+        field: filters.settled_filter(
+            getattr(sensors, field).low_pass, np.asarray(values[field], float)
+        )
         for field in _FIELDS
     }
     return SensorState(**filled, axes=axes, before=axes.direction.copy())

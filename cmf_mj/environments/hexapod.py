@@ -24,7 +24,7 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 
 ACTIONS = ("pose", "valves", "residual")
 """A pose demand; valve commands; a pose added to the target that the law is given."""

@@ -24,7 +24,7 @@ from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.plant.attach import attach_hydraulics, equipped
 from cmf_mj.plant.events import Faults, no_faults
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 

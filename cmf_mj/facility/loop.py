@@ -35,9 +35,9 @@ from cmf_mj.facility.front import Source, cleared, follow, found, host_age, reco
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.events import OVERLOAD, STOPPED, Faults, Timeline, strike
+from cmf_mj.plant.events import Faults, Timeline, strike
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
-from cmf_mj.plant.native import Mechanics, call
+from cmf_mj.plant.native import Stepper, call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
 
@@ -57,7 +57,7 @@ _UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
 class Dynamics(NamedTuple):
     """A plant as the loop steps it, and its state."""
 
-    mechanics: Mechanics
+    mechanics: Stepper
     hydraulics: Hydraulics
     state: HydraulicState
     faults: Faults
@@ -172,7 +172,7 @@ def _strike(timeline, faults, payload, bodies, progress, position):  # type: ign
     strike(timeline, progress.event, faults, position)
     progress.event += 1
     for body in bodies:
-        payload[body, 2] = -faults.plant[OVERLOAD] / bodies.shape[0]
+        payload[body, 2] = -faults.plant[0].overload / bodies.shape[0]
 
 
 @inlined
@@ -228,7 +228,7 @@ def _reset(electronics, guard, progress, plant_faults, integral, position):  # t
     release(electronics)
     integral[:] = 0.0
     progress.tripped = 0
-    plant_faults[STOPPED] = 0.0
+    plant_faults.stopped = 0.0
 
 
 @inlined
@@ -236,7 +236,7 @@ def _decide(controller, plant_faults, memory, frame):  # type: ignore[no-untyped
     """Let the source give its reference; returns the gain on the valve command."""
     source, guard = controller.source, controller.guard
     progress, position = memory.progress[0], memory.feedback.position
-    tripped = progress.tripped != 0 or plant_faults[STOPPED] != 0.0
+    tripped = progress.tripped != 0 or plant_faults.stopped != 0.0
     gain = follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
     latch(guard, found(source), frame)
     if cleared(source):
@@ -274,13 +274,13 @@ def _deliver(controller, memory, plant_faults, supply, frame):  # type: ignore[n
     electronics, source = controller.electronics, controller.source
     if deliver(electronics, watched(source), memory.truth.position, memory.command[0]):
         memory.progress[0].tripped = 1
-    if controller.guarded and plant_faults[STOPPED] == 0.0:
+    if controller.guarded and plant_faults.stopped == 0.0:
         feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
         target = controller.dcl.workspace.limited if closed else feedback.position
         protection, guard, age = controller.protection, controller.guard, host_age(source)
         pressure = supply[SUPPLY_PRESSURE]
         if _stops(protection, guard, frame, target, feedback, pressure, age, closed):
-            plant_faults[STOPPED] = 1.0
+            plant_faults.stopped = 1.0
 
 
 @inlined
@@ -346,6 +346,7 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
     """
     mechanics, hydraulics, state = dynamics.mechanics, dynamics.hydraulics, dynamics.state
     faults, load, oldest = dynamics.faults, memory.load, memory.command[controller.delay]
+    plant_faults = faults.plant[0]
     for frame in range(first, last):
         begin(controller.pace, frame)
         recorded = frame % recorder.every == 0
@@ -355,9 +356,9 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
                 return frame, SOLUTION, 0
             if inner == 0:
                 _sense(dynamics, controller, memory, frame)
-                gain = _decide(controller, faults.plant, memory, frame)
+                gain = _decide(controller, plant_faults, memory, frame)
                 _command(controller, memory, gain)
-                _deliver(controller, memory, faults.plant, state.supply, frame)
+                _deliver(controller, memory, plant_faults, state.supply, frame)
                 bound, leg = _bounds(hydraulics, state.pressure, memory.extension)
                 if bound >= 0:
                     return frame, bound, leg

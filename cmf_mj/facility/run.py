@@ -56,7 +56,7 @@ from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import PLANTS, make_plant
-from cmf_mj.plant.parameters.loading import fitting, hydraulics_of
+from cmf_mj.plant.parameters import fitting, hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Motion

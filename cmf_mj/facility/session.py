@@ -47,7 +47,7 @@ from cmf_mj.facility.record_layout import CHAIN, LAW, make_layout
 from cmf_mj.facility.settings import SessionSettings
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
+from cmf_mj.plant.events import Event, make_timeline, no_faults
 from cmf_mj.plant.native import untimed
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
@@ -352,7 +352,7 @@ class Session:
         for body, wrench in wrenches.items():
             forces[body] = wrench
             if body in loaded:
-                forces[body, 2] -= self.dynamics.faults.plant[OVERLOAD] / loaded.size
+                forces[body, 2] -= self.dynamics.faults.plant[0].overload / loaded.size
 
     def inject(self, event: Event) -> None:
         """Put one more event on the time line, not before the present frame."""

@@ -32,7 +32,7 @@ from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import MOST_FORCE, Event, Failure
 from cmf_mj.plant.hexapod import PLANTS, make_plant
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals.signal import plain
 

@@ -49,7 +49,7 @@ from cmf_mj.core.settings import Settings, read_toml, user_file, validated
 from cmf_mj.electronics.channel import CHANNELS, SensorSettings
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
-from cmf_mj.plant.parameters.hydraulics import (
+from cmf_mj.plant.parameters import (
     ACTUATOR_FIELDS,
     OF_THE_SUPPLY,
     VALVE_FIELDS,

@@ -17,7 +17,7 @@ T f1 + g lacks what the tilt already gives, so that translation and tilt add up 
 
 in surge and sway for small angles, H and L the filters: 1 at both ends. The filters are written
 with displacement and velocity, or angle, as states, so that position, velocity and acceleration
-belong together exactly; `cmf_mj.core.hold` puts them on samples.
+belong together exactly; `cmf_mj.core.filters` puts them on samples.
 
 The demand A_d of the tilt has the derivatives
 
@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.hold import Held, advance, hold, read, settled
+from cmf_mj.core.filters import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, Tilted

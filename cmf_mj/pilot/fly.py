@@ -46,7 +46,7 @@ from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, p
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.pilot.washout_settings import WashoutSettings
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 
 RECORD_EVERY = 8

@@ -45,8 +45,7 @@ from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body, pilot_s
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.signals.signal import check_positive
 
 TESTS = (

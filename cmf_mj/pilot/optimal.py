@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.hold import hold
+from cmf_mj.core.filters import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.classical import Filter, Matrices, at_work, outputs, push_sample, settle

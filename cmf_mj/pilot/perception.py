@@ -5,7 +5,7 @@
 
 Both have the input's unit. The canals tell rates between about 1 / T1 and 1 / T3 rad/s as they are
 and forget a steady one; the otoliths tell a steady specific force by K and a changing one by up to
-K Ta / Tl. On samples the inputs run straight between them (`cmf_mj.core.hold`).
+K Ta / Tl. On samples the inputs run straight between them (`cmf_mj.core.filters`).
 
 Senses of both motions, in flight and in the simulator, are computed alike, and their difference is
 compared with the thresholds. A threshold is a setting, not a verdict: whether an error matters
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.hold import history, hold, settled
+from cmf_mj.core.filters import history, hold, settled
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion

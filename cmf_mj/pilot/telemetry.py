@@ -39,7 +39,7 @@ from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.telemetry_check import Telemetry, check
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 Row = tuple[float, ...]
 """Twelve numbers: time, specific force, angular rate, attitude, speed, height; NaN if unknown."""

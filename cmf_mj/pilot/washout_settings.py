@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.settings import Name, Settings, named_set, validated
+from cmf_mj.core.settings import Loader, Name, Settings, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
 
@@ -191,7 +191,8 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
     """
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source
-    table, where = named_set("washout", WASHOUTS, _FILE, source, fixed=("kind",))
+    sets = Loader(Settings, _FILE, what="washout", names=WASHOUTS, fixed=("kind",))
+    table, where = sets.table(source)
     if table["kind"] == "optimal":
         return validated(OptimalSettings, table, where)
     return validated(ClassicalSettings, table, where)

@@ -22,9 +22,8 @@ import numpy as np
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import checked_name
 from cmf_mj.core.units import FRAME
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant.plant import Plant, set_timestep
 
 _STOP_TIME = 0.01
 """Time constant of the stops given to joints and tendons without a range [s]."""
@@ -55,12 +54,6 @@ def attach_hydraulics(
     Returns:
         A `Plant` for `simulate(..., legs=True)` and `drive`, named like the model. It starts in
         the model's `qpos0`; `Plant.configuration` finds others.
-
-    Raises:
-        InputError: a name that is not there, or is both a joint and a tendon; a hinge or another
-            joint that does not slide; a joint or tendon with an actuator already; neither range nor
-            retracted length; a range or a start beyond the stroke; an integrator or a step the loop
-            cannot run; an unreadable model, a refused name of it or refused hydraulics.
 
     >>> press = mujoco.MjSpec()
     >>> load = press.worldbody.add_body(name="load", mass=2e3, inertia=[1, 1, 1])
@@ -100,29 +93,22 @@ def equipped(
 
     Arguments and refusals are those of `attach_hydraulics`.
     """
-    spec = _read(model)
-    parameters = load_hydraulics(hydraulics)
+    try:
+        given = isinstance(model, mujoco.MjSpec)
+        spec: mujoco.MjSpec = model if given else mujoco.MjSpec.from_file(str(model))
+    except (ValueError, OSError) as error:
+        raise InputError(f"model: {model} cannot be read: {error}") from None
+    spec, parameters = spec.copy(), load_hydraulics(hydraulics)
     if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
     lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
-    if not timestep > 0.0:
-        raise InputError(f"timestep: {timestep} s must be greater than 0")
+    set_timestep(spec.option, timestep)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError(
             "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
         )
-    spec.option.timestep = timestep
     neutral = {name: _fit(spec, name, retracted, parameters) for name, retracted in lengths.items()}
     return spec, parameters, neutral
-
-
-def _read(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
-    if isinstance(model, mujoco.MjSpec):
-        return model.copy()
-    try:
-        return mujoco.MjSpec.from_file(str(model))
-    except (ValueError, OSError) as error:
-        raise InputError(f"model: {model} cannot be read: {error}") from None
 
 
 def _fit(

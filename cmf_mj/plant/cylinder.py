@@ -27,17 +27,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.oil import density, make_oil
-from cmf_mj.plant.parameters.hydraulics import (
+from cmf_mj.plant.parameters import (
     HydraulicParameters,
     cap_area,
     piston_leakage,
     rod_area,
 )
-from cmf_mj.plant.table import table
 
 CAP, ROD = 0, 1
 """Columns of pressures, contents and volumes."""
@@ -58,8 +58,8 @@ class Cylinder(NamedTuple):
     half_stroke: float  #: h [m].
     minimum_gap: float  #: g, length of a chamber at its stop [m].
     leakage: float  #: L [m^3/s/Pa].
-    bearing: float  #: B [m^3/s/Pa].
-    cushion: float  #: c [m].
+    bearing_leakage: float  #: B [m^3/s/Pa].
+    cushion_length: float  #: c [m].
     cushion_opening: float  #: G_stop over the gain of both valves.
     supply_hose: float  #: Laminar resistance from the manifold to the valves [Pa s/m^3].
     return_hose: float  #: Laminar resistance from the valves to the return manifold [Pa s/m^3].
@@ -78,22 +78,19 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
         cap, rod = cap_area(numbers), rod_area(numbers)
         load = numbers["settle_load"].si
         settle = numbers["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
-        return Cylinder(
+        return compiled_params(
+            Cylinder,
+            numbers,
             cap_area=cap,
             rod_area=rod,
-            half_stroke=numbers["half_stroke"].si,
-            minimum_gap=numbers["minimum_gap"].si,
             leakage=piston_leakage(numbers) * content,
-            bearing=numbers["bearing_leakage"].si,
-            cushion=numbers["cushion_length"].si,
-            cushion_opening=numbers["cushion_opening"].si,
             supply_hose=numbers["supply_hose"].si * network,
             return_hose=numbers["return_hose"].si * network,
             settle_gain=settle,
             settle_rod_gain=_WIDE_OPEN * settle * rod / cap,
         )
 
-    return table(Cylinder, [one(parameters.actuator(name)) for name in actuators])
+    return record_array(Cylinder, [one(parameters.actuator(name)) for name in actuators])
 
 
 @compiled
@@ -131,7 +128,7 @@ def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
     `gap` is the travel left before the stop [m], `gain` that of the paths out of the chamber
     [m^3/s/sqrt(Pa)], `full` that of both valves fully open.
     """
-    length = cylinder.cushion
+    length = cylinder.cushion_length
     if gap >= length or gain == 0.0:
         return gain
     depth = min((length - gap) / length, 1.0)

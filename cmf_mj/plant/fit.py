@@ -35,11 +35,9 @@ _PARTS = {
 def check_motor(model: mujoco.MjModel, name: str) -> None:
     """Refuse an actuator whose force is not its control, or that turns."""
     actuator = model.actuator(name)
-    slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
-        actuator.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.jnt_type[actuator.trnid[0]] == mujoco.mjtJoint.mjJNT_SLIDE
-    )
-    if not slide:
+    drives, target = actuator.trntype[0], actuator.trnid[0]
+    tendon, joint = drives == mujoco.mjtTrn.mjTRN_TENDON, drives == mujoco.mjtTrn.mjTRN_JOINT
+    if not tendon and not (joint and model.jnt_type[target] == mujoco.mjtJoint.mjJNT_SLIDE):
         raise InputError(f"motors: {name!r} must drive a slide joint or a tendon")
     fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
     plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
@@ -47,8 +45,6 @@ def check_motor(model: mujoco.MjModel, name: str) -> None:
         raise InputError(f"motors: {name!r} must be a plain motor, force = ctrl")
     if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
         raise InputError(f"motors: {name!r} must have gear 1 and no ctrlrange")
-    target = actuator.trnid[0]
-    tendon = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON
     limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
     if actuator.forcelimited[0] or limited[target]:
         raise InputError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.table import table
+from cmf_mj.plant.parameters import HydraulicParameters
 
 _DAMPING_TIME = 0.005
 """t [s]."""
@@ -27,38 +27,33 @@ _DAMPING_TIME = 0.005
 class Friction(NamedTuple):
     """Compiled parameters of one contact."""
 
-    coulomb: float  #: Fc [N].
+    coulomb_friction: float  #: Fc [N].
     excess: float  #: Fb / Fc - 1.
-    stribeck: float  #: vs [m/s].
+    stribeck_speed: float  #: vs [m/s].
     presliding: float  #: d [m].
-    viscous: float  #: b [N s/m].
+    viscous_friction: float  #: b [N s/m].
 
 
 def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
     """Derive the contacts of all actuators from a parameter set, (n,) of `Friction`."""
 
     def one(actuator: str) -> Friction:
-        numbers = {name: value.si for name, value in parameters.actuator(actuator).items()}
-        coulomb, breakaway = numbers["coulomb_friction"], numbers["breakaway_friction"]
-        return Friction(
-            coulomb=coulomb,
-            excess=breakaway / coulomb - 1.0 if coulomb > 0.0 else 0.0,
-            stribeck=numbers["stribeck_speed"],
-            presliding=numbers["presliding"],
-            viscous=numbers["viscous_friction"],
-        )
+        numbers = parameters.actuator(actuator)
+        coulomb, breakaway = numbers["coulomb_friction"].si, numbers["breakaway_friction"].si
+        excess = breakaway / coulomb - 1.0 if coulomb > 0.0 else 0.0
+        return compiled_params(Friction, numbers, excess=excess)
 
-    return table(Friction, map(one, actuators))
+    return record_array(Friction, map(one, actuators))
 
 
 @compiled
 def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
     """Bristle deflection z [m] after sliding at a constant speed, and the force F [N] there."""
-    viscous = friction.viscous * speed
-    coulomb = friction.coulomb
+    viscous = friction.viscous_friction * speed
+    coulomb = friction.coulomb_friction
     if coulomb == 0.0:
         return 0.0, viscous
-    ratio = speed / friction.stribeck
+    ratio = speed / friction.stribeck_speed
     fade = np.exp(-min(ratio * ratio, 700.0))
     largest = friction.presliding * (1.0 + friction.excess * fade)
     if speed != 0.0:

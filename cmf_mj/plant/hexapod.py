@@ -7,7 +7,7 @@ import copy
 from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,10 +25,9 @@ from cmf_mj.machine.models import RigidBody
 from cmf_mj.plant import cylinder, fit
 from cmf_mj.plant.model_text import model_texts
 from cmf_mj.plant.native import headless
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of
-from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import SingleLegs, set_timestep
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
+from cmf_mj.plant.plant import Plant, set_timestep
+from cmf_mj.plant.single_legs import SingleLegs
 
 _LEGS = range(1, 7)
 
@@ -107,10 +106,6 @@ class Hexapod(Plant):
             spec: an edited `hexapod_spec` of the cab, with its masses and the machine's geometry;
                 default as shipped.
             timestep: mechanical step [s]; default that of the `spec`, else as `set_timestep`.
-
-        Raises:
-            InputError: a refused machine or cab, a step that is not positive, refused hydraulics,
-                or what `check` refuses.
         """
         self.cab_parameters = chosen = load_cab(cab, machine)
         self.cab = chosen.name
@@ -120,7 +115,7 @@ class Hexapod(Plant):
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
         if spec is None or timestep is not None:
-            set_timestep(model.opt, timestep, chosen.machine)
+            set_timestep(model.opt, timestep, chosen.machine.frame)
         parameters = hydraulics_of(chosen.machine, hydraulics)
         super().__init__(model, parameters, payload=["platform"], machine=chosen.machine)
 
@@ -129,9 +124,6 @@ class Hexapod(Plant):
 
         Gimbals, leg axes and stops must be those of the kinematics, the gimbals pinned and closed
         at neutral, the masses those of the cab.
-
-        Raises:
-            InputError: what does not fit, with both values.
         """
         super().check()
         stroke, half = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
@@ -164,8 +156,8 @@ class Hexapod(Plant):
     @property
     def gimbal_sites(self) -> NDArray[np.int64]:
         """Rod end and upper gimbal of each leg."""
-        pairs = [(f"rod_end_{i}", f"upper_{i}") for i in _LEGS]
-        return np.array([[self.model.site(name).id for name in pair] for pair in pairs])
+        kinds = ("rod_end", "upper")
+        return np.array([[self.model.site(f"{kind}_{i}").id for kind in kinds] for i in _LEGS])
 
     def derived_channels(
         self, channels: Mapping[str, NDArray[np.float64]]
@@ -174,14 +166,7 @@ class Hexapod(Plant):
         return {"platform_pose": (self.pose_of(channels["generalised_position"]), "m, rad")}
 
     def place(self, pose: ArrayLike) -> None:
-        """Set platform, gimbals and rods to a pose, all gimbals closed.
-
-        Args:
-            pose: (6,) surge, sway, heave [m], roll, pitch, yaw [rad], z down.
-
-        Raises:
-            InputError: a leg would leave its mechanical stroke.
-        """
+        """Set platform, gimbals and rods to a pose (6,) [m, rad], z down, all gimbals closed."""
         target = shaped("pose", pose, 6)
         legs = kinematics.pose_to_legs(target, self.machine)
         stroke = self.hydraulics.cylinder.half_stroke
@@ -217,11 +202,7 @@ class Hexapod(Plant):
         return np.concatenate([where, angles], axis=-1)
 
     def hydraulic_modes(self, pose: ArrayLike | None = None) -> HydraulicModes:
-        """Modes of M_leg d2l/dt2 + K(l) l = 0, valves closed and no leakage.
-
-        Args:
-            pose: (6,) [m, rad], z down; default neutral.
-        """
+        """Modes of M_leg d2l/dt2 + K(l) l = 0 at a pose, by default neutral."""
         target = np.zeros(6) if pose is None else shaped("pose", pose, 6)
         mass = self.reflected_mass(target)
         legs = kinematics.pose_to_legs(target, self.machine)
@@ -243,13 +224,7 @@ def hexapod_spec(
     scene, files = model_texts(load_cab(chosen.base, chosen.machine))
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
-        body = spec.body(edit.body)
-        if edit.part is None:
-            body.mass *= edit.factor
-            body.inertia = edit.factor * np.array(body.inertia)
-        else:
-            body.mass, body.ipos = edit.part.mass.si, edit.part.centre_of_mass.si
-            body.inertia, body.iquat = principal_axes(edit.part.tensor)
+        edit.apply(spec.body(edit.body))
     return spec
 
 
@@ -263,12 +238,8 @@ def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) ->
     edits = list(_edits(chosen))
     for edit in edits:
         body = model.body(edit.body)
-        if edit.part is None:
-            body.mass[:] *= edit.factor
-            body.inertia[:] *= edit.factor
-        else:
-            body.mass[:], body.ipos[:] = edit.part.mass.si, edit.part.centre_of_mass.si
-            body.inertia[:], body.iquat[:] = principal_axes(edit.part.tensor)
+        edit.apply(body)
+        if edit.part is not None:
             model.body_sameframe[body.id] = _same_frame(body.ipos, body.iquat)
     if edits:
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -298,6 +269,14 @@ class _Edit(NamedTuple):
     body: str
     part: RigidBody | None  #: New mass properties; None for a factor on mass and inertia.
     factor: float = 1.0
+
+    def apply(self, body: Any) -> None:
+        """Write it to a body of an editable or a compiled model."""
+        if self.part is None:
+            body.mass, body.inertia = self.factor * body.mass, self.factor * np.array(body.inertia)
+        else:
+            body.mass, body.ipos = self.part.mass.si, self.part.centre_of_mass.si
+            body.inertia, body.iquat = principal_axes(self.part.tensor)
 
 
 def _edits(cab: Cab) -> Iterator[_Edit]:

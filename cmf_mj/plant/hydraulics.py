@@ -33,10 +33,9 @@ from cmf_mj.plant.cylinder import (
     throttled,
     volumes,
 )
-from cmf_mj.plant.events import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
@@ -61,8 +60,7 @@ ENERGIES = (*FLOWS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
 leakage, relief and burst hose, work on the pistons, and the part of it friction takes."""
 
-
-_MECHANICAL, _FRICTION = len(FLOWS), len(FLOWS) + 1
+_MECHANICAL, _FRICTION = map(ENERGIES.index, ("mechanical", "friction"))
 
 
 class Hydraulics(NamedTuple):
@@ -164,7 +162,7 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
                     state.drive[leg, index] = drive
                     state.play[leg, index] = play
                     state.spool[leg, index] = position
-            if head >= valve.threshold:
+            if head >= valve.threshold_pressure:
                 size = (1.0 - closed) * opening(valve, position)
                 if size >= 0.0:
                     cap_in += size * valve.cap_gain
@@ -175,7 +173,7 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
         if closed > 0.0:
             cap_out += closed * cylinder.settle_gain
             rod_out += closed * cylinder.settle_rod_gain
-        if cylinder.cushion > 0.0:
+        if cylinder.cushion_length > 0.0:
             half = cylinder.half_stroke
             both = hydraulics.valve[leg, 0], hydraulics.valve[leg, 1]
             full_cap = both[0].cap_gain + both[1].cap_gain
@@ -183,6 +181,30 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
             cap_out = throttled(cylinder, half + extension, cap_out, full_cap)
             rod_out = throttled(cylinder, half - extension, rod_out, full_rod)
         pair.cap_in, pair.cap_out, pair.rod_in, pair.rod_out = cap_in, cap_out, rod_in, rod_out
+
+
+@inlined
+def _set_out(state, last, share, least):  # type: ignore[no-untyped-def]
+    """Known contents of a stage, and guesses: pressures go on as over the last step or stage."""
+    stage, network = state.stage, state.supply
+    for leg in range(state.pressure.shape[0]):
+        pair = stage.chambers[leg]
+        cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
+        if last:
+            pair.cap_known += share * (pair.cap_content - pair.cap_known)
+            pair.rod_known += share * (pair.rod_content - pair.rod_known)
+            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
+            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
+        else:
+            pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+            pair.cap = max(cap + _GAMMA * pair.cap_change, least)
+            pair.rod = max(rod + _GAMMA * pair.rod_change, least)
+    for node in range(CONTENTS + 1):
+        if last:
+            stage.known[node] += share * (stage.node[node] - stage.known[node])
+        else:
+            stage.known[node] = network[node]
+            stage.node[node] = network[node]
 
 
 @inlined
@@ -210,11 +232,12 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     weight, least = _GAMMA * step, least_pressure(hydraulics.oil)
     gas, rise = gas_pressure(supply, network[ACCUMULATOR])
     manifolds.gas, manifolds.gas_rise, manifolds.gas_oil = gas, rise, network[ACCUMULATOR]
-    manifolds.running = 0.0 if faults.plant[PUMP_LOST] > 0.0 else 1.0
-    manifolds.bank = max(supply.accumulators - faults.plant[ACCUMULATORS_LOST], 0.0)
-    manifolds.burst = supply.jet * faults.plant[BURST_AREA]
+    failed = faults.plant[0]
+    manifolds.running = 0.0 if failed.pump_lost > 0.0 else 1.0
+    manifolds.bank = max(supply.accumulators - failed.accumulators_lost, 0.0)
+    manifolds.burst = supply.jet * failed.burst_area
     travel = supply.isolation_rate * step
-    closing = travel if faults.plant[STOPPED] > 0.0 else -travel
+    closing = travel if failed.stopped > 0.0 else -travel
     network[ISOLATION] = min(max(network[ISOLATION] + closing, 0.0), 1.0)
     manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
 
@@ -226,27 +249,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     converged = True
     for last in (False, True):
         _open(hydraulics, state, faults, last, command, before, after)
-        # Known contents, and guesses: pressures go on changing as over the last step or stage.
-        for leg in range(legs):
-            pair = chambers[leg]
-            cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
-            if last:
-                share = (step - weight) / weight
-                pair.cap_known += share * (pair.cap_content - pair.cap_known)
-                pair.rod_known += share * (pair.rod_content - pair.rod_known)
-                pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
-                pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
-            else:
-                pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-                pair.cap = max(cap + _GAMMA * pair.cap_change, least)
-                pair.rod = max(rod + _GAMMA * pair.rod_change, least)
-        for node in range(CONTENTS + 1):
-            if last:
-                share = (step - weight) / weight
-                stage.known[node] += share * (stage.node[node] - stage.known[node])
-            else:
-                stage.known[node] = network[node]
-                stage.node[node] = network[node]
+        _set_out(state, last, (step - weight) / weight, least)
         solved = solve(
             hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, weight
         )

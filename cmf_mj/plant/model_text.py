@@ -94,12 +94,15 @@ def _machine(machine: Machine, cab: Cab) -> bytes:
     for leg in range(6):
         _set(_named(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
         _make_leg(root, machine, leg, scale)
-    _draw_platform(root, upper, scale)
+    platform = _named(root, "body", "platform")
+    for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
+        _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
+        _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
     world = next(root.iter("worldbody"))
     for leg in range(6):
         foot = lower[leg] * [1.0, 1.0, 0.0] + [0.0, 0.0, machine.floor_height]
         _add(world, "base", type="capsule", size=[0.16 * scale], fromto=[*foot, *lower[leg]])
-    inertial = _named(root, "body", "platform").find("inertial")
+    inertial = platform.find("inertial")
     assert inertial is not None
     inertial.attrib.clear()
     _weigh(inertial, cab.platform)
@@ -135,13 +138,6 @@ def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
     _add(cylinder, "barrel", size=[1.3 * thick], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
     _add(rod, "rod", size=[thin], fromto=[0, 0, 0.4 * length, 0, 0, length])
     _add(rod, "visual", type="sphere", size=[2.0 * thin], pos=[0, 0, length])
-
-
-def _draw_platform(root: Element, upper: NDArray[np.float64], scale: float) -> None:
-    platform = _named(root, "body", "platform")
-    for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
-        _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
-        _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
 
 
 def _cab(cab: Cab) -> bytes:

@@ -40,7 +40,7 @@ def _library() -> ctypes.CDLL:
     return ctypes.CDLL(str(next(path for name in names for path in sorted(folder.glob(name)))))
 
 
-class Mechanics(NamedTuple):
+class Stepper(NamedTuple):
     """What the compiled loop needs of MuJoCo: three addresses and views of MjData."""
 
     model: int  #: Address of the mjModel.

@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 ATMOSPHERE = 101325.0
 """Standard atmosphere [Pa]."""
@@ -31,20 +32,16 @@ class Oil(NamedTuple):
 
     bulk_modulus: float  #: beta [Pa].
     compliance: float  #: 1 / beta [1/Pa].
-    entrained: float  #: e, volume share at atmospheric pressure.
-    exponent: float  #: n.
+    entrained_gas: float  #: e, volume share at atmospheric pressure.
+    gas_exponent: float  #: n.
     released: float  #: c pa [Pa]; 0 without a cavitation floor.
 
 
 def make_oil(parameters: HydraulicParameters) -> Oil:
     """Derive the oil from a parameter set."""
-    return Oil(
-        parameters.bulk_modulus.si,
-        1.0 / parameters.bulk_modulus.si,
-        parameters.entrained_gas.si,
-        parameters.gas_exponent.si,
-        parameters.cavitation_gas.si * ATMOSPHERE,
-    )
+    compliance = 1.0 / parameters.bulk_modulus.si
+    released = parameters.cavitation_gas.si * ATMOSPHERE
+    return compiled_params(Oil, parameters, compliance=compliance, released=released)
 
 
 @compiled
@@ -53,15 +50,15 @@ def density(oil, pressure):  # type: ignore[no-untyped-def]
     z = pressure * oil.compliance
     ratio = 1.0 + z + 0.5 * z * z
     slope = (1.0 + z) * oil.compliance
-    if oil.entrained == 0.0 and (pressure >= 0.0 or oil.released == 0.0):
+    if oil.entrained_gas == 0.0 and (pressure >= 0.0 or oil.released == 0.0):
         return ratio, slope
     specific = 1.0 / ratio
     specific_slope = -slope * specific * specific
     absolute = pressure + ATMOSPHERE
-    if oil.entrained > 0.0:
-        gas = oil.entrained * (ATMOSPHERE / absolute) ** (1.0 / oil.exponent)
+    if oil.entrained_gas > 0.0:
+        gas = oil.entrained_gas * (ATMOSPHERE / absolute) ** (1.0 / oil.gas_exponent)
         specific += gas
-        specific_slope -= gas / (oil.exponent * absolute)
+        specific_slope -= gas / (oil.gas_exponent * absolute)
     if pressure < 0.0:
         specific += oil.released * (1.0 / absolute - 1.0 / ATMOSPHERE)
         specific_slope -= oil.released / (absolute * absolute)
@@ -72,7 +69,7 @@ def density(oil, pressure):  # type: ignore[no-untyped-def]
 @compiled
 def least_pressure(oil):  # type: ignore[no-untyped-def]
     """Gauge pressure that no iteration may go below [Pa]: just above vacuum where gas fills it."""
-    if oil.entrained > 0.0 or oil.released > 0.0:
+    if oil.entrained_gas > 0.0 or oil.released > 0.0:
         return -ATMOSPHERE + 1e-3
     return -np.inf
 
@@ -82,13 +79,13 @@ def enthalpy(oil, pressure):  # type: ignore[no-untyped-def]
     """h(p) [J/m^3 of content]; the trace released in a vacuum, below 2 Pa, is left out."""
     z = pressure * oil.compliance
     value = pressure * (1.0 - z * (0.5 - z * (1.0 / 6.0)))
-    if oil.entrained > 0.0:
-        share = 1.0 - 1.0 / oil.exponent
+    if oil.entrained_gas > 0.0:
+        share = 1.0 - 1.0 / oil.gas_exponent
         ratio = (pressure + ATMOSPHERE) / ATMOSPHERE
         if share < 1e-9:
-            value += oil.entrained * ATMOSPHERE * np.log(ratio)
+            value += oil.entrained_gas * ATMOSPHERE * np.log(ratio)
         else:
-            value += oil.entrained * ATMOSPHERE * (ratio**share - 1.0) / share
+            value += oil.entrained_gas * ATMOSPHERE * (ratio**share - 1.0) / share
     return value
 
 

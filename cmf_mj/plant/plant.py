@@ -15,9 +15,11 @@ The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,13 +29,13 @@ from scipy import linalg
 from cmf_mj.core.arrays import copied, frozen_json
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant import fit, native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
-from cmf_mj.plant.native import Mechanics, quiet, saved
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.native import Stepper, quiet, saved
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 
 
 class Plant:
@@ -76,13 +78,9 @@ class Plant:
             neutral: lengths of the motors with the cylinders at half stroke [m], (n,); default
                 those of the configuration the model starts in, `qpos0`.
             machine: the motion base that the model is, if it is one.
-
-        Raises:
-            InputError: a motor that is not there or no motor, lengths that are not one finite
-                number a motor, stops beyond a stroke, or the hydraulics are refused.
         """
-        # A state out of bounds ends a run: it must not begin again at rest, as if nothing were.
         self.machine = load_machine() if machine is None else machine
+        # A state out of bounds ends a run: it must not begin again at rest, as if nothing were.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
@@ -161,9 +159,6 @@ class Plant:
         """Refuse a model that does not fit its hydraulics; on construction and before every run.
 
         Called with `data` in the configuration `qpos0`.
-
-        Raises:
-            InputError: stops that are not within the stroke of their cylinder.
         """
         fit.check_stops(
             self.model,
@@ -184,11 +179,7 @@ class Plant:
         return np.array(indices, dtype=np.int64)
 
     def place(self, pose: ArrayLike) -> None:
-        """Put the mechanics at rest in a configuration.
-
-        Args:
-            pose: here generalised positions (nq,); a subclass may take a platform pose.
-        """
+        """Put the mechanics at rest in generalised positions (nq,); a hexapod, in a pose (6,)."""
         self.data.qpos[:] = np.asarray(pose, dtype=float)
         mujoco.mj_forward(self.model, self.data)
 
@@ -208,34 +199,19 @@ class Plant:
         """Jacobian (rows, nv) and gaps (rows,) of the closed loops; moment arms (n, nv)."""
         model, data = self.model, self.data
         rows = data.nefc
-        jacobian = np.zeros((rows, model.nv))
+        jacobian, moment = np.zeros((rows, model.nv)), np.zeros((model.nu, model.nv))
         if mujoco.mj_isSparse(model):
-            mujoco.mju_sparse2dense(
-                jacobian,
-                data.efc_J.ravel(),
-                data.efc_J_rownnz,
-                data.efc_J_rowadr,
-                data.efc_J_colind,
-            )
+            sparse = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+            mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *sparse)
         else:
             jacobian[:] = data.efc_J.reshape(rows, model.nv)
-        moment = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            moment,
-            data.actuator_moment.ravel(),
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind.ravel(),
-        )
+        sparse = (data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel())
+        mujoco.mju_sparse2dense(moment, data.actuator_moment.ravel(), *sparse)
         loops = data.efc_type[:rows] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         return jacobian[loops], data.efc_pos[:rows][loops], moment[self._motors]
 
     def leg_motion(self) -> NDArray[np.float64]:
-        """T, (nv, n): motion of all joints per unit actuator velocity, in the present state.
-
-        Raises:
-            InputError: the machine has not as many free motions as actuators.
-        """
+        """T, (nv, n): motion of all joints per unit actuator velocity, in the present state."""
         null, arms = self._free_motions()
         if arms.shape[0] != arms.shape[1] or np.linalg.cond(arms) > 1e12:
             raise InputError(
@@ -245,16 +221,10 @@ class Plant:
         return null @ np.linalg.inv(arms)
 
     def configuration(self, extensions: ArrayLike) -> NDArray[np.float64]:
-        """Generalised positions (nq,) with given extensions and all loops closed, for `start`.
+        """Generalised positions (nq,) with extensions (n,) [m] and all loops closed, for `start`.
 
         Newton's method from `qpos0`, in steps of at most 0.1 m so as to stay on its branch; what
         the cylinders do not determine moves least. Leaves the mechanics there.
-
-        Args:
-            extensions: from half stroke [m], (n,).
-
-        Raises:
-            InputError: the machine cannot be put together so, or an extension is beyond the stroke.
         """
         target = np.asarray(extensions, dtype=float)
         if target.shape != (self.legs,):
@@ -311,9 +281,8 @@ class Plant:
     def start(self, pose: ArrayLike | None = None) -> HydraulicState:
         """Reset to rest in a pose as `place` takes it; the hydraulic state that holds it.
 
-        Raises:
-            InputError: what `check` refuses, a closed loop that is open there, what MuJoCo warns
-                of there, the supply cannot hold the machine there, or another thread runs it.
+        Refused are what `check` refuses, a closed loop that is open there, what MuJoCo warns of
+        there, and a machine that the supply cannot hold there.
         """
         with self.alone:
             self._reset()
@@ -342,9 +311,9 @@ class Plant:
         mujoco.mj_resetData(self.model, self.data)
         self.started += 1
 
-    def mechanics(self) -> Mechanics:
+    def mechanics(self) -> Stepper:
         """Views and addresses for the compiled loop; valid from a `start` to the next."""
-        return Mechanics(
+        return Stepper(
             model=self.model._address,
             quiet=self._quiet._address,
             data=self.data._address,
@@ -386,6 +355,18 @@ class Plant:
     def describe(self) -> Mapping[str, object]:
         """What a record keeps of the plant, taken once but for the step."""
         return {**self._described, "mechanical_step": self.model.opt.timestep}
+
+
+def set_timestep(option: Any, timestep: float | None, frame: float = FRAME) -> None:
+    """Set the mechanical step [s] in the options of a model, made for steps to 1/2048 s.
+
+    None is the longest share of a control frame that is no longer.
+    """
+    if timestep is None:
+        timestep = frame / math.ceil(frame / FRAME)
+    if not timestep > 0.0:
+        raise InputError(f"timestep: {timestep} s must be greater than 0")
+    option.timestep = timestep
 
 
 def _bytes(pose: ArrayLike | None) -> bytes:

@@ -6,9 +6,8 @@ The legs share neither payload nor inertia. In `models/single_legs.xml` they are
 joints whose weight at standard gravity is exactly the stated load.
 """
 
-import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,15 +15,13 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.units import FRAME
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.native import headless
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of
-from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
+from cmf_mj.plant.plant import Plant, set_timestep
 
 
 class DesignPoint(NamedTuple):
@@ -81,10 +78,6 @@ class SingleLegs(Plant):
             effective_mass: inertia each leg moves [kg]; default `design_point`.
             static_load: constant axial load pressing each leg together [N]; default likewise.
             timestep: mechanical step [s]; default as `set_timestep`.
-
-        Raises:
-            InputError: a mass or step that is not positive, a half stroke other than the model's
-                stops, or refused hydraulics.
         """
         carrier = load_machine(machine)
         point = design_point(carrier)
@@ -93,7 +86,7 @@ class SingleLegs(Plant):
         if not mass > 0.0:
             raise InputError(f"effective_mass: {mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
-        set_timestep(spec.option, timestep, carrier)
+        set_timestep(spec.option, timestep, carrier.frame)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
         spec.option.gravity[2] = -load / mass
         for leg in range(1, 7):
@@ -108,16 +101,3 @@ class SingleLegs(Plant):
     def place(self, pose: ArrayLike) -> None:
         """Set each leg to its extension at the pose."""
         super().place(pose_to_legs(pose, self.machine))
-
-
-def set_timestep(option: Any, timestep: float | None, machine: Machine) -> None:
-    """Set the mechanical step [s] in the options of a model.
-
-    None is the longest share of the machine's control frame that is no longer than 1/2048 s, for
-    which the models are made.
-    """
-    if timestep is None:
-        timestep = machine.frame / math.ceil(machine.frame / FRAME)
-    if not timestep > 0.0:
-        raise InputError(f"timestep: {timestep} s must be greater than 0")
-    option.timestep = timestep

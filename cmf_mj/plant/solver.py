@@ -16,19 +16,23 @@ The orifice's square root would send Newton's method back and forth across zero 
 crosses it stops there. Pressures stay above vacuum where gas fills a torn chamber.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import density, enthalpy, least_pressure
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, accumulator_flow, pump_flow
-from cmf_mj.plant.table import table
 from cmf_mj.plant.valve import orifice
 
 FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst")
 """Powers of a stage [W]: delivered by pump and accumulators, lost in the others."""
+
+_Columns = namedtuple("_Columns", FLOWS)  # type: ignore[misc]
+_OF: Any = _Columns(*range(len(FLOWS)))
 
 _TOLERANCE = 20.0
 """Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In
@@ -99,8 +103,8 @@ class Stage(NamedTuple):
 def make_stage(actuators: int) -> Stage:
     """An empty workspace."""
     return Stage(
-        table(Chambers, [(0.0,) * len(Chambers._fields)] * actuators),
-        table(Manifolds, [(0.0,) * len(Manifolds._fields)]),
+        record_array(Chambers, [(0.0,) * len(Chambers._fields)] * actuators),
+        record_array(Manifolds, [(0.0,) * len(Manifolds._fields)]),
         np.zeros(5),
         np.zeros(5),
         np.zeros(len(FLOWS)),
@@ -169,7 +173,7 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             pair, cylinder = chambers[leg], cylinders[leg]
             cap, rod = pair.cap, pair.rod
             inward, outward = cylinder.supply_hose, cylinder.return_hose
-            leak, bearing = cylinder.leakage, cylinder.bearing
+            leak, bearing = cylinder.leakage, cylinder.bearing_leakage
             cap_in, cap_out = pair.cap_enters, pair.cap_leaves
             rod_in, rod_out = pair.rod_enters, pair.rod_leaves
             piston = leak * (cap - rod)
@@ -217,9 +221,10 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
 
         rise, fall, largest = 0.0, 0.0, 0.0
-        power[2], power[3], power[4] = lost - lost_hose, lost_hose, lost_leak
+        power[_OF.valves], power[_OF.lines] = lost - lost_hose, lost_hose
+        power[_OF.leakage] = lost_leak
         if supply.constant:
-            power[0] = drawn * (h_high - h_low)
+            power[_OF.pump] = drawn * (h_high - h_low)
             node[TANK] = known[TANK] + weight * (returned - drawn) + pull_low + pull_high
         else:
             pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
@@ -276,12 +281,12 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             h_tank = enthalpy(oil, tank)
             h_pump = enthalpy(oil, high + supply.pump_line * pump)
             h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
-            power[0] = pump * (h_pump - h_tank)
-            power[1] = bank * flow * h_gas
-            power[3] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
-            power[3] += drain * (h_low - h_tank)
-            power[5] = relief * (h_high - h_tank)
-            power[6] = burst * (h_high - h_tank)
+            power[_OF.pump] = pump * (h_pump - h_tank)
+            power[_OF.accumulators] = bank * flow * h_gas
+            power[_OF.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
+            power[_OF.lines] += drain * (h_low - h_tank)
+            power[_OF.relief] = relief * (h_high - h_tank)
+            power[_OF.burst] = burst * (h_high - h_tank)
 
         for leg in range(legs):
             pair = chambers[leg]

@@ -24,9 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
 SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRESSURE, GAS = range(9)
 """State of the supply: contents of both manifolds, oil in one accumulator [m^3], pump flow
@@ -63,18 +64,17 @@ class Supply(NamedTuple):
 
 def make_supply(parameters: HydraulicParameters) -> Supply:
     """Derive the supply from a parameter set."""
-    numbers = {name: quantity.si for name, quantity in parameters.quantities().items()}
-    same = {name: numbers[name] for name in Supply._fields if name in numbers}
-    return Supply(
+    return compiled_params(
+        Supply,
+        parameters,
         constant=parameters.supply == "constant",
-        pressure=numbers["supply_pressure"],
-        accumulators=numbers["accumulator_count"],
-        gas_volume=numbers["accumulator_volume"],
-        precharge=numbers["precharge_pressure"],
-        exponent=numbers["accumulator_exponent"],
-        isolation_rate=1.0 / numbers["isolation_time"],
-        jet=0.7 * float(np.sqrt(2.0 / numbers["oil_density"])),
-        **same,
+        pressure=parameters.supply_pressure,
+        accumulators=parameters.accumulator_count,
+        gas_volume=parameters.accumulator_volume,
+        precharge=parameters.precharge_pressure,
+        exponent=parameters.accumulator_exponent,
+        isolation_rate=1.0 / parameters.isolation_time.si,
+        jet=0.7 * float(np.sqrt(2.0 / parameters.oil_density.si)),
     )
 
 

@@ -26,10 +26,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import density, make_oil
-from cmf_mj.plant.parameters.hydraulics import VALVES, HydraulicParameters, cap_area, rod_area
-from cmf_mj.plant.table import table
+from cmf_mj.plant.parameters import VALVES, HydraulicParameters, cap_area, rod_area
 
 NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
 """What a valve obeys: its command, a value put on the spool by a fault, or nothing."""
@@ -49,7 +49,7 @@ class Valve(NamedTuple):
     null_bias: float  #: n, fraction.
     overlap: float  #: o, fraction.
     play: float  #: Half of the hysteresis, fraction.
-    threshold: float  #: Threshold pressure [Pa].
+    threshold_pressure: float  #: Threshold pressure [Pa].
 
 
 def make_valves(
@@ -70,7 +70,9 @@ def make_valves(
         speed = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si * share
         corners = numbers["drive_lag"].si, numbers["valve_lag"].si
         inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
-        return Valve(
+        return compiled_params(
+            Valve,
+            numbers,
             inner_fade=inner_weights[0],
             inner_mixed=inner_weights[1],
             inner_spool=inner_weights[2],
@@ -79,13 +81,10 @@ def make_valves(
             spool=weights[2],
             cap_gain=speed * cap_area(numbers),
             rod_gain=speed * rod_area(numbers),
-            null_bias=numbers["null_bias"].si,
-            overlap=numbers["overlap"].si,
             play=0.5 * numbers["hysteresis"].si,
-            threshold=numbers["threshold_pressure"].si,
         )
 
-    return table(Valve, [[one(name, i) for i in range(len(VALVES))] for name in actuators])
+    return record_array(Valve, [[one(name, i) for i in range(len(VALVES))] for name in actuators])
 
 
 def laminar_root(parameters: HydraulicParameters) -> float:

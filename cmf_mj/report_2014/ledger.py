@@ -104,4 +104,4 @@ def ledger_table(entries: Sequence[LedgerEntry]) -> Table:
         (str(one.number), one.where, one.printed, one.finding, figures_text(one), one.project)
         for one in entries
     ]
-    return Table("misprints and contradictions of the report", columns, rows, ruled=True)
+    return Table("misprints and contradictions of the report", columns, rows)

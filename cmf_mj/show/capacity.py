@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator
 from cmf_mj.core import units
 from cmf_mj.core.result import Result, Table
 from cmf_mj.machine.geometry import by_kind, dof_unit
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.show import look
 from cmf_mj.show.operation import plot_motion
 from cmf_mj.studies.asymptotes import Asymptotes

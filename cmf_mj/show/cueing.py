@@ -225,7 +225,6 @@ def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
 def omct_table(result: Omct) -> Table:
     """Modulus and phase of each test and stage over the frequencies."""
     rows: list[list[str]] = []
-    rules = []
     for place, (driven, output) in enumerate(TESTS):
         name, scale = unit(place)
         for stage, responses in result.responses.items():
@@ -235,13 +234,12 @@ def omct_table(result: Omct) -> Table:
             test = name if stage == "demand" else ""
             if stage == STAGES[0]:
                 test = f"{driven} > {output}"
-                rules.append(len(rows))
             sizes = (_text(size, 3) for size in np.abs(row) / scale)
             rows.append([test, title(stage), "mod", *sizes])
             rows.append(["", "", "deg", *(_text(angle, 0) for angle in phase(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
-    return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND, rules=rules)
+    return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND)
 
 
 def share_table(result: Omct) -> Table:

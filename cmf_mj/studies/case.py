@@ -32,8 +32,7 @@ from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.hexapod import PLANTS, Hexapod, make_plant, oil_modes
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive

@@ -33,8 +33,7 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.signal import Command, check_positive

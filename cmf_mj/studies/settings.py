@@ -54,8 +54,7 @@ from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import hydraulics_of, load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of, load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import Case, dof_amplitude

@@ -10,14 +10,19 @@ import matplotlib.pyplot as plt
 
 import cmf_mj
 from cmf_mj import signals
-from cmf_mj.plant.power_balance import power_balance
+from cmf_mj.plant.hydraulics import ENERGIES
 
 plant = cmf_mj.Hexapod(cab="gfd")
 record = cmf_mj.simulate(plant, "velocity", signals.sine("heave", 0.15, 0.5, cycles=4))
-balance = power_balance(plant, record)
+energy = dict(zip(ENERGIES, record["energy"].T / 1e3, strict=True))
+balance = {
+    "delivered": energy["pump"] + energy["accumulators"],
+    "lost": sum(energy[name] for name in ENERGIES[2:-2]),
+    "work": energy["mechanical"],
+}
 figure, axis = plt.subplots(layout="constrained")
-for name in ("delivered", "lost", "work"):
-    axis.plot(record.time, getattr(balance, name) / 1e3, label=name)
+for name, values in balance.items():
+    axis.plot(record.time, values, label=name)
 axis.set(
     title="Energy since the start, heave sine of 150 mm at 0.5 Hz",
     xlabel="time [s]",

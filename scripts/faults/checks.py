@@ -6,7 +6,9 @@ half that range and by the way a host's speed goes on in STOP. From the first fr
 the machine is being stopped, and the demand may be anywhere until the fault has been reset.
 """
 
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +20,13 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.oil import ATMOSPHERE
-from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.record.record import Record
 from faults.hosts import WILD, Array, derivatives, says
 from faults.plans import JUMPS, Plan
 from faults.runs import Part, Run
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from power_balance import power_balance  # noqa: E402
 
 SHARE = 0.2
 """By which the demand may leave the host's range, of half that range."""

@@ -36,7 +36,7 @@ from cmf_mj.facility.session import Session
 from cmf_mj.pilot import telemetry as live
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.events import default_event
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 from cmf_mj.record.record import Record
 from faults.hosts import HOST, Array, Line, MoogLine, datagrams
 from faults.plans import Action, Plan

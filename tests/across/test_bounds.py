@@ -23,8 +23,7 @@ from cmf_mj.electronics.servo_electronics import ServoSettings, load_servo_setti
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 
 MODEL = {"natural_frequency": 4.0, "damping_ratio": 0.7}
 ADAPTATION = dict.fromkeys(("rate", "slope", "corner", "level", "lowest", "highest"), 1.0)

@@ -14,9 +14,9 @@ from crosscheck.verification import Verification, distance, in_mujoco, valve_sin
 from cmf_mj import Hexapod, load_hydraulics
 from cmf_mj.core import units
 from cmf_mj.machine import models
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "verify_plant.py"
+SCRIPT = Path(__file__).resolve().parents[1] / "crosscheck"
 TARGET = 2e-6
 """Largest difference of a leg extension that counts as agreement [m]."""
 SECONDS = 0.5
@@ -159,7 +159,7 @@ def test_the_script_writes_table_data_and_figure(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     options = ["--seconds", "0.02", "--finest", "4", "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", ["verify_plant.py", *options])
+    monkeypatch.setattr(sys, "argv", ["crosscheck", *options])
     runpy.run_path(str(SCRIPT), run_name="__main__")
     assert "leg error [um]" in capsys.readouterr().out
     with (tmp_path / "work_precision.csv").open(newline="") as file:
@@ -169,7 +169,7 @@ def test_the_script_writes_table_data_and_figure(
     ]
     assert (tmp_path / "work_precision.md").read_text().count("\n") == 8
     assert set(drawn) == {"work_precision.png"}
-    monkeypatch.setattr(sys, "argv", ["verify_plant.py", "--finest", "6"])
+    monkeypatch.setattr(sys, "argv", ["crosscheck", "--finest", "6"])
     with pytest.raises(SystemExit, match="2"):
         runpy.run_path(str(SCRIPT), run_name="__main__")
     assert "finest: 6 must be a power of two" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """Every script runs from another folder and answers its question."""
 
-import csv
 import json
 import os
 import shutil
@@ -31,46 +30,6 @@ def run(script: str, *arguments: str, cwd: Path) -> str:
 
 
 @pytest.mark.slow
-def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> None:
-    run("compare_rotational.py", "--quick", "--no-records", "--out", "rotation", cwd=tmp_path)
-    with (tmp_path / "rotation" / "comparison.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 36
-    assert {row["dof"] for row in rows} == {"roll", "pitch", "yaw"}
-    assert {row["law"] for row in rows} == {
-        *("velocity", "position_error_rate", "acceleration", "acceleration_eq_3_6"),
-        *("acceleration_opposing", "acceleration_d2"),
-    }
-    # On single legs the law of Table D-2 reaches what it prints; on the hexapod it rings.
-    derived = [row for row in rows if row["law"] == "acceleration_d2"]
-    for row in derived:
-        if row["plant"] == "single_legs":
-            continue
-        assert row["stable"] == "False" and row["phase_bandwidth_hz"] == ""
-    assert not (tmp_path / "rotation" / "records").exists()
-
-
-@pytest.mark.slow
-def test_compare_model_reference_draws_the_adaptation(tmp_path: Path) -> None:
-    laws = ("--laws", "model_following", "model_reference_adaptive")
-    run(
-        "compare_model_reference.py",
-        "--quick",
-        "--dofs",
-        "heave",
-        *laws,
-        "--out",
-        "m",
-        cwd=tmp_path,
-    )
-    with (tmp_path / "m" / "comparison.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["law"], row["dof"]) for row in rows] == [(law, "heave") for law in laws[1:]]
-    picture = matplotlib.image.imread(tmp_path / "m" / "adaptation.png")
-    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
-
-
-@pytest.mark.slow
 def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     figures = json.loads(run("bench.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
     assert 0.0 < figures["headless_us"] < figures["drawn_us"]
@@ -83,14 +42,13 @@ def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_bench_study_prints_json_with_the_efficiency_of_two_processes(tmp_path: Path) -> None:
-    arguments = ("--machines", "2", "--repeat", "1")
-    figures = json.loads(run("bench_study.py", *arguments, cwd=tmp_path))
-    assert figures["cases"] == 18
-    assert 0.0 < figures["efficiency"] < 2.0
-    minutes = figures["minutes_for_1000_cases_on_two_cores"] * figures["cpu_efficiency"]
-    expected = 1000.0 * figures["cpu_seconds_a_case"] / 120.0
-    assert minutes == pytest.approx(expected, rel=0.05)
+def test_bench_compares_flights_and_studies(tmp_path: Path) -> None:
+    arguments = ("--seconds", "1", "--repeat", "1", "--flight", "--study")
+    figures = json.loads(run("bench.py", *arguments, cwd=tmp_path))
+    assert 1.0 < figures["flight"] < 12.0
+    assert figures["flight_real_time_factor"] > 0.0
+    assert figures["study_case_s"] > 0.0
+    assert 0.0 < figures["study_two_processes"] < 2.0
 
 
 def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None:
@@ -112,20 +70,20 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [["--cab", c] for c in ("gfd", "rfd", "ifd")] + [["--excavator"]])
-def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> None:
+def test_figures_of_the_model_draws_each_machine(model: list[str], tmp_path: Path) -> None:
     """Off-screen, in software: the picture is neither empty nor of one colour."""
     arguments = ("--out", "machine.png", "--width", "320", "--height", "240")
-    run("render_model.py", *model, *arguments, cwd=tmp_path)
+    run("figures.py", "model", *model, *arguments, cwd=tmp_path)
     picture = matplotlib.image.imread(tmp_path / "machine.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
 @pytest.mark.slow
-def test_render_model_films_a_scenario(tmp_path: Path) -> None:
+def test_figures_of_the_model_films_a_scenario(tmp_path: Path) -> None:
     """Half a second at ten pictures a second, and they differ."""
     arguments = ("--motion", "tour", "--seconds", "0.5", "--out", "motion.gif")
-    run("render_model.py", *arguments, cwd=tmp_path)
+    run("figures.py", "model", *arguments, cwd=tmp_path)
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 5
         first = np.asarray(film.convert("RGB")).astype(int)
@@ -133,11 +91,11 @@ def test_render_model_films_a_scenario(tmp_path: Path) -> None:
         assert np.abs(np.asarray(film.convert("RGB")).astype(int) - first).max() > 60
 
 
-def test_show_limits_draws_its_figure(tmp_path: Path) -> None:
+def test_limits_draws_its_figure(tmp_path: Path) -> None:
     limits = '[leg]\nvelocity = {value = 12.0, unit = "in/s", status = "assumed", source = "test"}'
     (tmp_path / "slow.toml").write_text(limits)
-    run("show_limits.py", "--out", "shipped.png", cwd=tmp_path)
-    run("show_limits.py", "--limits", "slow.toml", "--out", "slow.png", cwd=tmp_path)
+    run("figures.py", "limits", "--out", "shipped.png", cwd=tmp_path)
+    run("figures.py", "limits", "--limits", "slow.toml", "--out", "slow.png", cwd=tmp_path)
     shipped, slow = (matplotlib.image.imread(tmp_path / f"{n}.png") for n in ("shipped", "slow"))
     assert shipped.shape == slow.shape
     assert shipped[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
@@ -160,24 +118,12 @@ def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_runs_of_the_facility_draw_their_figures(tmp_path: Path) -> None:
-    told = run("show_lurch.py", "--wait", "1", "--out", "lurch.png", cwd=tmp_path)
+    told = run("figures.py", "lurch", "--wait", "1", "--out", "lurch.png", cwd=tmp_path)
     assert "with the trigger" in told
-    run("show_cycle.py", "--seconds", "3", "--out", "cycle.png", cwd=tmp_path)
+    run("figures.py", "cycle", "--seconds", "3", "--out", "cycle.png", cwd=tmp_path)
     for name in ("lurch.png", "cycle.png"):
         picture = matplotlib.image.imread(tmp_path / name)
         assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
-
-
-@pytest.mark.slow
-def test_electronics_effect_writes_its_table(tmp_path: Path) -> None:
-    arguments = ("--laws", "velocity", "--dofs", "heave", "--quick", "--out", "effect")
-    run("electronics_effect.py", *arguments, cwd=tmp_path)
-    with (tmp_path / "effect" / "comparison.csv").open(newline="") as file:
-        (row,) = list(csv.reader(file))[1:]
-    assert row[:2] == ["velocity", "heave"]
-    assert row[-1] == "stable"
-    ideal, real = float(row[2]), float(row[3])
-    assert 0.0 < abs(real / ideal - 1.0) < 0.05
 
 
 @pytest.mark.slow
@@ -200,24 +146,16 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_fuzz_flights_breaks_nothing(tmp_path: Path) -> None:
-    text = run("fuzz_flights.py", "--count", "8", "--seconds", "1.5", cwd=tmp_path)
+    text = run("flights.py", "fuzz", "--count", "8", "--seconds", "1.5", cwd=tmp_path)
     told = json.loads(text)
     assert told["flights"] == 8 and told["broken"] == []
     assert 0.0 < told["largest_leg_use"] < 1.05
 
 
 @pytest.mark.slow
-def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
-    told = json.loads(run("bench_flight.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
-    assert told["seconds"] == pytest.approx(2.03, abs=0.02)
-    assert 1.0 < told["ratio"] < 12.0
-    assert told["real_time_factor"] > 0.0
-
-
-@pytest.mark.slow
 def test_fly_laws_counts_limit_cycles(tmp_path: Path) -> None:
     told = run(
-        "fly_laws.py", "--laws", "modal_plan", "--flights", "", "--streams", "2", cwd=tmp_path
+        "laws.py", "fly", "--laws", "modal_plan", "--flights", "", "--streams", "2", cwd=tmp_path
     )
     assert "0 of 2" in told
     assert (tmp_path / "out" / "flights" / "flights.md").read_text(encoding="utf-8") in told
@@ -227,7 +165,7 @@ def test_fly_laws_counts_limit_cycles(tmp_path: Path) -> None:
 def test_ablate_modal_law_says_what_feed_forward_is_worth(tmp_path: Path) -> None:
     """With the gains for the plan and no plan the machine rings on."""
     arguments = ("--dofs", "surge", "--only", "all,no feed-forward", "--out", "a")
-    run("ablate_modal_law.py", *arguments, cwd=tmp_path)
+    run("laws.py", "ablate", *arguments, cwd=tmp_path)
     lines = (tmp_path / "a" / "ablation.md").read_text(encoding="utf-8").splitlines()[2:]
     whole, without = ([cell.strip() for cell in line.split("|")] for line in lines)
     assert float(whole[2]) > 5.0

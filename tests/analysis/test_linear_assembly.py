@@ -9,7 +9,7 @@ import control
 import mujoco
 import numpy as np
 import pytest
-from hydraulic_equations import EQ_4_1, MASS, with_leak_rate
+from hydraulic_equations import EQ_4_1, MASS, changed
 from scipy import special
 from simulated_loops import Comparison, compare_with_simulation
 
@@ -28,8 +28,7 @@ from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads
 from cmf_mj.plant.oil import density
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
 from cmf_mj.show.linearization import save_system
 
@@ -43,13 +42,6 @@ SLIDE = """<mujoco><option timestep="0.00048828125" gravity="0 0 -9.80665"/>
   <worldbody><body><joint name="leg" type="slide" axis="0 0 1" {joint}/>
   <inertial pos="0 0 0" mass="3000" diaginertia="1 1 1"/></body></worldbody>
   <actuator><motor name="leg" joint="leg"/></actuator></mujoco>"""
-
-
-def changed(name: str, **values: float) -> HydraulicParameters:
-    table = load_hydraulics(name).model_dump(exclude_none=True)
-    for field, value in values.items():
-        table[field]["value"] = value
-    return HydraulicParameters.model_validate(table)
 
 
 def slide(joint: str = "", hydraulics: str | HydraulicParameters = "report") -> Plant:
@@ -102,7 +94,7 @@ def test_hexapod_modes_are_the_hydraulic_modes_damped_by_leakage(cab: str) -> No
 
 
 def test_without_leakage_the_modes_ring_at_the_hydraulic_modes(hexapod: Hexapod) -> None:
-    plant = Hexapod("gfd", with_leak_rate(load_hydraulics("hardware"), 0.0))
+    plant = Hexapod("gfd", changed("hardware", leak_rate=0.0))
     poles = linearize(plant).poles()
     for w in hexapod.hydraulic_modes().frequency:
         assert abs(nearest(poles, 1j * w)) == pytest.approx(w, rel=2e-3)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from shared import cmf
 
-from cmf_mj.core import caches
+from cmf_mj import core
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import check_target, claimed
 from cmf_mj.show.look import new_figure, save_figure
@@ -99,19 +99,19 @@ def test_a_package_that_cannot_be_written_to_keeps_its_cache_elsewhere(
     homeless: bool,
 ) -> None:
     """One line says where, until the folder is there; what a user has set is left alone."""
-    package, home = Path(caches.__file__).parents[1], tmp_path / "home"
+    package, home = Path(core.__file__).parents[2], tmp_path / "home"
     closed = (str(package), str(home)) if homeless else (str(package),)
     access = os.access
     monkeypatch.setattr(
         os, "access", lambda path, mode: not str(path).startswith(closed) and access(path, mode)
     )
-    monkeypatch.setattr(caches.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(core.tempfile, "gettempdir", lambda: str(tmp_path))
     home.mkdir()
     for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(home))
     for name in ("NUMBA_CACHE_DIR", "MPLCONFIGDIR"):
         monkeypatch.delenv(name, raising=False)
-    caches.place()
+    core.place_caches()
     kept, fonts = Path(os.environ.pop("NUMBA_CACHE_DIR")), os.environ.pop("MPLCONFIGDIR", "")
     private = tmp_path / f"cmf-mj-{os.getuid()}"
     assert kept == (private if homeless else home / "cmf-mj") / "numba"
@@ -120,15 +120,15 @@ def test_a_package_that_cannot_be_written_to_keeps_its_cache_elsewhere(
     assert said == f"cmf: compiled code is kept in {kept}, for {package} cannot be written to\n"
     kept.mkdir(parents=True)
     monkeypatch.setenv("MPLCONFIGDIR", "mine")
-    caches.place()
+    core.place_caches()
     assert os.environ.pop("NUMBA_CACHE_DIR") == str(kept) and os.environ["MPLCONFIGDIR"] == "mine"
     assert not capsys.readouterr().err
     if homeless:  # compiled code is not taken from a folder that others can write to
         private.chmod(0o777)
-        caches.place()
+        core.place_caches()
         assert Path(os.environ.pop("NUMBA_CACHE_DIR")).parent != private
     monkeypatch.setenv("NUMBA_CACHE_DIR", "mine")
-    caches.place()
+    core.place_caches()
     assert os.environ["NUMBA_CACHE_DIR"] == "mine"
 
 

@@ -184,9 +184,10 @@ def test_the_heaviest_cab_flies_them(name: str) -> None:
 
 
 def test_smoke_of_the_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    script = "compare_field_laws.py"
-    monkeypatch.setattr(sys, "argv", [script, "--cabs", "gfd", "--out", str(tmp_path)])
-    runpy.run_path(str(Path(__file__).parents[2] / "scripts" / script), run_name="__main__")
+    scripts = Path(__file__).parents[2] / "scripts"
+    monkeypatch.syspath_prepend(scripts)
+    monkeypatch.setattr(sys, "argv", ["laws.py", "linear", "--cabs", "gfd", "--out", str(tmp_path)])
+    runpy.run_path(str(scripts / "laws.py"), run_name="__main__")
     lines = (tmp_path / "linear.md").read_text(encoding="utf-8").splitlines()
     assert [path.name for path in tmp_path.iterdir()] == ["linear.md"]
     assert len({line.count("|") for line in lines}) == 1

@@ -1,6 +1,6 @@
 """What the modal plan has to keep, on a sample: the heaviest cab, sway, noise, valves 10 % off.
 
-The whole sample is run by `scripts/accept_law.py`.
+The whole sample is run by `scripts/laws.py accept`.
 """
 
 from typing import Any

@@ -23,7 +23,7 @@ from cmf_mj.electronics.channel import load_sensors
 from cmf_mj.electronics.sensors import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.machine.machine import load_machine
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 
 FRAME = 1.0 / 2048.0
 INCH, PSI, GRAVITY = 0.0254, 6894.757293168361, 9.80665

@@ -23,7 +23,7 @@ from cmf_mj.machine import kinematics
 
 FORCES = """
 import numpy as np
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.plant.hydraulics import loads, make_hydraulics, rest
 hydraulics = make_hydraulics(load_hydraulics("report"), ["leg"], 1 / 2048)
 state = rest(hydraulics, np.zeros(1), np.zeros(1))

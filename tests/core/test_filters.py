@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cmf_mj.core.filters import filtered, low_pass, settled
+from cmf_mj.core.filters import filtered, low_pass, settled_filter
 
 RATE = 2048.0
 
@@ -37,14 +37,14 @@ def test_gain_and_phase_are_the_analogue_filters_at_the_warped_frequency(
 def test_a_settled_filter_stays_at_rest() -> None:
     sections = low_pass(3, 100.0, RATE)
     values = np.array([0.0, -2.5, 7e6])
-    state = settled(sections, values)
+    state = settled_filter(sections, values)
     for leg, value in enumerate(values):
         np.testing.assert_allclose(run(sections, np.full(50, value), state[leg]), value, rtol=1e-12)
 
 
 def test_no_filter_passes_bits() -> None:
     sections = low_pass(0, 100.0, RATE)
-    state = settled(sections, np.zeros(1))
+    state = settled_filter(sections, np.zeros(1))
     for value in (0.1, -0.0, np.inf):
         assert np.float64(filtered(sections, state[0], value)).tobytes() == (
             np.float64(value).tobytes()

@@ -1,10 +1,11 @@
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import Loader, Settings, merged, named_set, read_toml, validated
+from cmf_mj.core.settings import Loader, Settings, merged, read_toml, validated
 
 SHIPPED = """
 [common]
@@ -20,6 +21,12 @@ NAMES = ("light", "heavy")
 class Part(Settings):
     length: float
     width: float
+
+
+class Ranked(Settings):
+    name: str
+    depth: int
+    mass: dict[str, Any]
 
 
 class Whole(Settings):
@@ -58,18 +65,18 @@ def test_tables_are_merged_down_to_a_level(levels: float, expected: dict[str, An
 
 def test_a_set_has_the_common_entries_and_its_name(sets: Path, tmp_path: Path) -> None:
     mass = {"value": 3.0, "unit": "kg"}
-    table, where = named_set("sets", NAMES, sets, "heavy")
+    load = partial(Loader, Ranked, sets, what="sets", names=NAMES)
+    table, where = load().table("heavy")
     assert table == {"mass": mass, "depth": 2, "name": "heavy"}
     assert where == "sets.toml: heavy"
     file = tmp_path / "mine.toml"
     file.write_text('base = "light"\n[own]\nmass = { value = 4.0 }\n')
-    table, where = named_set("sets", NAMES, sets, file)
+    table, where = load().table(file)
     assert table == {"mass": mass | {"value": 4.0}, "depth": 1, "name": "own"}
     assert where == f"{file}: own"
-    table, _ = named_set("sets", NAMES, sets, file, levels=0)
-    assert table["mass"] == {"value": 4.0}
+    assert load(levels=0).table(file)[0]["mass"] == {"value": 4.0}
     file.write_text("[own]\ndepth = 7\n")
-    assert named_set("sets", NAMES, sets, file, based=False)[0] == {"depth": 7, "name": "own"}
+    assert load(based=False).table(file)[0] == {"depth": 7, "name": "own"}
 
 
 @pytest.mark.parametrize(
@@ -89,13 +96,13 @@ def test_own_sets_are_refused_by_field(sets: Path, tmp_path: Path, text: str, me
     file = tmp_path / "mine.toml"
     file.write_text(text)
     with pytest.raises(ValueError) as raised:
-        named_set("sets", NAMES, sets, file, fixed=("depth",))
+        Loader(Ranked, sets, what="sets", names=NAMES, fixed=("depth",)).table(file)
     assert str(raised.value) == f"{file}: {message}"
 
 
 def test_a_name_that_is_no_set_lists_the_sets(sets: Path, whole: Path) -> None:
     with pytest.raises(ValueError, match="sets: 'common' is not one of light, heavy nor a .toml"):
-        named_set("sets", NAMES, sets, "common")
+        Loader(Ranked, sets, what="sets", names=NAMES).table("common")
     with pytest.raises(ValueError, match="whole: 'odd' is not one of default nor a .toml file"):
         Loader(Whole, whole, what="whole")("odd")
 
@@ -135,12 +142,6 @@ def test_a_refused_value_is_not_shown_at_any_length(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         validated(Part, {"length": "x" * 10**6, "width": 1.0}, "my.toml")
     assert len(str(raised.value)) < 600
-
-
-class Ranked(Settings):
-    name: str
-    depth: int
-    mass: dict[str, Any]
 
 
 def test_a_loader_of_sets_takes_its_default_a_name_or_a_file(sets: Path, tmp_path: Path) -> None:

@@ -22,8 +22,7 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from crosscheck.machine import Machine, Trajectory
 
 FREQUENCY, AMPLITUDE = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3), (0.20, 0.15, 0.12, 0.10, 0.08, 0.06)

@@ -27,7 +27,7 @@ from cmf_mj.export.library import export_library
 from cmf_mj.export.machine import freeze
 from cmf_mj.facility.operation import operate
 from cmf_mj.plant.events import KINDS, Event
-from tests.plant.test_excavator import excavator
+from tests.plant.test_attach_excavator import excavator
 
 HOST = Path(__file__).with_name("export_host.c")
 

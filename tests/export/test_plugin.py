@@ -11,7 +11,7 @@ from cmf_mj import drive
 from cmf_mj.core.errors import InputError
 from cmf_mj.export.plugin import export_plugin
 from cmf_mj.machine import models
-from tests.plant.test_excavator import CYLINDERS, excavator
+from tests.plant.test_attach_excavator import CYLINDERS, excavator
 
 pytestmark = pytest.mark.slow
 

@@ -551,8 +551,8 @@ def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -
 
 
 def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
-    """A short one of `scripts/flood_host.py`, ten minutes of it are in speed.md."""
-    script = Path(__file__).parents[2] / "scripts" / "flood_host.py"
+    """A short one of `scripts/soak.py host`, ten minutes of it are in speed.md."""
+    script = Path(__file__).parents[2] / "scripts" / "soak.py"
     done = runpy.run_path(str(script))["flood"](3.0, 2000.0)
     counts = account(done.operation, done.received, done.dropped)
     assert done.received + sum(done.dropped.values()) == done.good + done.garbage

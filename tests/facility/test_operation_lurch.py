@@ -10,7 +10,7 @@ from cmf_mj.control.states import State
 from cmf_mj.facility.operation import Operation
 
 INCH = 0.0254
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "show_lurch.py"
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "figures.py"
 WAIT = 30.0
 
 

@@ -17,7 +17,7 @@ from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.machine import models
 from cmf_mj.plant.plant import Plant
-from tests.plant.test_excavator import CYLINDERS
+from tests.plant.test_attach_excavator import CYLINDERS
 
 STILL = np.zeros((2048, 6))
 AT = 100  #: Control frame of the blow.

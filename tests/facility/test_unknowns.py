@@ -21,7 +21,7 @@ from cmf_mj.facility.unknowns import (
     cube,
     load_unknowns,
 )
-from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters
+from cmf_mj.plant.parameters import OF_THE_SUPPLY, HydraulicParameters
 from cmf_mj.studies.settings import load_study
 
 HARDWARE, GFD = load_hydraulics("hardware"), load_cab("gfd")

@@ -9,7 +9,7 @@ from shared import WORKING_STROKE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 
 INCH = 0.0254
 SCALE = np.array([[INCH]] * 3 + [[math.pi / 180.0]] * 3)

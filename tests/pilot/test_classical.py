@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from flights import G, level, pushed, sustained, turn_entry, turned
 
-from cmf_mj.core.hold import Held, history, hold
+from cmf_mj.core.filters import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.pilot.classical import (

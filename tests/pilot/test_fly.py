@@ -27,7 +27,7 @@ from cmf_mj.pilot.fly import (
 )
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.washout_settings import load_washout
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.show import flight as flight_report
 
 IDEAL: dict[str, Any] = {"electronics": None}

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
+from hydraulic_equations import changed
 from scipy import optimize
 
-from cmf_mj import attach_hydraulics, drive, load_hydraulics, simulate
-from cmf_mj.core.quantity import Quantity
+from cmf_mj import attach_hydraulics, drive, simulate
 
 GRAVITY = 9.81
 """MuJoCo's default."""
@@ -63,15 +63,6 @@ def spec(text=LIFT):
 
 def mixed(integrator="Euler"):
     return spec(MIXED.format(integrator=integrator))
-
-
-def changed(name="hardware", **values):
-    """A shipped set with some values, each (value, unit), put in its place."""
-    quantities = {
-        field: Quantity(value=value, unit=unit, status="assumed", source="test")
-        for field, (value, unit) in values.items()
-    }
-    return load_hydraulics(name).model_copy(update=quantities)
 
 
 # Refusals
@@ -190,7 +181,7 @@ def test_a_slanted_tendon_carries_the_load_over_the_cosine():
     </worldbody>
     <tendon><spatial name="rope"><site site="hook"/><site site="eye"/></spatial></tendon></mujoco>
     """
-    plant = attach_hydraulics(spec(text), {"rope": 1.5}, changed(leak_rate=(0.0, "1/s")))
+    plant = attach_hydraulics(spec(text), {"rope": 1.5}, changed("hardware", leak_rate=0.0))
     weight = 500.0 * GRAVITY
     assert plant.static_load() == pytest.approx([-weight / 0.8], rel=1e-12)
     record = drive(plant, np.zeros((2048, 1)))
@@ -233,7 +224,7 @@ def test_what_springs_and_other_actuators_hold_is_taken_off_the_load():
     <tendon><spatial name="rope"><site site="hook"/><site site="top"/></spatial></tendon>
     <actuator><general tendon="rope" biastype="affine" biasprm="-1500 0 0"/></actuator></mujoco>
     """
-    plant = attach_hydraulics(spec(text), ["ram"], changed(leak_rate=(0.0, "1/s")))
+    plant = attach_hydraulics(spec(text), ["ram"], changed("hardware", leak_rate=0.0))
     held = 2000.0 * 0.4 + 1500.0
     assert plant.static_load() == pytest.approx([800.0 * GRAVITY - held], rel=1e-12)
     record = drive(plant, np.zeros((1024, 1)))
@@ -247,7 +238,7 @@ def test_the_lift_rises_at_the_speed_of_its_orifices():
     A_cap p_cap - A_rod p_rod = W, and k u sqrt((Ps - Pt) / 2) is u times the leg speed in oil of
     mid pressure.
     """
-    hydraulics = changed("report", leak_rate=(0.0, "1/s"))
+    hydraulics = changed("report", leak_rate=0.0)
     plant = attach_hydraulics(spec(), ["ram"], hydraulics)
     cap, rod = hydraulics.cap_area, hydraulics.rod_area
     supply, weight = hydraulics.supply_pressure.si, 3000.0 * GRAVITY

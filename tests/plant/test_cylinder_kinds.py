@@ -1,27 +1,23 @@
 """Symmetric cylinders, one valve or two, hydrostatic and sealed friction, by closed forms."""
 
+from functools import partial
 from typing import Any
 
+import hydraulic_equations as equations
 import mujoco
 import numpy as np
 import pytest
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.core.settings import validated
 from cmf_mj.plant.attach import attach_hydraulics
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 MASS, GRAVITY = 2000.0, 9.80665
 
 
-def changed(**changes: tuple[float, str]) -> HydraulicParameters:
-    """The set `hardware` on a constant supply with some numbers changed."""
-    table: dict[str, Any] = cmf_mj.load_hydraulics("hardware").model_dump(exclude_none=True)
-    for name, (value, unit) in changes.items():
-        table[name] = {"value": value, "unit": unit, "status": "assumed", "source": "test"}
-    return validated(HydraulicParameters, table | {"supply": "constant", "name": "mine"}, "mine")
+changed = partial(equations.changed, "hardware", supply="constant")
 
 
 def lift(parameters: HydraulicParameters, gravity: float = GRAVITY) -> Plant:
@@ -41,7 +37,7 @@ def steady_speed(plant: Plant, command: float, seconds: float = 2.0) -> float:
     return float(cmf_mj.drive(plant, rows)["leg_velocity"][-200:].mean())
 
 
-SYMMETRIC: dict[str, tuple[float, str]] = {"rods": (2.0, "1"), "leak_rate": (0.0, "1/s")}
+SYMMETRIC: Any = {"rods": 2.0, "leak_rate": 0.0}
 
 
 def test_a_symmetric_cylinder_has_equal_areas_and_centres_its_pressures() -> None:
@@ -78,7 +74,7 @@ def test_a_symmetric_cylinder_without_load_moves_alike_both_ways() -> None:
 def test_one_valve_gives_the_speed_of_two_in_tandem() -> None:
     """`leg_speed` is that of all valves: the flow gain of one is that of both together; of two in
     tandem with one dead the speed halves, of one it is nothing."""
-    both, one = (changed(valves=(count, "1")) for count in (2.0, 1.0))
+    both, one = (changed(valves=count) for count in (2.0, 1.0))
     plants = [lift(parameters) for parameters in (both, one)]
     gains = [plant.hydraulics.valve.cap_gain[0] for plant in plants]
     assert gains[1].tolist() == [gains[0].sum(), 0.0]
@@ -89,16 +85,14 @@ def test_one_valve_gives_the_speed_of_two_in_tandem() -> None:
 def test_a_count_other_than_one_or_two_is_refused() -> None:
     for field in ("rods", "valves"):
         with pytest.raises(cmf_mj.InputError, match=f"{field}: 3 is refused: must be 1 or 2"):
-            changed(**{field: (3.0, "1")})
+            changed(**{field: 3.0})
 
 
 def test_a_sealed_cylinder_holds_a_shut_leg_and_a_hydrostatic_one_lets_it_creep() -> None:
     """The bearing's leak B p_rod lets the loaded leg with a shut valve sink; a seal's friction
     above the change of load keeps it."""
-    sealed = changed(
-        leak_rate=(0.0, "1/s"), coulomb_friction=(900.0, "N"), breakaway_friction=(1000.0, "N")
-    )
-    creeping = changed(leak_rate=(0.0, "1/s"), bearing_leakage=(0.01, "gpm/psi"))
+    sealed = changed(leak_rate=0.0, coulomb_friction=(900.0, "N"), breakaway_friction=(1000.0, "N"))
+    creeping = changed(leak_rate=0.0, bearing_leakage=0.01)
     moved = []
     for parameters in (sealed, creeping):
         record = cmf_mj.drive(lift(parameters), np.zeros((4096, 1)))

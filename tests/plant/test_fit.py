@@ -2,19 +2,18 @@
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from hydraulic_equations import changed
 
 from cmf_mj import Hexapod, InputError, SingleLegs
-from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 
 STILL = np.zeros((4, 6))
@@ -38,12 +37,6 @@ SLIDE = """
 """
 
 
-def stroke(half: float) -> HydraulicParameters:
-    """The hardware's set with another half stroke [m]."""
-    changed = Quantity(value=half, unit="m", status="assumed", source="test")
-    return load_hydraulics().model_copy(update={"name": "other", "half_stroke": changed})
-
-
 def slide(joint: str = "", gap: float = 0.0) -> Plant:
     model = mujoco.MjModel.from_xml_string(SLIDE.format(joint=joint, gap=gap))
     # `connect` takes its second anchor from qpos0; the gap opens when that is moved afterwards.
@@ -51,69 +44,11 @@ def slide(joint: str = "", gap: float = 0.0) -> Plant:
     return Plant(model)
 
 
-def lower_gimbals(spec: mujoco.MjSpec) -> None:
-    for leg in range(1, 7):
-        spec.body(f"cylinder_{leg}").pos *= 1.01
+OFF = int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
 
 
-def upper_gimbal(spec: mujoco.MjSpec) -> None:
-    spec.site("upper_4").pos += [0.0, 1e-6, 0.0]
-
-
-def platform(spec: mujoco.MjSpec) -> None:
-    spec.body("platform").pos = [0.0, 0.0, 0.01]
-
-
-def rod_end(spec: mujoco.MjSpec) -> None:
-    spec.site("rod_end_2").pos[2] += 1e-3
-
-
-def cylinder_pin(spec: mujoco.MjSpec) -> None:
-    spec.joint("gimbal_5_y").pos = [0.0, 0.0, 0.002]
-
-
-def leg_axis(spec: mujoco.MjSpec) -> None:
-    spec.joint("leg_6").axis = [0.0, 0.01, 1.0]
-
-
-def loose_pin(spec: mujoco.MjSpec) -> None:
-    spec.equality("gimbal_3").active = False
-
-
-def no_pins(spec: mujoco.MjSpec) -> None:
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
-
-
-def missing_site(spec: mujoco.MjSpec) -> None:
-    spec.site("rod_end_1").name = "elsewhere"
-
-
-def missing_joint(spec: mujoco.MjSpec) -> None:
-    spec.joint("gimbal_2_y").name = "elsewhere"
-
-
-def heavy_cab(spec: mujoco.MjSpec) -> None:
-    spec.body("cab/cab").mass *= 1.001
-
-
-def shifted_cab(spec: mujoco.MjSpec) -> None:
-    spec.body("cab/cab").ipos += [0.0, 0.0, 1e-4]
-
-
-def slow_cab(spec: mujoco.MjSpec) -> None:
-    spec.body("cab/cab").inertia *= 1.001
-
-
-def light_rod(spec: mujoco.MjSpec) -> None:
-    spec.body("rod_2").mass = 149.0
-
-
-def box_on_board(spec: mujoco.MjSpec) -> None:
-    box(spec, 100.0)
-
-
-def shorter_stops(spec: mujoco.MjSpec) -> None:
-    spec.joint("leg_1").range = [-0.9652, 0.95]
+def moved(place: Any, factor: float, by: Any = 0.0) -> None:
+    place[:] = factor * np.array(place) + by
 
 
 def box(spec: mujoco.MjSpec, mass: float) -> None:
@@ -122,37 +57,79 @@ def box(spec: mujoco.MjSpec, mass: float) -> None:
     body.explicitinertial = True
 
 
-@pytest.mark.parametrize(
-    ("edit", "said"),
-    [
-        (
-            lower_gimbals,
-            "spec: lower gimbal 1 is [ 1.697525 -2.41045 -3.414034] m in the model, "
-            "[ 1.680718 -2.386584 -3.380232] m in the kinematics; allowed: both the same",
-        ),
-        (upper_gimbal, "upper gimbal 4 on the platform is [-1.357122 1.894333 -0.00127 ] m in"),
-        (platform, "upper gimbal 1 at neutral is [ 2.31902 -0.228092 0.00873 ] m in the model"),
-        (rod_end, "spec: rod end 2 at neutral is [-0.962437 -2.122294 -0.000438] m in the model"),
-        (cylinder_pin, "spec: joint gimbal_5_y is [ 1.225488 2.648707 -3.378568] m in the model"),
-        (leg_axis, "spec: axis of leg 6 at neutral is ["),
-        (loose_pin, "spec: gimbal_3 does not pin the rod to the platform; allowed: an active"),
-        (no_pins, "spec: gimbal_1 does not pin the rod to the platform; allowed: an active"),
-        (missing_site, "spec: does not compile: Error: unknown element 'rod_end_1'"),
-        (missing_joint, "spec: has no joint 'gimbal_2_y'; allowed: the names of the shipped model"),
-        (heavy_cab, "cab: mass of platform and cab is 13580.555194 kg in the model, 13571.4837"),
-        (shifted_cab, "cab: centre of mass of platform and cab is [0.066842 0. 0.584805] m in"),
-        (slow_cab, "cab: inertia of platform and cab is [[23"),
-        (light_rod, "cab: mass of rod_2 is 149. kg in the model, 150. kg in 'gfd'; allowed: both"),
-        (box_on_board, "cab: mass of platform and cab is 13671.48371 kg in the model, 13571.4837"),
-        (
-            shorter_stops,
-            "half_stroke: set 'hardware' gives leg_1 +-0.9652 m, the model stops it at -0.9652 "
-            "and 0.95 m from neutral; allowed: both the same",
-        ),
-    ],
-)
+EDITS: dict[str, tuple[Callable[[Any], object], str]] = {
+    "lower gimbals": (
+        lambda spec: [moved(spec.body(f"cylinder_{leg}").pos, 1.01) for leg in range(1, 7)],
+        "spec: lower gimbal 1 is [ 1.697525 -2.41045 -3.414034] m in the model, "
+        "[ 1.680718 -2.386584 -3.380232] m in the kinematics; allowed: both the same",
+    ),
+    "upper gimbal": (
+        lambda spec: moved(spec.site("upper_4").pos, 1.0, [0.0, 1e-6, 0.0]),
+        "upper gimbal 4 on the platform is [-1.357122 1.894333 -0.00127 ] m in",
+    ),
+    "platform": (
+        lambda spec: moved(spec.body("platform").pos, 0.0, [0.0, 0.0, 0.01]),
+        "upper gimbal 1 at neutral is [ 2.31902 -0.228092 0.00873 ] m in the model",
+    ),
+    "rod end": (
+        lambda spec: moved(spec.site("rod_end_2").pos, 1.0, [0.0, 0.0, 1e-3]),
+        "spec: rod end 2 at neutral is [-0.962437 -2.122294 -0.000438] m in the model",
+    ),
+    "cylinder pin": (
+        lambda spec: setattr(spec.joint("gimbal_5_y"), "pos", [0.0, 0.0, 0.002]),
+        "spec: joint gimbal_5_y is [ 1.225488 2.648707 -3.378568] m in the model",
+    ),
+    "leg axis": (
+        lambda spec: setattr(spec.joint("leg_6"), "axis", [0.0, 0.01, 1.0]),
+        "spec: axis of leg 6 at neutral is [",
+    ),
+    "loose pin": (
+        lambda spec: setattr(spec.equality("gimbal_3"), "active", False),
+        "spec: gimbal_3 does not pin the rod to the platform; allowed: an active",
+    ),
+    "no pins": (
+        lambda spec: setattr(spec.option, "disableflags", spec.option.disableflags | OFF),
+        "spec: gimbal_1 does not pin the rod to the platform; allowed: an active",
+    ),
+    "missing site": (
+        lambda spec: setattr(spec.site("rod_end_1"), "name", "elsewhere"),
+        "spec: does not compile: Error: unknown element 'rod_end_1'",
+    ),
+    "missing joint": (
+        lambda spec: setattr(spec.joint("gimbal_2_y"), "name", "elsewhere"),
+        "spec: has no joint 'gimbal_2_y'; allowed: the names of the shipped model",
+    ),
+    "heavy cab": (
+        lambda spec: setattr(spec.body("cab/cab"), "mass", 1.001 * spec.body("cab/cab").mass),
+        "cab: mass of platform and cab is 13580.555194 kg in the model, 13571.4837",
+    ),
+    "shifted cab": (
+        lambda spec: moved(spec.body("cab/cab").ipos, 1.0, [0.0, 0.0, 1e-4]),
+        "cab: centre of mass of platform and cab is [0.066842 0. 0.584805] m in",
+    ),
+    "slow cab": (
+        lambda spec: moved(spec.body("cab/cab").inertia, 1.001),
+        "cab: inertia of platform and cab is [[23",
+    ),
+    "light rod": (
+        lambda spec: setattr(spec.body("rod_2"), "mass", 149.0),
+        "cab: mass of rod_2 is 149. kg in the model, 150. kg in 'gfd'; allowed: both",
+    ),
+    "box on board": (
+        lambda spec: box(spec, 100.0),
+        "cab: mass of platform and cab is 13671.48371 kg in the model, 13571.4837",
+    ),
+    "shorter stops": (
+        lambda spec: setattr(spec.joint("leg_1"), "range", [-0.9652, 0.95]),
+        "half_stroke: set 'hardware' gives leg_1 +-0.9652 m, the model stops it at -0.9652 "
+        "and 0.95 m from neutral; allowed: both the same",
+    ),
+}
+
+
+@pytest.mark.parametrize(("edit", "said"), EDITS.values(), ids=EDITS)
 def test_an_edited_machine_is_refused_with_both_values(
-    edit: Callable[[mujoco.MjSpec], None], said: str
+    edit: Callable[[mujoco.MjSpec], object], said: str
 ) -> None:
     spec = hexapod_spec("gfd")
     edit(spec)
@@ -198,7 +175,7 @@ def test_another_stroke_than_the_stops_is_refused(
         "0.9652 m from neutral; allowed: both the same"
     )
     with pytest.raises(InputError, match=re.escape(said)):
-        plant(hydraulics=stroke(half))
+        plant(hydraulics=changed("hardware", name="other", half_stroke=(half, "m")))
 
 
 def test_a_hexapod_has_the_stroke_of_the_kinematics() -> None:
@@ -208,42 +185,39 @@ def test_a_hexapod_has_the_stroke_of_the_kinematics() -> None:
         spec.joint(f"leg_{leg}").range = [-1.0, 1.0]
     said = "set 'other' gives leg_1 +-1 m, the kinematics +-0.9652 m; allowed: both the same"
     with pytest.raises(InputError, match=re.escape(said)):
-        Hexapod("gfd", stroke(1.0), spec=spec)
-
-
-def masses(machine: Hexapod) -> None:
-    machine.model.body("cab/cab").mass[:] *= 2.0
-
-
-def stops(machine: Hexapod) -> None:
-    machine.model.joint("leg_2").range[1] = 0.5
-
-
-def gimbals(machine: Hexapod) -> None:
-    machine.model.body("cylinder_1").pos[0] += 0.01
-
-
-def oil(machine: Hexapod) -> None:
-    machine.hydraulics.cylinder.half_stroke[3] = 0.9
+        Hexapod("gfd", changed("hardware", name="other", half_stroke=(1.0, "m")), spec=spec)
 
 
 @pytest.mark.parametrize(
-    ("edit", "said"),
+    ("part", "factor", "said"),
     [
-        (masses, "cab: mass of platform and cab is 22642.967421 kg in the model"),
         (
-            stops,
+            lambda machine: machine.model.body("cab/cab").mass,
+            2.0,
+            "cab: mass of platform and cab is 22642.967421 kg in the model",
+        ),
+        (
+            lambda machine: machine.model.joint("leg_2").range[1:],
+            0.5 / 0.9652,
             "half_stroke: set 'hardware' gives leg_2 +-0.9652 m, the model stops it at -0.9652",
         ),
-        (gimbals, "spec: lower gimbal 1 is [ 1.690718"),
-        (oil, "half_stroke: set 'hardware' gives leg_4 +-0.9 m"),
+        (
+            lambda machine: machine.model.body("cylinder_1").pos,
+            1.01,
+            "spec: lower gimbal 1 is [ 1.697525",
+        ),
+        (
+            lambda machine: machine.hydraulics.cylinder.half_stroke[3:4],
+            0.9 / 0.9652,
+            "half_stroke: set 'hardware' gives leg_4 +-0.9 m",
+        ),
     ],
 )
-def test_a_run_checks_again(edit: Callable[[Hexapod], None], said: str) -> None:
+def test_a_run_checks_again(part: Callable[[Hexapod], Any], factor: float, said: str) -> None:
     """Between construction and run a model can be edited, or be left edited by another run."""
     machine = Hexapod("gfd")
     drive(machine, STILL)
-    edit(machine)
+    moved(part(machine), factor)
     with pytest.raises(InputError, match=re.escape(said)):
         drive(machine, STILL)
 

@@ -5,16 +5,16 @@ import pytest
 from scipy import integrate
 
 from cmf_mj.plant.friction import Friction, make_frictions, slide
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 
 LBF, INCH = 0.45359237 * 9.80665, 0.0254
-CONTACT = Friction(coulomb=600.0, excess=0.6, stribeck=0.003, presliding=1e-4, viscous=500.0)
+CONTACT = Friction(600.0, 0.6, 0.003, 1e-4, 500.0)
 
 
 def lugre(time: float, speed: float, bristle: float = 0.0) -> float:
     """z after sliding at a held speed, by integration of dz/dt = v - |v| z / Z(v)."""
     c = CONTACT
-    largest = c.presliding * (1 + c.excess * np.exp(-((speed / c.stribeck) ** 2)))
+    largest = c.presliding * (1 + c.excess * np.exp(-((speed / c.stribeck_speed) ** 2)))
     solution = integrate.solve_ivp(
         lambda _, z: speed - abs(speed) * z / largest, (0, time), [bristle], rtol=1e-10, atol=1e-14
     )
@@ -67,7 +67,7 @@ def test_a_sliding_contact_takes_energy_and_never_gives_more_than_it_stored() ->
     """Work of friction over random motion is at least minus the bristles' elastic energy."""
     rng = np.random.default_rng(4)
     bristle, work, step = 0.0, 0.0, 1 / 2048
-    stiffness = CONTACT.coulomb / CONTACT.presliding
+    stiffness = CONTACT.coulomb_friction / CONTACT.presliding
     for speed in np.repeat(rng.normal(0.0, 0.01, 400), 8):
         before = 0.5 * stiffness * bristle**2
         bristle, force = slide(CONTACT, bristle, speed, step)
@@ -94,8 +94,8 @@ def test_without_friction_nothing_resists() -> None:
 
 def test_numbers_come_from_the_set() -> None:
     contact = make_frictions(load_hydraulics("lossy"), ["a", "b"])[1]
-    assert contact.coulomb == pytest.approx(150 * LBF, rel=1e-12)
+    assert contact.coulomb_friction == pytest.approx(150 * LBF, rel=1e-12)
     assert contact.excess == pytest.approx(250 / 150 - 1, rel=1e-12)
-    assert contact.viscous == pytest.approx(10 * LBF / INCH, rel=1e-12)
+    assert contact.viscous_friction == pytest.approx(10 * LBF / INCH, rel=1e-12)
     assert contact.presliding == pytest.approx(0.004 * INCH, rel=1e-12)
-    assert contact.stribeck == pytest.approx(0.1 * INCH, rel=1e-12)
+    assert contact.stribeck_speed == pytest.approx(0.1 * INCH, rel=1e-12)

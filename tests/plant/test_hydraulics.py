@@ -10,7 +10,6 @@ from hydraulic_equations import (
     WEIGHT,
     areas,
     changed,
-    constant,
     content_ratio,
     gain_of_both,
     jacobian,
@@ -21,8 +20,6 @@ from hydraulic_equations import (
     rates,
     rows_of,
     state_of,
-    with_leak_rate,
-    without_leakage,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -30,8 +27,7 @@ from scipy import integrate, optimize
 
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
+from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
 
 CAP = 2
 """First column of the pressures in a row (drive, spool, p_cap, p_rod)."""
@@ -119,7 +115,7 @@ def test_advance_is_second_order_against_radau(name: str, sign: float) -> None:
 def test_advance_follows_radau_through_reversing_commands() -> None:
     """The opening passes zero at each reversal, where the flow has a corner; one step a frame
     stays within 1e-4 of supply pressure."""
-    p = constant(load_hydraulics("hardware"))
+    p = changed("hardware", supply="constant")
     supply, motion = p.supply_pressure.si, Motion(0.0)
     start = np.array([0.0, 0.0, 0.4 * supply, 0.5 * supply])
     commands = np.repeat([0.6, -0.8, 0.9, -1.0, 1.0], 40)
@@ -133,7 +129,7 @@ def test_advance_follows_radau_through_reversing_commands() -> None:
 def test_legs_on_a_constant_supply_do_not_know_each_other() -> None:
     """Advancing five legs together or one by one gives the same: 1e-12, round-off, for the
     iteration ends for all legs together."""
-    p = constant(load_hydraulics("lossy"))
+    p = changed("lossy", supply="constant")
     rng = np.random.default_rng(5)
     rows = np.column_stack([rng.uniform(-1, 1, (5, 2)), rng.uniform(1e6, 9e6, (5, 2))])
     command, before = rng.uniform(-1, 1, 5), rng.uniform(-0.8, 0.8, 5)
@@ -163,7 +159,7 @@ def test_full_opening_without_pressure_difference_at_the_stop_stays_put(
     """Both chambers on their port pressures and one on its minimum gap: the stiffest state, the
     orifice rate times the frame is above 100. Nothing drives it, so it stays; without leakage
     within 1 Pa."""
-    p = without_leakage(constant(load_hydraulics("hardware")))
+    p = changed("hardware", supply="constant", leak_rate=0.0)
     hydraulics = machine(p)
     high, low = p.supply_pressure.si, p.return_pressure.si
     at = np.array([side * (p.half_stroke.si - 0.5 * p.minimum_gap.si)])
@@ -185,7 +181,7 @@ def test_stiff_chambers_stay_bounded_and_settle(name: str, opening: float, gap: 
     R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2, g = 1 - 1/sqrt(2), on the negative axis. After 2 s
     nothing may be left outside: 1 Pa.
     """
-    p = constant(load_hydraulics(name))
+    p = changed(name, supply="constant")
     high, low = p.supply_pressure.si, p.return_pressure.si
     grid = np.linspace(low, high, 6)
     pairs = np.array([[a, b] for a in grid for b in grid])
@@ -228,7 +224,7 @@ def test_closed_valve_conserves_the_oil_under_any_motion(
     The content that is kept is the same to round-off. The pressure is the one that belongs to it
     within 1 Pa, in a torn chamber within 1e-6 of its content.
     """
-    p = without_leakage(load_hydraulics("hardware"))
+    p = changed("hardware", leak_rate=0.0)
     hydraulics = machine(p)
     here = np.array(path[:1])
     state = state_of(p, hydraulics, np.array([[0.0, 0.0, cap, rod]]), here)
@@ -278,7 +274,7 @@ def test_a_free_leg_reaches_its_steady_speed(opening: float) -> None:
     2e-4: oil compressed as the chambers change length. The first-order form leaves out the
     laminar share and the compression of the oil, 2 %.
     """
-    p = without_leakage(constant(load_hydraulics("hardware")))
+    p = changed("hardware", supply="constant", leak_rate=0.0)
     hydraulics = machine(p)
     cap_area, rod_area = areas(p)
     high, k = p.supply_pressure.si, gain_of_both(p)
@@ -319,7 +315,7 @@ def test_leakage_damps_the_leg_mode_at_half_the_leak_rate(name: str, rate: float
     From the swings between turning points, which shrink by exp(-pi zeta / sqrt(1 - zeta^2)).
     3 %: the slow mode under the ringing and the second order of lambda / w.
     """
-    p = with_leak_rate(constant(load_hydraulics(name)), rate)
+    p = changed(name, supply="constant", leak_rate=rate)
     z = neutral(p)
     z[5] = 0.01  # m/s: 0.14 mm
     path = [0.0]

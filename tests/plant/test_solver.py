@@ -6,8 +6,7 @@ from hydraulic_equations import changed, content_ratio, leakage, orifice_flow
 from scipy import optimize
 
 from cmf_mj.plant.hydraulics import Hydraulics, make_hydraulics
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.solver import Stage, make_stage, solve
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, charged, gas_pressure
 

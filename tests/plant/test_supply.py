@@ -23,7 +23,7 @@ from cmf_mj.plant.cylinder import make_cylinders
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, rest
 from cmf_mj.plant.oil import make_oil
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
     PUMP,

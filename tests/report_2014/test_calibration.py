@@ -10,7 +10,7 @@ from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.cli.common import app
 from cmf_mj.core.settings import validated
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.report_2014.calibration import trial
 from cmf_mj.report_2014.calibration.fit import calibrate, residual_rows, spread
 from cmf_mj.report_2014.calibration.trial import (

@@ -17,7 +17,7 @@ from cmf_mj.core import units
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant import cylinder
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry
 from cmf_mj.report_2014.models import hardware_velocity, report_model
 from cmf_mj.report_2014.posterior.evidence import oscillation_g

@@ -440,7 +440,7 @@ def test_first_scenario_is_a_file_too() -> None:
 @pytest.mark.slow
 def test_script_draws_the_page(tmp_path: Path) -> None:
     path = tmp_path / "studio.png"
-    command = [sys.executable, "scripts/show_studio.py", "--out", str(path), "--seconds", "1"]
+    command = [sys.executable, "scripts/figures.py", "studio", "--out", str(path), "--seconds", "1"]
     result = subprocess.run(
         [*command, "--port", "8471"], timeout=180.0, capture_output=True, text=True
     )

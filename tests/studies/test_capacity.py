@@ -22,7 +22,7 @@ from cmf_mj.core.files import write_table
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.asymptotes import asymptotes, full_speed
 from cmf_mj.studies.capacity import (
     capacity,

@@ -28,7 +28,7 @@ from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_poi
 from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
-from cmf_mj.plant.parameters.hydraulics import VALVES
+from cmf_mj.plant.parameters import VALVES
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import gas_pressure
 
@@ -143,7 +143,7 @@ def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
         for name in ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
     )
     inverse = np.linalg.inv(mechanics.mass)
-    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous)
+    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous_friction)
     slopes = {
         "position": (position, -inverse @ mechanics.stiffness),
         "speed": (speed, -inverse @ damping),

@@ -204,7 +204,7 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
     bias = hydraulics.valve[leg].null_bias
     closed = holding_pressures(cylinder, load, high, low)[0]
     null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
-    if bias[0] == bias[1] and cylinder.bearing == 0.0 and null:
+    if bias[0] == bias[1] and cylinder.bearing_leakage == 0.0 and null:
         at = (np.zeros(2), np.append(closed, [high, low]), mechanics.extension[leg])
         ports = [port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]] for way in (0.0, 1.0)]
         fills = [float(opened.sum()) for opened in ports]
@@ -314,7 +314,7 @@ def _check_linear(plant: Plant) -> None:
         for field, value in (
             ("overlap", valve.overlap.max()),
             ("hysteresis", 2.0 * valve.play.max()),
-            ("coulomb_friction", friction.coulomb),
+            ("coulomb_friction", friction.coulomb_friction),
         ):
             if value > 0.0:
                 raise NotLinearError(
@@ -325,7 +325,7 @@ def _check_linear(plant: Plant) -> None:
 
 def _check_supply(plant: Plant, supply: Supply, high: float, low: float) -> None:
     name = plant.parameters.name
-    needed = float(plant.hydraulics.valve.threshold.max())
+    needed = float(plant.hydraulics.valve.threshold_pressure.max())
     if high - low < needed:
         raise NotLinearError(
             f"threshold_pressure: set {name!r} has {high - low:.4g} Pa across the valves; "

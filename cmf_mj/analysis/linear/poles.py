@@ -15,7 +15,7 @@ from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 

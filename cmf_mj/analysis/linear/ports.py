@@ -135,7 +135,7 @@ def port_slopes(
         share = outward if size == 0.0 else float(size > 0.0)
         rises[:, index] = share * out - (1.0 - share) * back
     cushions = np.zeros(4)
-    if cylinder.cushion > 0.0:
+    if cylinder.cushion_length > 0.0:
         full = valves.cap_gain.sum(), valves.rod_gain.sum()
         half = cylinder.half_stroke
         for row, gap, sign, whole in (
@@ -158,7 +158,7 @@ def port_slopes(
     drops = np.array([[-1, 0, 1, 0], [1, 0, 0, -1], [0, -1, 1, 0], [0, 1, 0, -1]], dtype=float)
     leaks = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.0]]).T
     across = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
-    conductance = np.array([cylinder.leakage, cylinder.bearing])
+    conductance = np.array([cylinder.leakage, cylinder.bearing_leakage])
     by_gain = into * np.array([p.gain for p in paths])
     return Slopes(
         into @ np.array([p.flow for p in paths]) + leaks @ (conductance * (across @ pressures)),
@@ -172,7 +172,7 @@ def _cushioned(
     cylinder: np.record, gap: float, gain: float, full: float
 ) -> tuple[float, float, float]:
     """An outflow gain behind the cushion, its slope with the gain and with the gap."""
-    length = cylinder.cushion
+    length = cylinder.cushion_length
     if gap >= length:
         return gain, 1.0, 0.0
     depth = min((length - gap) / length, 1.0)

@@ -19,7 +19,7 @@ from scipy.signal import bessel
 from cmf_mj.control.dcu.motion import POSE
 from cmf_mj.core.arrays import one_row
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.hold import chain
+from cmf_mj.core.filters import chain
 from cmf_mj.core.quantity import Kind, Quantity, in_si, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME, RATE

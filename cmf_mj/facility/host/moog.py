@@ -36,7 +36,6 @@ from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.facility.host.udp import LOOPBACK, HostPort
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.kinematics import legs_to_pose
-from cmf_mj.plant.events import STOPPED
 
 RATE = 60
 """Commands a second [Hz]."""
@@ -285,7 +284,7 @@ class MoogBase:
         home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
         bits = {
             Discrete.AMPLIFIER_ENABLE: source.operating.phase[0].gain > 0.0,
-            Discrete.DRIVE_BUS: session.dynamics.faults.plant[STOPPED] == 0.0,
+            Discrete.DRIVE_BUS: session.dynamics.faults.plant[0].stopped == 0.0,
             Discrete.LIMIT_SWITCH: tripped,
             Discrete.AT_HOME: home,
         }

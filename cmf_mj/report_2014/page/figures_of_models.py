@@ -14,7 +14,7 @@ from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.models import hardware_velocity, report_model
 from cmf_mj.report_2014.page.curves import (

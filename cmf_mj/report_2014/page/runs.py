@@ -23,8 +23,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.hexapod import make_plant
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.accelerometer_filter import FilterEffect, filter_effect

@@ -19,8 +19,7 @@ from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.studies.settings import study_table
 
 

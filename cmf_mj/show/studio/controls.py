@@ -17,7 +17,7 @@ from cmf_mj.facility.settings import Change, Push, change_of
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
-from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
+from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
 from cmf_mj.show.studio.desk import (
     DIRECTIONS,
     LARGEST_PUSH,

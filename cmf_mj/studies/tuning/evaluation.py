@@ -30,7 +30,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import fitting
+from cmf_mj.plant.parameters import fitting
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
 from cmf_mj.studies.tuning.loop import run
 

@@ -33,8 +33,7 @@ from cmf_mj.core import units
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab

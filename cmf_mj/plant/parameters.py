@@ -1,0 +1,301 @@
+"""Hydraulic parameters: cylinders, servo-valves, oil, losses and the supply.
+
+The numbers live in `hydraulics.toml`; this module names, checks and loads them. A set describes one
+actuator, which all are equal to unless `actuators` says otherwise, and the supply they share.
+Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk modulus, Ps, Pt supply and
+return pressure.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import create_model, model_validator
+
+from cmf_mj.core import quantity as kind
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Fitting, Loader, Name, Settings, merged, validated
+from cmf_mj.machine.machine import Machine, load_machine
+
+VALVES = ("valve_1", "valve_2")
+"""The servo-valves of an actuator; the second passes nothing where there is one."""
+
+OF_THE_SUPPLY = ("precharge_pressure", "relief_pressure", "proof_pressure")
+"""What is sized by the supply pressure and keeps its proportion to it."""
+
+
+class _Valve(Settings):
+    """What may differ from valve to valve."""
+
+    drive_lag: kind.Corner  #: Corner of the servo drive's first-order lag.
+    valve_lag: kind.Corner  #: Corner of the spool's first-order lag.
+    valve_flow: kind.Ratio  #: Rated flow over the nominal, its share of what `leg_speed` needs.
+    null_bias: kind.Bias  #: Spool position at no command, in full strokes of the spool.
+    overlap: kind.Share  #: Spool travel either side of centre that opens nothing, in full strokes.
+    hysteresis: kind.Share  #: Full width of the play between drive and spool, in full strokes.
+    threshold_pressure: kind.Gauge
+    """Supply over return pressure that holds the spool open; below it the valve passes nothing."""
+
+
+class _Actuator(_Valve):
+    """What may differ from actuator to actuator."""
+
+    bore_diameter: kind.Length  #: Diameter of the cylinder bore.
+    rod_diameter: kind.Length  #: Diameter of the rod; smaller than the bore.
+    rods: kind.OneOrTwo
+    """1 for a rod on one side, 2 for one that passes through: a symmetric cylinder, Ac = Ar."""
+    valves: kind.OneOrTwo  #: Servo-valves: 1, or 2 in tandem that share the flow.
+    half_stroke: kind.Length  #: Half of the mechanical stroke, the chamber lengths at neutral.
+    minimum_gap: kind.Length
+    """Length of a chamber at its stop; approached over the last twenty times of it."""
+    leg_speed: kind.LegSpeed
+    """Steady leg speed per command with half the supply pressure across each port."""
+    leak_rate: kind.Rate
+    """Rate lambda at which piston leakage relaxes a force built up by displacing the leg at
+    neutral; the leg mode of frequency w has the damping ratio lambda / (2 w)."""
+    bearing_leakage: kind.Conductance
+    """Laminar leakage of the hydrostatic rod bearing, from the rod chamber to the return."""
+    coulomb_friction: kind.Force  #: Friction of steady sliding.
+    breakaway_friction: kind.Force
+    """Friction at the onset of sliding; at least `coulomb_friction`."""
+    stribeck_speed: kind.Speed  #: Speed over which friction falls from breakaway to Coulomb.
+    presliding: kind.Length  #: Elastic travel of a sticking contact at the Coulomb force.
+    viscous_friction: kind.Viscous  #: Friction per speed.
+    cushion_length: kind.Travel
+    """Travel before each stop in which outflow is throttled; 0 for none."""
+    cushion_opening: kind.Opening
+    """What the throttle leaves at the stop, in full openings of both valves."""
+    supply_hose: kind.Line  #: Laminar resistance from the supply manifold to the actuator's valves.
+    return_hose: kind.Line  #: Laminar resistance from the actuator's valves to the return manifold.
+    settle_speed: kind.Speed  #: Speed at which the settle valve lowers the leg under `settle_load`.
+    settle_load: kind.Force  #: Load `settle_speed` refers to.
+
+
+VALVE_FIELDS = tuple(_Valve.model_fields)
+"""Quantities that may differ between the valves of an actuator."""
+
+ACTUATOR_FIELDS = tuple(_Actuator.model_fields)
+"""Quantities that may differ between actuators."""
+
+
+def _optional(model: type[Settings]) -> dict[str, Any]:
+    return {name: (kind.optional(info), None) for name, info in model.model_fields.items()}
+
+
+ValveChanges = create_model("ValveChanges", __base__=Settings, **_optional(_Valve))
+"""What one valve has different from the set."""
+
+ActuatorChanges = create_model(
+    "ActuatorChanges",
+    __base__=Settings,
+    **_optional(_Actuator) | {name: (ValveChanges | None, None) for name in VALVES},
+)
+"""What one actuator has different from the set, with tables `valve_1` and `valve_2`."""
+
+
+class HydraulicParameters(_Actuator):
+    """Parameters of the actuators with their valves, the oil and the supply."""
+
+    name: Name  #: Name of the set.
+    supply: Literal["constant", "network"]
+    """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
+    actuators: Mapping[str, ActuatorChanges] = {}
+    """What single actuators, by the names of their motors, have different from the set."""
+    bulk_modulus: kind.Pressure
+    """Effective bulk modulus: the lumped compliance of oil, hoses and barrel."""
+    oil_density: kind.Density  #: Density of the oil; only a burst hose needs it.
+    cavitation_gas: kind.Share
+    """Gas released below atmospheric pressure, volume share there; 0 for no cavitation floor."""
+    entrained_gas: kind.Share
+    """Undissolved gas at atmospheric pressure, volume share; softens the oil at low pressure."""
+    gas_exponent: kind.Exponent  #: Polytropic exponent of entrained gas; above 1.
+    transition_pressure: kind.Pressure
+    """Pressure difference at which the laminar share of an orifice's drop equals the turbulent."""
+    proof_pressure: kind.Pressure  #: Chamber pressure beyond which a run is stopped with an error.
+    supply_pressure: kind.Pressure
+    """Set pressure of the pump's compensator, gauge; the pressure of a constant supply."""
+    return_pressure: kind.Gauge  #: Tank pressure, gauge.
+    pump_flow: kind.Flow  #: Largest flow of the pumping unit.
+    pump_droop: kind.Pressure
+    """Fall of pressure over which the compensator goes from no flow to full flow."""
+    pump_lag: kind.Time  #: Time constant of the compensator.
+    pump_line: kind.Line  #: Laminar resistance from the pump to the supply manifold.
+    relief_pressure: kind.Pressure  #: Supply manifold pressure at which the relief valve opens.
+    relief_conductance: kind.Conductance  #: Flow of the relief valve per excess of pressure.
+    accumulator_count: kind.Count
+    """Accumulators on the supply manifold, a whole number; 0 for none."""
+    accumulator_volume: kind.Volume  #: Gas volume of one accumulator at precharge.
+    precharge_pressure: kind.Pressure  #: Gas pressure of an accumulator without oil, gauge.
+    accumulator_exponent: kind.Exponent  #: Polytropic exponent of the accumulators' gas.
+    accumulator_line: kind.Resistance
+    """Laminar resistance from one accumulator to the supply manifold."""
+    supply_volume: kind.Volume  #: Oil volume of the supply manifold and its lines.
+    return_volume: kind.Volume  #: Oil volume of the return manifold and its lines.
+    tank_line: kind.Resistance  #: Laminar resistance from the return manifold to the tank.
+    isolation_time: kind.Time
+    """Time in which an emergency stop closes the supply to the valves and opens the settle
+    valves."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "HydraulicParameters":
+        for name in ("", *self.actuators):
+            numbers = self.actuator(name)
+            where = f"actuators.{name}." if name else ""
+            _ordered(numbers, where, "rod_diameter", "bore_diameter")
+            _ordered(numbers, where, "minimum_gap", "half_stroke")
+            _ordered(numbers, where, "coulomb_friction", "breakaway_friction", equal=True)
+            if numbers["coulomb_friction"].value == 0.0 < numbers["breakaway_friction"].value:
+                raise InputError(
+                    f"{where}breakaway_friction: {numbers['breakaway_friction']} needs a "
+                    f"coulomb_friction greater than 0"
+                )
+        quantities = self.quantities()
+        _ordered(quantities, "", "return_pressure", "supply_pressure")
+        _ordered(quantities, "", "precharge_pressure", "supply_pressure")
+        _ordered(quantities, "", "supply_pressure", "relief_pressure", equal=True)
+        _ordered(quantities, "", "relief_pressure", "proof_pressure")
+        if self.accumulator_count.value != int(self.accumulator_count.value):
+            raise InputError(
+                f"accumulator_count: {self.accumulator_count.value:g} must be a whole number"
+            )
+        for field in ("gas_exponent", "accumulator_exponent"):
+            if getattr(self, field).value < 1.0:
+                raise InputError(f"{field}: {getattr(self, field).value:g} must be at least 1")
+        return self
+
+    @property
+    def cap_area(self) -> float:
+        """Ac, area of the piston on the cap side [m^2]."""
+        return cap_area(self.quantities())
+
+    @property
+    def rod_area(self) -> float:
+        """Ar, annulus on the rod side [m^2]."""
+        return rod_area(self.quantities())
+
+    def quantities(self) -> dict[str, Quantity]:
+        """All numbers of the set by name, in the order of the class."""
+        return {name: value for name, value in self if isinstance(value, Quantity)}
+
+    def actuator(self, name: str = "", valve: int | None = None) -> dict[str, Quantity]:
+        """All numbers of an actuator, or of its valve 0 or 1; by default those of the set."""
+        numbers = self.quantities()
+        actuator = self.actuators.get(name)
+        changes = (actuator, valve if valve is None else getattr(actuator, VALVES[valve], None))
+        for table in changes:
+            numbers |= {field: value for field, value in table or () if isinstance(value, Quantity)}
+        return numbers
+
+
+def _ordered(
+    values: Mapping[str, Quantity], where: str, small: str, large: str, *, equal: bool = False
+) -> None:
+    less, more = values[small], values[large]
+    if less.si > more.si or (less.si == more.si and not equal):
+        bound = "at most" if equal else "less than"
+        raise InputError(f"{where}{small}: {less} must be {bound} {large}, {more}")
+
+
+def cap_area(values: Mapping[str, Quantity]) -> float:
+    """Ac [m^2] of an actuator's quantities."""
+    through = (values["rods"].si - 1.0) * values["rod_diameter"].si ** 2
+    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - through)
+
+
+def rod_area(values: Mapping[str, Quantity]) -> float:
+    """Ar [m^2] of an actuator's quantities."""
+    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - values["rod_diameter"].si ** 2)
+
+
+def piston_leakage(values: Mapping[str, Quantity]) -> float:
+    """Laminar piston leakage L [m^3/s/Pa], flow = L (p_cap - p_rod).
+
+    A force built up by displacing the leg at neutral begins to relax at the rate
+    4 beta L / (h (Ac + Ar)), which is `leak_rate` and damps the leg mode.
+    """
+    area = cap_area(values) + rod_area(values)
+    rate, half = values["leak_rate"].si, values["half_stroke"].si
+    return rate * half * area / (4.0 * values["bulk_modulus"].si)
+
+
+HYDRAULICS = ("report", "hardware", "lossy")
+"""Names of the shipped parameter sets."""
+
+
+load_hydraulics = Loader(
+    HydraulicParameters,
+    Path(__file__).with_name("hydraulics.toml"),
+    what="hydraulics",
+    names=HYDRAULICS,
+    default="hardware",
+    levels=0,
+)
+"""Loads a hydraulic parameter set: `report`, `hardware`, `lossy`, or a file with `base`
+naming one of them and one table of changes."""
+
+
+def hydraulics_of(
+    machine: Machine, source: str | Path | HydraulicParameters | None = None
+) -> HydraulicParameters:
+    """A hydraulic set, by default that of the machine, whose half stroke its cylinders have.
+
+    Raises:
+        InputError: as `load_hydraulics`, or a refused table of the machine.
+    """
+    return _own(machine) if source is None else load_hydraulics(source)
+
+
+@lru_cache
+def _own(machine: Machine) -> HydraulicParameters:
+    if isinstance(machine.hydraulics, str):
+        return load_hydraulics(machine.hydraulics)
+    where, changes = f"{machine.name}: hydraulics", dict(machine.hydraulics)
+    base = load_hydraulics(
+        check_name(f"{where}: base", changes.pop("base", "hardware"), HYDRAULICS)
+    )
+    for field, owner in (("name", "machine"), ("half_stroke", "table legs")):
+        if field in changes:
+            raise InputError(f"{where}: {field}: is taken from the {owner}; leave it out")
+    own = {"name": machine.name, "half_stroke": machine.legs.half_stroke}
+    return validated(
+        HydraulicParameters, merged(base.model_dump(exclude_none=True), changes, 0) | own, where
+    )
+
+
+_LENGTHS, _SPEEDS, _PRESSURES = ("in", "m", "mm"), ("in/s", "m/s", "mm/s"), ("psi", "Pa", "bar")
+
+
+@lru_cache
+def fitting(machine: Machine) -> Fitting | None:
+    """Fits shipped settings, whose numbers are the CMF's, to another machine; None for the CMF.
+
+    Ranges, thresholds, tolerances and noise go with what they belong to: lengths with the half
+    stroke, speeds with the limit of leg velocity, pressures with the supply. All else stays.
+    """
+    own, cmf = (
+        (one.half_stroke, one.limits.leg.velocity.si, hydraulics_of(one).supply_pressure.si)
+        for one in (machine, load_machine())
+    )
+    if own == cmf:
+        return None
+    scale = {
+        unit: mine / its
+        for units, mine, its in zip((_LENGTHS, _SPEEDS, _PRESSURES), own, cmf, strict=True)
+        for unit in units
+    }
+    return partial(_fitted, scale, machine.name)
+
+
+def _fitted(scale: dict[str, float], name: str, table: dict[str, Any]) -> dict[str, Any]:
+    """A table with its quantities in proportion; tables in it likewise."""
+    factor = scale.get(str(table.get("unit", "")).removesuffix("/rtHz"))
+    if factor is not None:
+        source = f"{table['source']}; of the CMF, here in proportion to {name}"
+        return table | {"value": table["value"] * factor, "source": source}
+    return {
+        key: _fitted(scale, name, entry) if isinstance(entry, dict) else entry
+        for key, entry in table.items()
+    }

@@ -1,1 +1,0 @@
-"""Immutable parameter sets: each number with its unit, status and source."""

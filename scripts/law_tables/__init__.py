@@ -1,0 +1,1 @@
+"""Tables of laws that no `cmf` command writes: what `scripts/laws.py` runs."""

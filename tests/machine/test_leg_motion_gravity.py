@@ -1,0 +1,110 @@
+"""Appendix C: gravity along the legs."""
+
+import numpy as np
+import pytest
+from shared import WORKING_STROKE
+
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.leg_motion import (
+    axial_gravity,
+    leg_axes_state,
+    leg_directions,
+    make_leg_axes,
+    projected_gravity,
+    track,
+    upward,
+)
+from cmf_mj.machine.machine import load_machine
+
+GRAVITY = 9.80665
+INCH = 0.0254
+
+
+def some_poses(count: int, share: float = 1.0) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    limits = kinematics.excursion_envelope()
+    poses = rng.uniform(limits[:, 0], limits[:, 1], (20 * count, 6))
+    poses *= share * rng.uniform(size=(20 * count, 1))
+    reach = np.abs(kinematics.pose_to_legs(poses)).max(axis=1) < WORKING_STROKE
+    assert reach.sum() >= count
+    return poses[reach][:count]
+
+
+def test_neutral_reads_the_direction_cosine_of_appendix_a() -> None:
+    """Vertical 133.03 in of 159.845 in: 0.8323. The report's sensors read 0.86 g."""
+    np.testing.assert_allclose(axial_gravity(np.zeros(6)) / GRAVITY, 133.03 / 159.845, rtol=1e-4)
+
+
+def test_where_the_hardwares_reading_would_come_from() -> None:
+    """0.86 g is the cosine with legs 13.8 in out, or Eq C.3's magnitude 97 in down the leg."""
+    horizontal = 88.62
+    out = horizontal / np.sqrt(1.0 - 0.86**2) - 159.845
+    assert out == pytest.approx(13.8, abs=0.1)
+    pose = kinematics.legs_to_pose(np.full(6, out * INCH))
+    np.testing.assert_allclose(axial_gravity(pose) / GRAVITY, 0.86, atol=2e-4)
+    cosine = 133.03 / 159.845
+    distance = 159.845 * (1.0 - np.sqrt((0.86**2 - cosine**2) / (1.0 - cosine**2)))
+    assert distance == pytest.approx(97.0, abs=0.6)
+    found = projected_gravity(np.zeros(6), distance * INCH) / GRAVITY
+    np.testing.assert_allclose(found, 0.86, atol=2e-4)
+
+
+def test_equation_c3_between_its_limits() -> None:
+    poses = some_poses(20)
+    lengths, _ = leg_directions(poses)
+    np.testing.assert_allclose(projected_gravity(poses, 0.0), GRAVITY, rtol=1e-12)
+    for pose, length in zip(poses, lengths, strict=True):
+        for leg in range(6):
+            whole = projected_gravity(pose, length[leg])[leg]
+            assert whole == pytest.approx(axial_gravity(pose)[leg], rel=1e-12)
+
+
+def test_lengths_and_directions_are_those_of_the_kinematics() -> None:
+    geometry = load_machine().geometry
+    for pose in some_poses(20):
+        lengths, directions = leg_directions(pose)
+        legs = kinematics.pose_to_legs(pose)
+        np.testing.assert_allclose(lengths - geometry.neutral, legs, rtol=0.0, atol=1e-12)
+        jacobian = kinematics.leg_jacobian(pose)
+        np.testing.assert_allclose(directions, jacobian[:, :3], rtol=0.0, atol=1e-12)
+
+
+def test_the_tracker_contracts_everywhere_in_the_working_strokes() -> None:
+    axes = make_leg_axes()
+    for pose in some_poses(200):
+        change = np.eye(6) - axes.inverse @ kinematics.pose_jacobian(pose)
+        assert np.abs(np.linalg.eigvals(change)).max() < 0.36
+
+
+def test_the_tracker_follows_a_fast_motion() -> None:
+    """1 Hz in all degrees of freedom, legs at up to 2.6 m/s."""
+    time = np.arange(2048) / 2048
+    swing = np.array([0.3, -0.25, 0.2, 0.1, -0.12, 0.15])
+    poses = np.sin(2 * np.pi * time)[:, None] * swing
+    legs = kinematics.pose_to_legs(poses)
+    axes = make_leg_axes()
+    state = leg_axes_state(axes, legs[0])
+    worst = 0.0
+    for pose, row in zip(poses, legs, strict=True):
+        track(axes, state, row)
+        found = np.array([upward(state, leg) for leg in range(6)])
+        worst = max(worst, np.abs(found - axial_gravity(pose) / GRAVITY).max())
+    assert 0.0 < worst < 1e-4
+
+
+def test_the_tracker_survives_nonsense_and_comes_back() -> None:
+    axes = make_leg_axes()
+    state = leg_axes_state(axes, np.zeros(6))
+    for nonsense in (np.full(6, np.nan), np.full(6, 1e9), np.array([9.0, -9, 9, -9, 9, -9])):
+        track(axes, state, nonsense)
+        assert np.isfinite(state.direction).all()
+    for _ in range(60):
+        track(axes, state, np.full(6, 0.2))
+    np.testing.assert_allclose(state.pose, kinematics.legs_to_pose(np.full(6, 0.2)), atol=1e-12)
+
+
+def test_refusals() -> None:
+    with pytest.raises(ValueError, match=r"allowed: \(..., 6\)"):
+        leg_directions(np.zeros(5))
+    with pytest.raises(ValueError, match="no platform pose"):
+        leg_axes_state(make_leg_axes(), np.full(6, 90.0) * [1, -1, 1, -1, 1, -1])
