@@ -29,7 +29,7 @@ SEAMS = (
     "pilot.cueing.washout:Washout.run",
     "studies.linearization:operating_point",
     "analysis.modes:sweep",
-    "report_2014.models:measure_loop",
+    "report_2014.model_tables:measure_loop",
     "signals.peaks:peaks",
     "pilot.aircraft.airframe:Airframe.__init__",
     "studies.certificate.run:Family",

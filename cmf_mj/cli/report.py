@@ -51,7 +51,7 @@ def report_command(
         )
     path = save_page(content, out)
     size = path.stat().st_size / 1e6
-    parts = [part.table for part in verdict_tables(content)]
+    parts = [part.table for part in verdict_tables(content.runs, content.tables)]
     show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
 
 
@@ -71,9 +71,8 @@ def linear_command(
 ) -> None:
     """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
     from cmf_mj.report_2014 import model_tables as linear
-    from cmf_mj.report_2014.models import law_loops, table_4_1
 
-    loops, rows = law_loops(laws), table_4_1()
+    loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
     tables = (linear.model_table(), linear.misprint_table(), rows)
     show(*tables, linear.loop_table(loops), written(paths, out))
@@ -98,16 +97,9 @@ def parameters_command(hydraulics: options.HydraulicSet = "hardware") -> None:
 
 
 @listing("sensors")
-def sensors_command(
-    sensors: Sensors = "noisy",
-    law: options.Law = "acceleration_opposing",
-    seed: options.Seed = 0,
-) -> None:
-    """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
+def sensors_command(sensors: Sensors = "noisy") -> None:
+    """Show a sensor set: bandwidth, noise, bias, range and resolution of every channel."""
     from cmf_mj.electronics.sensors.channel import load_sensors
-    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
     from cmf_mj.show.listing import sensor_table
 
-    settings = load_sensors(sensors)
-    effect = filter_effect(settings, law, seed=seed)
-    show(sensor_table(settings), effect_table(effect))
+    show(sensor_table(load_sensors(sensors)))

@@ -1,28 +1,142 @@
-"""Tables and figures of the linear models: the report's, their loops, Table 4-1, section 3.4."""
+"""Table 4-1, laws around the report's linear models, gains varied: tables and figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
+import control
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.analysis.linear.loop import loop_response, loop_step
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
-from cmf_mj.core.result import Field, Result, Table
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import check_name
+from cmf_mj.core.result import Field, Result, Table, fields_of
 from cmf_mj.report_2014.models import (
+    GAINS,
     HARDWARE_MODELS,
-    LawLoop,
-    ReportModel,
-    TableRow,
+    FeedbackLoop,
+    Gain,
+    bandwidth_example,
+    characteristics,
+    hardware_velocity,
     report_model,
     report_models,
 )
-from cmf_mj.report_2014.second_order import GAINS, gain_effects
 from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
+from cmf_mj.show.look import (
+    GREY,
+    bode_axes,
+    legend,
+    new_figure,
+    plot_bode,
+    plot_printed,
+    save_files,
+)
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
+
+BANDWIDTH_TOLERANCE, DAMPING_TOLERANCE = 0.03, 0.1
+"""Deviations from Table 4-1 [Hz and 1] that count as agreement."""
+
+
+class LawLoop(NamedTuple):
+    """A law around one of the report's hardware models."""
+
+    law: Law
+    model: int  #: Linear model 1 to 3.
+    loop: control.StateSpace
+    measures: Measures
+
+
+def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
+    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
+    loops = []
+    for law in [load_law(name) for name in laws]:
+        for number in HARDWARE_MODELS:
+            loop = closed_loop(law, hardware_velocity(number))
+            loops.append(LawLoop(law, number, loop, measure_loop(loop)))
+    return tuple(loops)
+
+
+class TableRow(NamedTuple):
+    """One entry of Table 4-1 and the computed one."""
+
+    model: Annotated[int, Field(form="#{}".format)]  #: Linear model 1 to 3.
+    equation: Annotated[str, Field(title="Eq")]  #: Of its velocity transfer function.
+    quantity: str  #: `-90 deg`, `-3 dB`, or `damping` with its reading.
+    unit: Annotated[str, Field(printed=False)]
+    published: Annotated[float, Field(form=".2f")]
+    computed: Annotated[float, Field(form=".3f")]
+    deviation: Annotated[float, Field(form="+.3f")]  #: Computed minus published.
+    tolerance: Annotated[float, Field(printed=False)]
+    """Largest deviation that counts as within."""
+    within: Annotated[bool, Field(printed=False)]
+
+
+TABLE_4_1 = (
+    *fields_of(TableRow),
+    Field("", "allowed", "", of=lambda row: f"{row.tolerance:g} {row.unit}".removesuffix(" 1")),
+    Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
+)
+
+_LEGEND = (
+    "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
+    "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg "
+    "{0.phase_bandwidth_hz} Hz, -3 dB {0.gain_bandwidth_hz} Hz, damping {0.damping_ratio}"
+)
+
+
+def table_4_1() -> Result[TableRow]:
+    """Table 4-1 computed: the velocity law around linear models 1 to 3, with the printed values.
+
+    The damping ratio stands in all three readings, the hardware under the same law in the caption.
+    """
+    rows = []
+    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
+    for number, equation in HARDWARE_MODELS.items():
+        ours = measure_loop(closed_loop("velocity", hardware_velocity(number)))
+        row = printed[f"linear_{number}"]
+        entries = [
+            ("-90 deg", "Hz", row.phase_bandwidth_hz, ours.phase_bandwidth_hz),
+            ("-3 dB", "Hz", row.gain_bandwidth_hz, ours.gain_bandwidth_hz),
+            ("damping, step", "1", row.damping_ratio, ours.damping_ratio),
+            ("damping, demand", "1", row.damping_ratio, ours.demand_damping_ratio),
+            ("damping, peak", "1", row.damping_ratio, ours.peak_damping_ratio),
+        ]
+        for quantity, unit, stated, computed in entries:
+            value = float("nan") if stated is None else stated
+            tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
+            off = computed - value
+            name = (number, equation, quantity, unit)
+            rows.append(TableRow(*name, value, computed, off, tolerance, abs(off) <= tolerance))
+    caption = _LEGEND.format(printed["hardware"])
+    title = "Table 4-1: velocity law around linear models 1 to 3"
+    return Result(rows, TABLE_4_1, title, caption, grouped=True)
+
+
+class GainEffect(NamedTuple):
+    """A loop with one gain varied."""
+
+    gain: Gain  #: Which gain.
+    loop: FeedbackLoop  #: The loop with it.
+    result: Measures  #: What the loop does.
+
+    @property
+    def value(self) -> float:
+        """Of the gain [1, s or s^2]."""
+        return float(getattr(self.loop, self.gain))
+
+
+def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> list[GainEffect]:
+    """The effect of one gain on frequency, damping and bandwidths, the others as in `loop`."""
+    check_name("gain", gain, GAINS)
+    loops = [loop._replace(**{gain: float(value)}) for value in values]
+    return [GainEffect(gain, one, characteristics(one)) for one in loops]
+
+
 EFFECTS = (
     *map(Field, ("gain", "value")),
     Field("plant_natural_frequency", of="loop.natural_frequency"),
@@ -39,6 +153,13 @@ EFFECTS = (
 """What varying a gain does."""
 
 
+def gain_effects(steps: int = 41) -> Result[GainEffect]:
+    """Each gain of section 3.4 varied from nothing to twice its size in `bandwidth_example`."""
+    loop, shares = bandwidth_example()["acceleration"], np.linspace(0.0, 2.0, steps)
+    effects = [gain_effect(loop, gain, shares * getattr(loop, gain)) for gain in GAINS]
+    return Result([one for each in effects for one in each], EFFECTS)
+
+
 def roots_text(roots: Sequence[complex]) -> str:
     """Poles or zeros in rad/s, slowest first, a complex pair once as `-a ± bj`."""
     upper = sorted((r for r in roots if r.imag >= 0.0), key=abs)
@@ -47,26 +168,23 @@ def roots_text(roots: Sequence[complex]) -> str:
     )
 
 
-def _model_cells(entry: ReportModel, variant: str) -> list[str]:
-    cells = [entry.number, variant, f"{entry.model}: {entry.title}" if entry.model else entry.title]
-    cells.append(f"{entry.input} [{entry.input_unit}] -> {entry.output} [{entry.output_unit}]")
-    if entry.formula:
-        return [*cells, entry.formula, "", ""]
-    system = report_model(entry.number, "printed" if variant == "printed" else "corrected")
-    gain = float(np.real(system.dcgain()))
-    return [*cells, roots_text(system.poles()), roots_text(system.zeros()), f"{gain:.4g}"]
-
-
 def model_table() -> Table:
     """Every transfer function of the report, a line a variant: poles, zeros, static gain."""
+    rows = []
+    for one, variant in ((each.read(v), v) for each in report_models() for v in each.variants):
+        path = f"{one.input} [{one.input_unit}] -> {one.output} [{one.output_unit}]"
+        values = (one.formula, "", "")
+        if not one.formula:
+            system = report_model(one.number, variant)
+            gain = float(np.real(system.dcgain()))
+            values = (roots_text(system.poles()), roots_text(system.zeros()), f"{gain:.4g}")
+        rows.append(
+            (one.number, variant, f"{one.model}: {one.title}".removeprefix(": "), path, *values)
+        )
     return Table(
         "transfer functions of the report",
         ("Eq", "variant", "model", "from, to", "poles", "zeros", "static gain"),
-        [
-            _model_cells(entry.read(variant), variant)
-            for entry in report_models()
-            for variant in entry.variants
-        ],
+        rows,
         "poles and zeros in rad/s, of Eq 3.6 in the z plane",
     )
 
@@ -108,11 +226,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
         colour = plot_bode(gain, phase, response, label=label, stable=stable)
         axis.plot(*(loop_step(item.loop, 2.0) if stable else ((), ())), label=label, color=colour)
         row = printed[f"linear_{item.model}"]
-        if item.law.name == row.law:
-            widths = (row.gain_bandwidth_hz, row.phase_bandwidth_hz)
-            for axes, value, level in zip((gain, phase), widths, (-3.0, -90.0), strict=True):
-                if value is not None:
-                    axes.plot(value, level, "o", color=colour, fillstyle="none")
+        if item.law.name == row.law and plot_printed(gain, phase, row, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")
@@ -126,8 +240,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
 
 def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
-    effects = Result(gain_effects(), EFFECTS)
-    files: dict[str, Any] = {"table_4_1.csv": rows.save, "gain_effects.csv": effects.save}
+    files: dict[str, Any] = {"table_4_1.csv": rows.save, "gain_effects.csv": gain_effects().save}
     for law in dict.fromkeys(item.law.name for item in loops):
         figures = loop_figures([item for item in loops if item.law.name == law])
         files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures

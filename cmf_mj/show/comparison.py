@@ -23,6 +23,7 @@ from cmf_mj.show.look import (
     bode_axes,
     legend,
     plot_bode,
+    plot_printed,
     save_files,
     stack,
 )
@@ -175,14 +176,8 @@ def bode_figure(results: Sequence[CaseResult]) -> Figure:
         if result.response is not None:
             style = {"color": colour, "linestyle": _LINES[case.plant]}
             plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
-        printed = result.published
-        for axis, value, level in (
-            (phase, printed and printed.phase_bandwidth_hz, -90.0),
-            (gain, printed and printed.gain_bandwidth_hz, -3.0),
-        ):
-            if value:
-                axis.plot(value, level, "o", color=colour, fillstyle="none")
-                circles = True
+        if result.published is not None:
+            circles |= plot_printed(gain, phase, result.published, colour)
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
     _legend(gain, results, "lower left", circles=circles)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
+from cmf_mj.analysis.published import Published
 from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 from cmf_mj.machine.geometry import DOFS, dof_unit
@@ -74,7 +75,8 @@ def stack(
 ) -> tuple[Figure, list[Axes]]:
     """A figure of axes above each other, one for each label of y, all over the same `x`."""
     figure = new_figure(width, height)
-    axes = list(figure.subplots(len(labels), 1, sharex=True, height_ratios=ratios))
+    how: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    axes = list(figure.subplots(len(labels), 1, **how)[:, 0])
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label)
     axes[-1].set_xlabel(x)
@@ -134,6 +136,15 @@ def plot_bode(
         if not clear.all():
             axis.semilogx(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
+
+
+def plot_printed(gain: Axes, phase: Axes, printed: Published, colour: str) -> bool:
+    """Draw published bandwidths as circles, and say whether there were any."""
+    widths = (printed.gain_bandwidth_hz, printed.phase_bandwidth_hz)
+    for axis, width, level in zip((gain, phase), widths, (-3.0, -90.0), strict=True):
+        if width is not None:
+            axis.plot(width, level, "o", color=colour, fillstyle="none")
+    return any(widths)
 
 
 def plot_band(

@@ -19,9 +19,13 @@ from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry
-from cmf_mj.report_2014.models import hardware_velocity, report_model
+from cmf_mj.report_2014.models import (
+    FeedbackLoop,
+    characteristics,
+    hardware_velocity,
+    report_model,
+)
 from cmf_mj.report_2014.posterior.evidence import oscillation_g
-from cmf_mj.report_2014.second_order import FeedbackLoop, characteristics
 
 INCH = units.INCH
 

@@ -9,18 +9,20 @@ from typer.testing import CliRunner
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.report_2014.model_tables import (
+    gain_effects,
+    law_loops,
     loop_figures,
     misprint_table,
     model_table,
     roots_text,
+    table_4_1,
 )
-from cmf_mj.report_2014.models import law_loops, report_models, table_4_1
-from cmf_mj.report_2014.second_order import (
+from cmf_mj.report_2014.models import (
     GAINS,
     FeedbackLoop,
     bandwidth_example,
     characteristics,
-    gain_effects,
+    report_models,
 )
 
 

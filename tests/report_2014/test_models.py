@@ -7,12 +7,12 @@ import pytest
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.core import units
 from cmf_mj.report_2014.models import (
+    FeedbackLoop,
     hardware_velocity,
     report_entry,
     report_model,
     report_models,
 )
-from cmf_mj.report_2014.second_order import FeedbackLoop
 
 NUMBERS = [entry.number for entry in report_models()]
 LOOP = FeedbackLoop(5.0, 0.2, 1.5, 0.1, 0.02)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmf_mj.report_2014.second_order import (
+from cmf_mj.report_2014.model_tables import gain_effect
+from cmf_mj.report_2014.models import (
     FeedbackLoop,
     bandwidth_example,
     characteristics,
     feedback_model,
-    gain_effect,
 )
 
 LOOPS = st.builds(

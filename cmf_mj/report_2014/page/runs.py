@@ -9,9 +9,11 @@ many there are.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, rounds_response
@@ -27,10 +29,12 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.report_2014.accelerometer_filter import FilterEffect, filter_effect
+from cmf_mj.report_2014.page.sensors import SensorReadings, sensor_readings
 from cmf_mj.signals import composite
 from cmf_mj.studies.case import RECORD_EVERY, Case, CaseResult, dof_amplitude, run_case
 from cmf_mj.studies.identification import Identified, identify
+
+Array = NDArray[np.float64]
 
 On = Literal["model", "machine"]
 Signal = Literal["case", "rise", "sine", "pulse", "sine_1_hz", "sine_5_hz", "rounds", "multisine"]
@@ -69,6 +73,15 @@ class RunSpec(NamedTuple):
     signal: Signal = "case"
 
 
+def specs(*lines: str) -> tuple[RunSpec, ...]:
+    """Runs from lines of `plant law dof signal`: commas between several; last two heave, case."""
+    return tuple(
+        RunSpec(*chosen)  # type: ignore[arg-type]
+        for line in lines
+        for chosen in product(*(part.split(",") for part in line.split()))
+    )
+
+
 def hydraulics_of(on: On) -> HydraulicParameters:
     """The hydraulic set of a plant."""
     return load_hydraulics(HYDRAULICS[on])
@@ -84,7 +97,7 @@ class Runs:
     """Results of all runs asked for."""
 
     results: Mapping[RunSpec, Any]
-    sensors: FilterEffect | None
+    sensors: SensorReadings | None
     quick: bool
     seed: int
 
@@ -172,12 +185,24 @@ def perform(
         jobs,
         progress and (lambda done, _: progress(done, total)),
     )
-    effect = filter_effect(seed=seed, duration=5.0 if quick else 60.0) if sensors else None
+    readings = sensor_readings(seed=seed, duration=5.0 if quick else 60.0) if sensors else None
     if progress is not None and sensors:
         progress(total, total)
-    return Runs(dict(zip(order, results, strict=True)), effect, quick, seed)
+    return Runs(dict(zip(order, results, strict=True)), readings, quick, seed)
 
 
-def leg_motion(record: Record, channel: str, unit: str) -> np.ndarray:
+def leg_motion(record: Record, channel: str, unit: str) -> Array:
     """A channel of leg 1 (N,) in `unit`, positive out."""
     return units.from_si(unit, record[channel][:, 0])
+
+
+def leg_signals(record: Record) -> tuple[Array, ...]:
+    """Position [in], velocity [in/s] and acceleration [g] of leg 1."""
+    channels = (("leg_position", "in"), ("leg_velocity", "in/s"))
+    acceleration = record["leg_acceleration"][:, 0] / units.STANDARD_GRAVITY
+    return (*(leg_motion(record, channel, unit) for channel, unit in channels), acceleration)
+
+
+def after_step(record: Record) -> Array:
+    """Time from the step on [s]; of other signals from the begin."""
+    return np.asarray(record.time - getattr(record.signal, "at", 0.0))

@@ -14,28 +14,22 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.result import number
-from cmf_mj.report_2014.models import hardware_velocity
-from cmf_mj.report_2014.page.curves import (
+from cmf_mj.report_2014.models import bandwidth_example, characteristics, hardware_velocity
+from cmf_mj.report_2014.page.runs import Runs, leg_motion, specs
+from cmf_mj.report_2014.page.tables import (
+    BANDWIDTHS,
     CONTENTS,
-    Block,
-    Content,
+    RATIO,
+    RINGS,
+    TITLES,
+    TOLERANCES,
     PageTable,
+    ResultRow,
     law_title,
-    specs,
+    result_rows,
     table,
     texts,
 )
-from cmf_mj.report_2014.page.runs import Runs, leg_motion
-from cmf_mj.report_2014.page.tables import (
-    BANDWIDTHS,
-    RATIO,
-    TITLES,
-    TOLERANCES,
-    ResultRow,
-    printed_number,
-    result_rows,
-)
-from cmf_mj.report_2014.second_order import bandwidth_example, characteristics
 from cmf_mj.signals.single import Step
 
 STATEMENT_NEEDS = specs(
@@ -70,31 +64,22 @@ def _values(runs: Runs) -> dict[str, float]:
     for which in (1, 2):
         _, step = loop_step(closed_loop("velocity", hardware_velocity(which)), 3.0)
         values[f"peak_{which}"] = float(step.max()) * float(reference[-1])
-    if (effect := runs.sensors) is not None:
-        values |= {
-            "rest_reading": effect.rest_reading / gravity,
-            "filter_delay": 1e3 * effect.delay,
-        }
+    if runs.sensors is not None:
+        numbers = runs.sensors.numbers
+        values |= {"rest_reading": numbers["mean"], "filter_delay": numbers["delay"]}
     return values
 
 
-def _with_unit(value: float, unit: str) -> str:
-    """A number with its unit; NaN is a peak of legs that ring on."""
-    return f"{printed_number(value)} {unit}" if value == value else "unstable"
-
-
 def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
-    """All numbers of the text that a run or a formula gives."""
-    values = _values(runs)
-    return [
-        (
-            *(entry["section"], entry["what"], f"{entry['printed']} {entry['unit']}"),
-            _with_unit(values[entry["value"]], entry["unit"]),
-            entry["remark"],
-        )
-        for entry in CONTENTS["statement"]
-        if entry["value"] in values
-    ]
+    """All numbers of the text that a run or a formula gives; NaN is a peak of legs that ring on."""
+    values, rows = _values(runs), list[tuple[str, ...]]()
+    for entry in CONTENTS["statement"]:
+        if entry["value"] in values:
+            value, unit = values[entry["value"]], entry["unit"]
+            ours = f"{value:.3g} {unit}" if value == value else "unstable"
+            printed = f"{entry['printed']} {unit}"
+            rows.append((entry["section"], entry["what"], printed, ours, entry["remark"]))
+    return rows
 
 
 LIMITS = (0.05, 0.10, 0.15)
@@ -184,14 +169,10 @@ _SHARES = {
 _LAWS = ("position_error_rate", "acceleration", "acceleration_d2")
 
 
-def verdict_tables(content: Content) -> list[PageTable]:
+def verdict_tables(runs: Runs, names: Sequence[str]) -> list[PageTable]:
     """Verdicts by table, and with all tables the shares of agreement."""
-    tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    return tables + ([agreement_table(content.runs)] if _whole(content) else [])
-
-
-def _whole(content: Content) -> bool:
-    return len(content.tables) == len(TITLES)
+    tables = [verdict_table(runs, names)] if names else []
+    return tables + ([agreement_table(runs)] if len(names) == len(TITLES) else [])
 
 
 def _shares(runs: Runs) -> PageTable:
@@ -233,7 +214,7 @@ def _deviations(runs: Runs) -> PageTable:
         notes = [row.note for row in every if row not in swept and row.note]
         if swept:
             widths = " and ".join(f"{row.swept:.2f}" for row in swept)
-            notes.append(f"the step rings on; its sweep has {widths} Hz all the same")
+            notes.append(RINGS.format(widths))
         cells = (f"{law_title(law)}: {what}", ", ".join(printed), ", ".join(computed))
         rows.append((name, *cells, "; ".join(dict.fromkeys(notes))))
     return table("outside", rows)
@@ -243,7 +224,7 @@ def _phase(measures: Measures) -> str:
     return number(measures.phase_bandwidth_hz, ".1f Hz") if measures.stable else "unstable"
 
 
-def _rotation(runs: Runs) -> list[Block]:
+def _rotation(runs: Runs) -> list[PageTable | str]:
     """-90 deg in rotation: as Table D-2 has it, of single legs, of the hexapod."""
     rows: list[Sequence[str]] = []
     for row in result_rows(runs, "D-2"):
@@ -256,11 +237,8 @@ def _rotation(runs: Runs) -> list[Block]:
     return [*texts("rotation", **numbers), table("rotation", rows)]
 
 
-def blocks(content: Content, argument: str) -> Sequence[Block]:
-    """The summary of a page with everything in it; nothing for a part."""
-    if not (content.studies and _whole(content)):
-        return []
-    runs = content.runs
+def summary(runs: Runs) -> list[PageTable | str]:
+    """The first screen of a page with everything in it."""
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
