@@ -27,7 +27,7 @@ SEAMS = (
     "facility.session:Session.run",
     "facility.host.udp:send_stream",
     "pilot.cueing.washout:Washout.run",
-    "studies.linearization:operating_point",
+    "analysis.linear.linear:operating_point",
     "analysis.modes:sweep",
     "report_2014.model_tables:measure_loop",
     "signals.peaks:peaks",

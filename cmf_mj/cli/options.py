@@ -124,8 +124,8 @@ CAMERAS = ("overview", "side", "front")
 
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
-CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
-OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
+CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
+OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.channel:SENSOR_SETS"
 MACHINES = "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"

@@ -81,7 +81,7 @@ def compare(
     0.22
     >>> comparison.to_pandas()[["law", "dof", "damping_ratio"]].round(2)
             law    dof  damping_ratio
-    0  velocity  heave           0.44
+    0  velocity  heave           0.43
     """
     loaded = [load_law(law) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):

@@ -56,7 +56,7 @@ def printed(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Results whose answers are those of the CSV files beside the pages."""
     stability, changes = [], []
     for row in rows("stability"):
-        without = tuple(share(row[f"without {posterior.EVIDENCE[g]}"]) for g in answers.GROUPS)
+        without = {g: share(row[f"without {posterior.EVIDENCE[g]}"]) for g in answers.GROUPS}
         simulated, machines = (int(part) for part in row["simulated"].split(" of "))
         both = share(row["prior"]), share(row["all evidence"].split(" +-")[0])
         agreeing = int(row["same verdict"].split(" of ")[0])

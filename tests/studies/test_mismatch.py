@@ -7,13 +7,14 @@ import pytest
 from scipy import stats
 
 from cmf_mj import Hexapod, load_hydraulics
+from cmf_mj.analysis.linear import linear
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.sensors.channel import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies import effects, evaluation
+from cmf_mj.studies import effects
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.mismatch import LIMIT, Mismatch, Spread, with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, load_study
@@ -128,7 +129,7 @@ def test_step_responses_in_blocks_are_those_of_the_library() -> None:
         generator.normal(size=(2, 2)),
         FRAME,
     )
-    steps = evaluation._steps(system)
+    steps = linear._steps(system)
     time = np.arange(200) * FRAME
     for i in range(2):
         expected = control.step_response(system, time, input=i).outputs[:, 0]
