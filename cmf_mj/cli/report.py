@@ -42,8 +42,7 @@ def report_command(
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
     require("jinja2", "report")
-    from cmf_mj.report_2014.page.document import make_content, save_page
-    from cmf_mj.report_2014.page.statements import verdict_tables
+    from cmf_mj.report_2014.page.document import make_content, save_page, verdict_tables
 
     with progress_bar() as update:
         content = make_content(
@@ -51,7 +50,7 @@ def report_command(
         )
     path = save_page(content, out)
     size = path.stat().st_size / 1e6
-    parts = [part.table for part in verdict_tables(content.runs, content.tables)]
+    parts = [part.table for part in verdict_tables(content)]
     show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
 
 
@@ -74,8 +73,8 @@ def linear_command(
 
     loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    tables = (linear.model_table(), linear.misprint_table(), rows)
-    show(*tables, linear.loop_table(loops), written(paths, out))
+    tables = (linear.equation_table(), linear.misprint_table(), rows, loops)
+    show(*tables, written(paths, out))
 
 
 @listing("laws")

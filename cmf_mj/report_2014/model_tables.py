@@ -1,6 +1,7 @@
-"""Table 4-1, laws around the report's linear models, gains varied: tables and figures."""
+"""Tables and figures of the linear models: the report's, laws around them, Table 4-1."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -12,15 +13,9 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import check_name
 from cmf_mj.core.result import Field, Result, Table, fields_of
 from cmf_mj.report_2014.models import (
-    GAINS,
     HARDWARE_MODELS,
-    FeedbackLoop,
-    Gain,
-    bandwidth_example,
-    characteristics,
     hardware_velocity,
     report_model,
     report_models,
@@ -51,14 +46,30 @@ class LawLoop(NamedTuple):
     measures: Measures
 
 
-def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
+def _step_damping(row: LawLoop) -> float | str:
+    return row.measures.damping_ratio if row.measures.stable else "unstable"
+
+
+LOOPS = (
+    Field("law", of="law.name"),
+    Field("model", form="#{}".format),
+    Field("", "-90 deg", "", of=lambda row: phase_text(row.measures)),
+    Field("gain_bandwidth_hz", "-3 dB", ".2f", of="measures.gain_bandwidth_hz"),
+    Field("peak_gain_db", "peak dB", ".2f", of="measures.peak_gain_db"),
+    Field("static_gain", "static", ".2f", of="measures.static_gain"),
+    Field("", "zeta step", ".2f", of=_step_damping),
+    Field("mode_damping_ratio", "zeta pole", ".2f", of="measures.mode_damping_ratio"),
+)
+"""Bandwidths and damping of laws around the hardware models."""
+
+
+def law_loops(laws: Sequence[str]) -> Result[LawLoop]:
     """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
-    loops = []
-    for law in [load_law(name) for name in laws]:
-        for number in HARDWARE_MODELS:
-            loop = closed_loop(law, hardware_velocity(number))
-            loops.append(LawLoop(law, number, loop, measure_loop(loop)))
-    return tuple(loops)
+    rows = []
+    for law, number in product(map(load_law, laws), HARDWARE_MODELS):
+        loop = closed_loop(law, hardware_velocity(number))
+        rows.append(LawLoop(law, number, loop, measure_loop(loop)))
+    return Result(rows, LOOPS, "laws around the report's linear models, pressures zero")
 
 
 class TableRow(NamedTuple):
@@ -117,49 +128,6 @@ def table_4_1() -> Result[TableRow]:
     return Result(rows, TABLE_4_1, title, caption, grouped=True)
 
 
-class GainEffect(NamedTuple):
-    """A loop with one gain varied."""
-
-    gain: Gain  #: Which gain.
-    loop: FeedbackLoop  #: The loop with it.
-    result: Measures  #: What the loop does.
-
-    @property
-    def value(self) -> float:
-        """Of the gain [1, s or s^2]."""
-        return float(getattr(self.loop, self.gain))
-
-
-def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> list[GainEffect]:
-    """The effect of one gain on frequency, damping and bandwidths, the others as in `loop`."""
-    check_name("gain", gain, GAINS)
-    loops = [loop._replace(**{gain: float(value)}) for value in values]
-    return [GainEffect(gain, one, characteristics(one)) for one in loops]
-
-
-EFFECTS = (
-    *map(Field, ("gain", "value")),
-    Field("plant_natural_frequency", of="loop.natural_frequency"),
-    Field("plant_damping_ratio", of="loop.damping_ratio"),
-    *(Field(name, of=f"loop.{name}") for name in GAINS),
-    Field("natural_frequency_hz", of="result.mode_frequency_hz"),
-    Field("damping_ratio", of="result.mode_damping_ratio"),
-    Field("static_gain", of="result.static_gain"),
-    Field("phase_bandwidth_hz", of="result.phase_bandwidth_hz"),
-    Field("gain_bandwidth_hz", of="result.gain_bandwidth_hz"),
-    Field("peak_db", of="result.peak_gain_db"),
-    Field("overshoot", of="result.overshoot"),
-)
-"""What varying a gain does."""
-
-
-def gain_effects(steps: int = 41) -> Result[GainEffect]:
-    """Each gain of section 3.4 varied from nothing to twice its size in `bandwidth_example`."""
-    loop, shares = bandwidth_example()["acceleration"], np.linspace(0.0, 2.0, steps)
-    effects = [gain_effect(loop, gain, shares * getattr(loop, gain)) for gain in GAINS]
-    return Result([one for each in effects for one in each], EFFECTS)
-
-
 def roots_text(roots: Sequence[complex]) -> str:
     """Poles or zeros in rad/s, slowest first, a complex pair once as `-a ± bj`."""
     upper = sorted((r for r in roots if r.imag >= 0.0), key=abs)
@@ -168,7 +136,7 @@ def roots_text(roots: Sequence[complex]) -> str:
     )
 
 
-def model_table() -> Table:
+def equation_table() -> Table:
     """Every transfer function of the report, a line a variant: poles, zeros, static gain."""
     rows = []
     for one, variant in ((each.read(v), v) for each in report_models() for v in each.variants):
@@ -200,19 +168,6 @@ def misprint_table() -> Table:
     return Table("remarks", ("Eq", "", "remark"), rows)
 
 
-def loop_table(loops: Sequence[LawLoop]) -> Table:
-    """Bandwidths and damping of laws around the hardware models."""
-    rows = []
-    for item in loops:
-        m = item.measures
-        values = (phase_text(m), m.gain_bandwidth_hz, m.peak_gain_db, m.static_gain)
-        damping = m.damping_ratio if m.stable else "unstable"
-        rows.append((item.law.name, f"#{item.model}", *values, damping, m.mode_damping_ratio))
-    names = ("-90 deg", "-3 dB", "peak dB", "static", "zeta step", "zeta pole")
-    columns = ("law", ("model", ""), *((name, ".2f") for name in names))
-    return Table("laws around the report's linear models, pressures zero", columns, rows)
-
-
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
     bode, gain, phase = bode_axes(limits=True)
@@ -240,7 +195,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
 
 def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
-    files: dict[str, Any] = {"table_4_1.csv": rows.save, "gain_effects.csv": gain_effects().save}
+    files: dict[str, Any] = {"table_4_1.csv": rows.save}
     for law in dict.fromkeys(item.law.name for item in loops):
         figures = loop_figures([item for item in loops if item.law.name == law])
         files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures

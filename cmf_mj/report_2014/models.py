@@ -34,10 +34,7 @@ _GAINS_FILE = Path(__file__).with_name("gains.toml")
 Variant = Literal["printed", "corrected"]
 """Which reading of an equation: as printed, or with its misprint put right."""
 
-Gain = Literal["position_gain", "rate_gain", "acceleration_gain"]
-"""Names of the three gains."""
-
-GAINS: tuple[Gain, ...] = ("position_gain", "rate_gain", "acceleration_gain")
+GAINS = ("position_gain", "rate_gain", "acceleration_gain")
 """The three gains in the order of Eqs 3.2 to 3.4."""
 
 _USED = {"3.1": 0, "3.2": 1, "3.3": 2, "3.4": 3}

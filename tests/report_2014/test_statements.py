@@ -10,10 +10,15 @@ import pytest
 from cmf_mj.analysis.published import published, published_results
 from cmf_mj.report_2014.page import statements as accounting
 from cmf_mj.report_2014.page import tables
-from cmf_mj.report_2014.page.curves import Content, PageTable, specs
-from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform
-from cmf_mj.report_2014.page.statements import blocks
-from cmf_mj.report_2014.page.tables import BANDWIDTHS, TITLES, ResultRow, result_rows
+from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform, specs
+from cmf_mj.report_2014.page.statements import summary
+from cmf_mj.report_2014.page.tables import (
+    BANDWIDTHS,
+    TITLES,
+    PageTable,
+    ResultRow,
+    result_rows,
+)
 from cmf_mj.studies.case import CaseResult
 
 
@@ -164,8 +169,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     results = dict(runs.results)
     for need in specs("machine acceleration roll,pitch,yaw"):
         results[need] = runs.case("model", "acceleration")
-    content = Content(Runs(results, None, True, 0), (), tuple(TITLES), studies=True)
-    lead, shares, rotation, _, outside = blocks(content, "")
+    lead, agreed, rotation, _, outside = summary(Runs(results, None, True, 0))
     fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
     fields += ("oscillation_hz", "acceleration_g")
     printed = {
@@ -176,12 +180,14 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
         if value is not None or field in row.not_available
     }
     assert isinstance(lead, str) and f" {len(printed)} numbers" in lead
-    assert isinstance(shares, PageTable) and isinstance(outside, PageTable)
-    counts = {row[0]: [int(cell) for cell in row[1:5]] for row in shares.table.cells}
-    assert counts["calibrated"][0] + counts["predicted"][0] == 44
-    assert counts["all -90 deg and -3 dB"] == [
-        a + b for a, b in zip(counts["calibrated"], counts["predicted"], strict=True)
-    ]
+    assert isinstance(agreed, PageTable) and isinstance(outside, PageTable)
+    counts = {
+        row[0]: [round(share * row[1] / 100.0) for share in (100.0, *row[2:5])]
+        for row in ([one[0], int(one[1]), *one[2:]] for one in agreed.table.rows)
+    }
+    parts = (counts[f"of them {role}"] for role in ("calibrated", "predicted"))
+    assert counts["bandwidths"] == [sum(pair) for pair in zip(*parts, strict=True)]
+    assert counts["bandwidths"][0] == 44
     judged = {name: [row for row in rows_of(runs, name) if not row.within] for name in TITLES}
     assert {row[0] for row in outside.table.cells} == {name for name in judged if judged[name]}
     assert all(row[-1] for row in outside.table.cells)

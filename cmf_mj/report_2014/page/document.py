@@ -11,6 +11,7 @@ from matplotlib import rc_context
 
 from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
+from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.page.figures import FIGURES, ReportFigure
 from cmf_mj.report_2014.page.runs import (
     CAB,
@@ -18,15 +19,15 @@ from cmf_mj.report_2014.page.runs import (
     PLANTS,
     On,
     Runs,
-    hydraulics_of,
     perform,
-    plant_of,
+    report_plant,
 )
 from cmf_mj.report_2014.page.statements import (
     STATEMENT_NEEDS,
+    agreement_table,
     statement_rows,
     summary,
-    verdict_tables,
+    verdict_table,
 )
 from cmf_mj.report_2014.page.tables import (
     CONTENTS,
@@ -34,8 +35,8 @@ from cmf_mj.report_2014.page.tables import (
     PageTable,
     gain_rows,
     limit_rows,
+    page_table,
     result_table,
-    table,
     table_needs,
     texts,
 )
@@ -79,16 +80,16 @@ def provenance(runs: Runs) -> PageTable:
     packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control")
     rows = [
         *(("seed", str(runs.seed)), ("cab of the hexapod", CAB.upper())),
-        *((f"model digest, {name}", plant_of(on).digest) for on, name in PLANTS.items()),
+        *((f"model digest, {name}", report_plant(on).digest) for on, name in PLANTS.items()),
         *((f"version, {name}", version(name)) for name in packages),
     ]
-    return table("provenance-table", rows)
+    return page_table("provenance-table", rows)
 
 
-def parameters(on: On) -> PageTable:
+def hydraulic_numbers(on: On) -> PageTable:
     """The hydraulic numbers of a plant, each with its status."""
-    rows = parameter_table(hydraulics_of(on)).rows
-    return table("parameters", rows, f"parameters-{on}", f"{PLANTS[on]}, {HYDRAULICS[on]} set")
+    rows = parameter_table(load_hydraulics(HYDRAULICS[on])).rows
+    return page_table("parameters", rows, f"parameters-{on}", f"{PLANTS[on]}, {HYDRAULICS[on]} set")
 
 
 def page_figure(figure: ReportFigure, runs: Runs) -> PageFigure:
@@ -104,12 +105,12 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "about": lambda content, _: [
         *texts("about"),
         *(texts("quick") if content.runs.quick else []),
-        *verdict_tables(content.runs, content.tables),
+        *([verdict_table(content.runs, content.tables)] if content.tables else []),
     ],
     "summary": lambda content, _: summary(content.runs),
-    "limits": lambda content, _: [table("table-2-1", limit_rows())],
+    "limits": lambda content, _: [page_table("table-2-1", limit_rows())],
     "gains": lambda content, number: [
-        table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")
+        page_table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")
     ],
     "results": lambda content, number: [
         result_table(content.runs, name) for name in content.tables if name == number
@@ -119,8 +120,8 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
         for figure in content.figures
         if figure.number.startswith(prefix)
     ],
-    "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
-    "parameters": lambda content, _: [parameters(on) for on in PLANTS],
+    "statements": lambda content, _: [page_table("text-numbers", statement_rows(content.runs))],
+    "parameters": lambda content, _: [hydraulic_numbers(on) for on in PLANTS],
     "provenance": lambda content, _: [provenance(content.runs)],
 }
 """Kinds of blocks: functions of what was run and an argument."""
@@ -187,8 +188,14 @@ def render(content: Content) -> str:
     return cast("str", page)
 
 
+def verdict_tables(content: Content) -> list[PageTable]:
+    """Verdicts by table, and with all tables the shares of agreement."""
+    tables = [verdict_table(content.runs, content.tables)] if content.tables else []
+    return tables + ([agreement_table(content.runs)] if content.tables == tuple(TITLES) else [])
+
+
 def save_page(content: Content, folder: Path) -> Path:
     """Write `report.html`, complete when it appears, and its verdicts as `verdicts.md` and on."""
-    for part in verdict_tables(content.runs, content.tables):
+    for part in verdict_tables(content):
         part.table.save(folder / f"{part.anchor}.md")
     return write_text(folder / "report.html", render(content))

@@ -38,7 +38,7 @@ from cmf_mj.report_2014.page.runs import (
     after_step,
     leg_motion,
     leg_signals,
-    plant_of,
+    report_plant,
     specs,
 )
 from cmf_mj.report_2014.page.sensors import Readings, SensorReadings
@@ -229,7 +229,7 @@ def accelerometer(runs: Runs, figure: ReportFigure) -> Drawing:
 
 def feedback_signals(runs: Runs, figure: ReportFigure) -> Drawing:
     """Position, velocity and acceleration of a step under acceleration feedback."""
-    (case,), plant = figure.cases(runs), plant_of("model")
+    (case,), plant = figure.cases(runs), report_plant("model")
     time, mass = after_step(case.step), float(plant.reflected_mass()[0, 0])
     # The report: acceleration from actuator force, static load and effective mass.
     computed = (case.step["leg_force"][:, 0] - plant.static_load()[0]) / mass / _GRAVITY
@@ -299,7 +299,7 @@ def fit_text(values: Array, modelled: Array) -> str:
     return f"{fit:.0f} %" if fit > -100.0 else "no fit"
 
 
-def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
+def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     """A model driven from rest at `begin` [s] by the recorded command; default `span` all of it."""
     number, begin = (figure.options[name] for name in ("number", "begin"))
     time, *signals = measured(runs, IDENTIFIED_ON[number])

@@ -25,7 +25,6 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.run import simulate
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.hexapod import make_plant
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
@@ -82,12 +81,7 @@ def specs(*lines: str) -> tuple[RunSpec, ...]:
     )
 
 
-def hydraulics_of(on: On) -> HydraulicParameters:
-    """The hydraulic set of a plant."""
-    return load_hydraulics(HYDRAULICS[on])
-
-
-def plant_of(on: On) -> Plant:
+def report_plant(on: On) -> Plant:
     """A new plant."""
     return make_plant(PLANTS[on], CAB, HYDRAULICS[on])
 
@@ -153,9 +147,12 @@ def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record
     law, size = load_law(spec.law), dof_amplitude(spec.dof)
     if spec.signal == "case":
         cab = None if spec.on == "model" else load_cab(CAB)
-        parameters = hydraulics_of(spec.on)
+        parameters = load_hydraulics(HYDRAULICS[spec.on])
         return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
-    plant, every = plant_of(spec.on), 1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY
+    plant, every = (
+        report_plant(spec.on),
+        1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY,
+    )
     commands = _commands(spec, quick, seed)
     return tuple(simulate(plant, law, command, record_every=every) for command in commands)
 

@@ -26,8 +26,8 @@ from cmf_mj.report_2014.page.tables import (
     PageTable,
     ResultRow,
     law_title,
+    page_table,
     result_rows,
-    table,
     texts,
 )
 from cmf_mj.signals.single import Step
@@ -146,7 +146,7 @@ def agreement_table(runs: Runs) -> PageTable:
         for one in agreements(runs)
     ]
     printed, met = not_available(runs)
-    return table("agreement", rows, note=texts("agreement", printed=printed, met=met)[0])
+    return page_table("agreement", rows, note=texts("agreement", printed=printed, met=met)[0])
 
 
 def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
@@ -155,35 +155,10 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
     for name in names:
         verdicts = [row.within for row in result_rows(runs, name) if row.read]
         rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
-    return table("verdicts", rows, note=TOLERANCES)
+    return page_table("verdicts", rows, note=TOLERANCES)
 
-
-_SHARES = {
-    "bandwidths": "all -90 deg and -3 dB",
-    "of them calibrated": "calibrated",
-    "of them predicted": "predicted",
-    "damping ratios, all predicted": "damping ratios, predicted",
-}
-"""Classes of `agreements`, as the summary names them."""
 
 _LAWS = ("position_error_rate", "acceleration", "acceleration_d2")
-
-
-def verdict_tables(runs: Runs, names: Sequence[str]) -> list[PageTable]:
-    """Verdicts by table, and with all tables the shares of agreement."""
-    tables = [verdict_table(runs, names)] if names else []
-    return tables + ([agreement_table(runs)] if len(names) == len(TITLES) else [])
-
-
-def _shares(runs: Runs) -> PageTable:
-    """Counts within 5, 10, 15 % by class; the last cell is drawn as a bar."""
-    rows = []
-    for one in agreements(runs):
-        if one.what in _SHARES:
-            counts = [round(share * one.printed) for share in one.shares]
-            bar = " ".join(f"{count / one.printed:.4f}" for count in counts)
-            rows.append((_SHARES[one.what], *map(str, (one.printed, *counts)), bar))
-    return table("shares", rows)
 
 
 def _span(rows: Sequence[ResultRow], field: str, form: str) -> str:
@@ -217,7 +192,7 @@ def _deviations(runs: Runs) -> PageTable:
             notes.append(RINGS.format(widths))
         cells = (f"{law_title(law)}: {what}", ", ".join(printed), ", ".join(computed))
         rows.append((name, *cells, "; ".join(dict.fromkeys(notes))))
-    return table("outside", rows)
+    return page_table("outside", rows)
 
 
 def _phase(measures: Measures) -> str:
@@ -234,7 +209,7 @@ def _rotation(runs: Runs) -> list[PageTable | str]:
             rows.append((row.label, f"{row.printed:g} Hz", *(_phase(one.measures) for one in ours)))
     as_read, as_printed = (sum(row[i] == "unstable" for row in rows) for i in (-1, -2))
     numbers = {"as_read": as_read, "as_printed": as_printed, "axes": len(rows)}
-    return [*texts("rotation", **numbers), table("rotation", rows)]
+    return [*texts("rotation", **numbers), page_table("rotation", rows)]
 
 
 def summary(runs: Runs) -> list[PageTable | str]:
@@ -242,4 +217,4 @@ def summary(runs: Runs) -> list[PageTable | str]:
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [*lead, _shares(runs), *_rotation(runs), _deviations(runs)]
+    return [*lead, agreement_table(runs), *_rotation(runs), _deviations(runs)]

@@ -34,7 +34,7 @@ class PageTable(NamedTuple):
     table: Table
 
 
-def table(
+def page_table(
     name: str, rows: Collection[Sequence[Any]], anchor: str = "", title: str = "", note: str = ""
 ) -> PageTable:
     """A table with the head of this name; `title` and `note` are for heads that have none."""
