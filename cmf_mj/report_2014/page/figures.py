@@ -68,11 +68,6 @@ _GRAVITY = units.STANDARD_GRAVITY
 _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.17", "4.18", "4.19")}
 """Position, velocity and acceleration of linear models 1 to 3."""
 
-_SIGNAL_TITLES = {
-    1: "a pulse of 1 in",
-    2: "a sine of 1 in at 1 Hz",
-    3: "the five rounds of Table 2-3, end to end",
-}
 _LEG = ("position [in]", "velocity [in/s]", "acceleration [g]")
 
 Drawing = tuple[Figure, dict[str, Any]]
@@ -109,7 +104,6 @@ class Line(NamedTuple):
     values: Array
     colour: str = BLUE
     style: str = "-"
-    width: float = 1.5
 
 
 def histories(
@@ -123,8 +117,8 @@ def histories(
     for axes, lines in zip(every, panels.values(), strict=True):
         for line in lines:
             seen = (line.time >= span[0]) & (line.time <= span[1])
-            (curve,) = axes.plot(line.time[seen], line.values[seen], line.style, label=line.name)
-            curve.set(color=line.colour, linewidth=line.width)
+            style: dict[str, Any] = {"color": line.colour, "linestyle": line.style}
+            axes.plot(line.time[seen], line.values[seen], label=line.name, **style)
     every[-1].set_xlim(*span)
     legend(*every)
     return figure
@@ -212,13 +206,13 @@ def accelerometer(runs: Runs, figure: ReportFigure) -> Drawing:
     """Accelerometer of a leg at rest or in motion, before and behind the filter."""
     sensors, span = cast("SensorReadings", runs.sensors), figure.options["span"]
     readings: Readings = getattr(sensors, figure.options["state"])
-    size = round(span / FRAME)
+    time = np.arange(round(span / FRAME)) * FRAME
     lines = [
-        Line(name, np.arange(size) * FRAME, values[:size, 0] / _GRAVITY, colour, width=width)
-        for name, values, colour, width in (
-            ("raw", readings.raw, "#aaaaaa", 0.8),
-            ("true specific force", readings.truth, BLUE, 1.5),
-            ("filtered, Eq 3.6", readings.filtered, ORANGE, 1.5),
+        Line(name, time, values[: time.size, 0] / _GRAVITY, colour)
+        for name, values, colour in (
+            ("raw", readings.raw, "#aaaaaa"),
+            ("true specific force", readings.truth, BLUE),
+            ("filtered, Eq 3.6", readings.filtered, ORANGE),
         )
     ]
     drawn = histories({"accelerometer of leg 1 [g]": lines}, (0.0, span), "time [s]", 3.5)
@@ -328,10 +322,7 @@ def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     for axes, values in zip(drawn.axes, legs, strict=True):
         margin = 0.3 * float(np.ptp(values))
         axes.set_ylim(float(values.min()) - margin, float(values.max()) + margin)
-    return drawn, {
-        **{"number": number, "begin": begin, "signal": _SIGNAL_TITLES[number]},
-        "fits": "; ".join(fits),
-    }
+    return drawn, {"fits": "; ".join(fits), **figure.options}
 
 
 def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
@@ -351,7 +342,7 @@ def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     )
     x = "time after the step [s]" if signal == "rise" else "time [s]"
     return histories({_EXTENSION: (demand, leg, *models)}, span, x, 3.5), {
-        "number": number,
+        **figure.options,
         "numbers": "; ".join(f"{one.name} peaks at {one.values.max():.2f} in" for one in models),
         "peak": leg.values.max(),
         "sizes": "; ".join(sizes),
