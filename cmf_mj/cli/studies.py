@@ -168,12 +168,13 @@ def calibrate_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.report_2014.calibration import fit as report
     from cmf_mj.report_2014.calibration.fit import calibrate, examine
-    from cmf_mj.report_2014.calibration.trial import load_study
+    from cmf_mj.report_2014.calibration.trial import load_calibration
 
-    for chosen in [load_study(name) for name in tables]:
+    for chosen in [load_calibration(name) for name in tables]:
         say = partial(typer.echo, err=True)
         fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
         result = examine(fitted, samples=samples, jobs=jobs)
         folder = in_folder(out, chosen.name)
         paths = report.save_calibration(result, folder)
-        show(*report.tables(result), report.verdict_text(result), written(paths, folder))
+        parts = (*report.calibration_tables(result), report.verdict_text(result))
+        show(*parts, written(paths, folder))

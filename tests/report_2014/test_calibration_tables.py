@@ -14,13 +14,13 @@ from cmf_mj.report_2014.calibration.fit import (
     CalibrationStage,
     Examination,
     residual_rows,
-    spread,
+    uncertainty,
 )
 from cmf_mj.report_2014.calibration.trial import (
     StepVerdict,
     least_damping,
     linear_results,
-    load_study,
+    load_calibration,
     starting_values,
 )
 
@@ -28,7 +28,7 @@ from cmf_mj.report_2014.calibration.trial import (
 @pytest.fixture(scope="module")
 def examined() -> Examination:
     """The study `hardware` with linear results in place of simulated ones, nothing fitted."""
-    study = load_study("hardware")
+    study = load_calibration("hardware")
     values = starting_values(study)
     results = linear_results(study, values, study.laws)
     results["velocity"] = results["velocity"]._replace(gain_bandwidth_hz=float("nan"))
@@ -37,7 +37,7 @@ def examined() -> Examination:
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}
     return Examination(
         Calibration(study, (stage, later), errors),
-        spread(study, values, samples=3),
+        uncertainty(study, values, samples=3),
         [StepVerdict("gfd", "sway", True, 0.001), StepVerdict("ifd", "surge", False, 0.4)],
     )
 

@@ -216,12 +216,12 @@ def examine(
     study, shipped = calibration.study, calibration.before.values
     return Examination(
         calibration,
-        spread(study, shipped, ("original", "velocity"), samples=samples),
+        uncertainty(study, shipped, ("original", "velocity"), samples=samples),
         trial.simulated_stability(study, calibration.after.values, jobs=jobs),
     )
 
 
-def spread(
+def uncertainty(
     study: trial.CalibrationStudy,
     values: trial.Values,
     laws: tuple[str, ...] = ("velocity",),
@@ -275,7 +275,7 @@ def _pairs(calibration: Calibration) -> list[tuple[Residual, Residual]]:
     return list(zip(before, after, strict=True))
 
 
-def tables(result: Examination) -> list[Table]:
+def calibration_tables(result: Examination) -> list[Table]:
     """Parameters, residuals, uncertainty and, where there is one, least damping."""
     calibration = result.calibration
     study, before, after = calibration.study, calibration.before, calibration.after
@@ -331,13 +331,13 @@ def verdict_text(result: Examination) -> str:
 
 def markdown(result: Examination) -> str:
     """The tables as Markdown, for docs/reference/calibration_tables.md."""
-    parts = [table.markdown() for table in tables(result)]
+    parts = [table.markdown() for table in calibration_tables(result)]
     if result.verdicts:
         parts.append(f"{verdict_text(result).capitalize()}.\n")
     return "\n".join(parts)
 
 
-def residual_figure(calibration: Calibration) -> Figure:
+def calibration_figure(calibration: Calibration) -> Figure:
     """Deviations over their tolerance, as shipped and as fitted."""
     pairs = [pair for pair in _pairs(calibration) if pair[0].deviation == pair[0].deviation]
     figure = new_figure(7.5, 1.3 + 0.21 * len(pairs), gridded=False)
@@ -370,5 +370,5 @@ def residual_figure(calibration: Calibration) -> Figure:
 def save_calibration(result: Examination, folder: Path) -> list[Path]:
     """Write `residuals.png`, and the tables as `calibration.md`."""
     tables = partial(write_text, text=markdown(result))
-    figure = residual_figure(result.calibration)
+    figure = calibration_figure(result.calibration)
     return save_files({"residuals.png": figure, "calibration.md": tables}, folder)

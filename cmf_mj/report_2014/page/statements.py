@@ -102,7 +102,7 @@ def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
     return [*reversed(seen.values())]
 
 
-def agreement(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
+def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
     """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
     off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
     known = off[np.isfinite(off)]
@@ -122,13 +122,13 @@ def agreements(runs: Runs) -> list[Agreement]:
     literal = of(BANDWIDTHS, lambda row: not row.read)
     literal += [row for row in widths if row.law not in {other.law for other in literal}]
     return [
-        agreement("bandwidths", widths),
-        agreement("of them calibrated", [row for row in widths if row.calibrated]),
-        agreement("of them predicted", [row for row in widths if not row.calibrated]),
-        *(agreement(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
-        agreement("bandwidths, sweeps that ring read too", widths, swept=True),
-        agreement("bandwidths, gains and filter as printed", literal),
-        agreement("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
+        share_met("bandwidths", widths),
+        share_met("of them calibrated", [row for row in widths if row.calibrated]),
+        share_met("of them predicted", [row for row in widths if not row.calibrated]),
+        *(share_met(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
+        share_met("bandwidths, sweeps that ring read too", widths, swept=True),
+        share_met("bandwidths, gains and filter as printed", literal),
+        share_met("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
     ]
 
 

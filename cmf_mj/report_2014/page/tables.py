@@ -17,7 +17,7 @@ from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.report_2014.calibration.trial import MEASURES, load_study
+from cmf_mj.report_2014.calibration.trial import MEASURES, load_calibration
 from cmf_mj.report_2014.model_tables import table_4_1
 from cmf_mj.report_2014.models import published_gains
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
@@ -75,7 +75,7 @@ _REMARKS: dict[tuple[str, str, str], str] = {
 _FITTED = {
     (row.law, row.published.dof, row.of, MEASURES[measure], row.printed(measure))
     for name in ("report", "hardware")
-    for row in load_study(name).rows
+    for row in load_calibration(name).rows
     for measure in row.fitted
 }
 """Printed numbers that the two calibrations fitted, wherever they are printed."""
