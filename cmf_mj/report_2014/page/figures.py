@@ -32,8 +32,10 @@ from cmf_mj.report_2014.models import (
 from cmf_mj.report_2014.page.runs import (
     IDENTIFIED_ON,
     SLOW,
+    Readings,
     Runs,
     RunSpec,
+    SensorReadings,
     Signal,
     after_step,
     leg_motion,
@@ -41,7 +43,6 @@ from cmf_mj.report_2014.page.runs import (
     report_plant,
     specs,
 )
-from cmf_mj.report_2014.page.sensors import Readings, SensorReadings
 from cmf_mj.report_2014.page.tables import CONTENTS, law_title
 from cmf_mj.show.comparison import bode_figure, step_figure
 from cmf_mj.show.look import (

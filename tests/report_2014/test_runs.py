@@ -6,7 +6,7 @@ import pytest
 
 from cmf_mj import load_law
 from cmf_mj.control.feedback import noise_gain
-from cmf_mj.report_2014.page.sensors import sensor_readings
+from cmf_mj.report_2014.page.runs import sensor_readings
 
 POLE, GAIN = 0.9924, 0.007588
 """Of Eq 3.6."""
