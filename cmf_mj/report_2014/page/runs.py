@@ -37,14 +37,12 @@ from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.facility.run import simulate
-from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.plant.hexapod import Hexapod, make_plant
-from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
-from cmf_mj.studies.case import RECORD_EVERY, Case, CaseResult, dof_amplitude, run_case
+from cmf_mj.studies.case import RECORD_EVERY, CaseResult, dof_amplitude, make_case, run_case
 from cmf_mj.studies.identification import Identified, identify
 
 _AMPLITUDE, _FREQUENCY = 0.33 * units.INCH, 1.2
@@ -238,17 +236,12 @@ def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
 
 
 def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record, ...]:
-    law, size = load_law(spec.law), dof_amplitude(spec.dof)
+    machine = PLANTS[spec.on], CAB, HYDRAULICS[spec.on]
     if spec.signal == "case":
-        cab = None if spec.on == "model" else load_cab(CAB)
-        parameters = load_hydraulics(HYDRAULICS[spec.on])
-        return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
-    plant, every = (
-        report_plant(spec.on),
-        1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY,
-    )
-    commands = _commands(spec, quick, seed)
-    return tuple(simulate(plant, law, command, record_every=every) for command in commands)
+        return run_case(make_case(spec.law, spec.dof, *machine, quick=quick))
+    plant, commands = make_plant(*machine), _commands(spec, quick, seed)
+    every = 1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY
+    return tuple(simulate(plant, spec.law, command, record_every=every) for command in commands)
 
 
 def perform(

@@ -20,13 +20,13 @@ from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     CONTENTS,
     RATIO,
-    RINGS,
     TITLES,
     TOLERANCES,
     PageTable,
     ResultRow,
-    law_title,
+    computed_text,
     page_table,
+    remarks_once,
     result_rows,
     texts,
 )
@@ -161,37 +161,14 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
 _LAWS = ("position_error_rate", "acceleration", "acceleration_d2")
 
 
-def _span(rows: Sequence[ResultRow], field: str, form: str) -> str:
-    """A number of rows of one quantity with its unit: one, or the lowest to the highest."""
-    values = [getattr(row, field) for row in rows]
-    known = sorted(value for value in values if value == value)
-    ends = dict.fromkeys(f"{value:{form}}" for value in known[:: len(known) - 1 or 1])
-    return " ".join([" to ".join(ends), rows[0].unit]).strip() if known else "unstable"
-
-
-def _deviations(runs: Runs) -> PageTable:
-    """What lies outside its tolerance, a row for each table and law."""
-    groups: dict[tuple[str, str], dict[str, list[ResultRow]]] = {}
-    for name in TITLES:
-        for row in once(result_rows(runs, name)):
-            if row.read and not row.within:
-                groups.setdefault((name, row.law), {}).setdefault(row.quantity, []).append(row)
+def outside_table(runs: Runs) -> PageTable:
+    """What lies outside its tolerance, of laws as read."""
     rows = []
-    for (name, law), found in groups.items():
-        count = {quantity: len(same) for quantity, same in found.items()}
-        what = ", ".join(q if n == 1 else f"{q} in {n} axes" for q, n in count.items())
-        printed, computed = (
-            list(dict.fromkeys(_span(same, field, form) for same in found.values()))
-            for field, form in (("printed", "g"), ("computed", ".3g"))
-        )
-        every = [row for same in found.values() for row in same]
-        swept = [row for row in every if row.swept == row.swept and not row.stable]
-        notes = [row.note for row in every if row not in swept and row.note]
-        if swept:
-            widths = " and ".join(f"{row.swept:.2f}" for row in swept)
-            notes.append(RINGS.format(widths))
-        cells = (f"{law_title(law)}: {what}", ", ".join(printed), ", ".join(computed))
-        rows.append((name, *cells, "; ".join(dict.fromkeys(notes))))
+    for name in TITLES:
+        far = [row for row in once(result_rows(runs, name)) if row.read and not row.within]
+        for row in remarks_once(far):
+            what, printed = f"{row.label}: {row.quantity}", f"{row.printed:g} {row.unit}"
+            rows.append((name, what, printed, computed_text(row, row.unit), row.note))
     return page_table("outside", rows)
 
 
@@ -217,4 +194,4 @@ def summary(runs: Runs) -> list[PageTable | str]:
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [*lead, agreement_table(runs), *_rotation(runs), _deviations(runs)]
+    return [*lead, agreement_table(runs), *_rotation(runs), outside_table(runs)]

@@ -1,6 +1,6 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,9 +126,10 @@ def _share(row: ResultRow, value: float, sign: str = "+") -> str:
     return number(100.0 * value, f"{sign}.1f %") if row.unit else number(value, f"{sign}.2f")
 
 
-def _computed_text(row: ResultRow) -> str:
+def computed_text(row: ResultRow, unit: str = "") -> str:
+    """What is computed, with a unit if named; or why there is no number."""
     if row.computed == row.computed:
-        return f"{row.computed:.2f}"
+        return f"{row.computed:.2f} {unit}".rstrip()
     return "none below 10 Hz" if row.stable else "unstable"
 
 
@@ -137,7 +138,7 @@ RESULTS = (
     Field("of", "source"),
     Field("", "quantity", of=lambda row: f"{row.quantity} [{row.unit}]".removesuffix(" []")),
     Field("printed", form=lambda value: f"{value:g}" if value == value else "N/A"),
-    Field("", "computed", of=_computed_text),
+    Field("", "computed", of=computed_text),
     Field("", "deviation", of=lambda row: _share(row, row.deviation)),
     Field("", "allowed", of=lambda row: _share(row, row.tolerance, "").replace(".0 %", " %")),
     Field("within", "verdict", lambda within: "within" if within else "outside"),
@@ -256,13 +257,19 @@ def result_rows(runs: Runs, table: str) -> list[ResultRow]:
     return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
 
 
-def result_table(runs: Runs, name: str) -> PageTable:
-    """A result table as the page has it; a long remark is written once."""
-    rows, seen, appendix = [], set[str](), name.startswith("D-")
-    for row in result_rows(runs, name):
+def remarks_once(rows: Iterable[ResultRow]) -> list[ResultRow]:
+    """The rows, a long remark written once."""
+    once, seen = [], set[str]()
+    for row in rows:
         again = len(row.note) > 40 and row.note in seen
         seen.add(row.note)
-        rows.append(row._replace(note="as above") if again else row)
+        once.append(row._replace(note="as above") if again else row)
+    return once
+
+
+def result_table(runs: Runs, name: str) -> PageTable:
+    """A result table as the page has it."""
+    rows, appendix = remarks_once(result_rows(runs, name)), name.startswith("D-")
     title = f"Table {name}" if name[0] != "s" else name.capitalize()
     fields = [field for field in RESULTS if appendix or field.name != "hexapod"]
     shown = Result(rows, fields, f"{title}: {TITLES[name]}", TOLERANCES).table
