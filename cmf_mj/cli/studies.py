@@ -176,5 +176,5 @@ def calibrate_command(
         result = examine(fitted, samples=samples, jobs=jobs)
         folder = in_folder(out, chosen.name)
         paths = report.save_calibration(result, folder)
-        parts = (*report.calibration_tables(result), report.verdict_text(result))
-        show(*parts, written(paths, folder))
+        shown = report.calibration_tables(result)
+        show(*shown, report.verdict_text(result), written(paths, folder))

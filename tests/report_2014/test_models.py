@@ -1,4 +1,4 @@
-"""The report's transfer functions: misprints, what holds between them, section 3.4 in closed form."""
+"""The report's transfer functions: misprints, what holds between them, section 3.4."""
 
 import control
 import numpy as np
