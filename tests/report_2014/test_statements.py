@@ -70,13 +70,13 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
         and row.printed == row.printed
         and not abs(row.computed / row.printed - 1.0) <= 0.10
     }
-    assert len(beyond) == round(44 * (1.0 - whole.shares[1])) == 4
+    assert len(beyond) == round(44 * (1.0 - whole.within_10)) == 4
     assert {law for law, _, _ in beyond} == {"velocity_error", "force"}
-    assert table["bandwidths, sweeps that ring read too"].shares[1] == 1.0
-    assert table["bandwidths, gains and filter as printed"].shares[1] < 0.75
-    assert table["of them predicted"].shares[1] < table["of them calibrated"].shares[1]
+    assert table["bandwidths, sweeps that ring read too"].within_10 == 1.0
+    assert table["bandwidths, gains and filter as printed"].within_10 < 0.75
+    assert table["of them predicted"].within_10 < table["of them calibrated"].within_10
     assert table["of them predicted"].median < 0.0  # what is not fitted lies low
-    assert table["damping ratios, all predicted"].shares[1] < 0.5
+    assert table["damping ratios, all predicted"].within_10 < 0.5
 
 
 def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
@@ -104,7 +104,7 @@ def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
         encoding="utf-8"
     )
     assert accounting.verdict_table(runs, tuple(TITLES)).table.markdown() in page
-    for row in accounting.agreement_table(runs).table.cells:
+    for row in accounting.agreements(runs).table.cells:
         assert f"| {' | '.join(row[:5])} |" in page
 
 
@@ -181,9 +181,11 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     }
     assert isinstance(lead, str) and f" {len(printed)} numbers" in lead
     assert isinstance(agreed, PageTable) and isinstance(outside, PageTable)
+    classes = accounting.agreements(Runs(results, None, True, 0))
+    assert agreed.table.cells == classes.table.cells
     counts = {
-        row[0]: [round(share * row[1] / 100.0) for share in (100.0, *row[2:5])]
-        for row in ([one[0], int(one[1]), *one[2:]] for one in agreed.table.rows)
+        one.what: [one.printed, *(round(share * one.printed) for share in one[2:5])]
+        for one in classes
     }
     parts = (counts[f"of them {role}"] for role in ("calibrated", "predicted"))
     assert counts["bandwidths"] == [sum(pair) for pair in zip(*parts, strict=True)]

@@ -24,7 +24,7 @@ from cmf_mj.report_2014.page.runs import (
 )
 from cmf_mj.report_2014.page.statements import (
     STATEMENT_NEEDS,
-    agreement_table,
+    agreements,
     statement_rows,
     summary,
     verdict_table,
@@ -191,7 +191,9 @@ def render(content: Content) -> str:
 def verdict_tables(content: Content) -> list[PageTable]:
     """Verdicts by table, and with all tables the shares of agreement."""
     tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    return tables + ([agreement_table(content.runs)] if content.tables == tuple(TITLES) else [])
+    if content.tables == tuple(TITLES):
+        tables.append(PageTable("agreement", agreements(content.runs).table))
+    return tables
 
 
 def save_page(content: Content, folder: Path) -> Path:

@@ -6,14 +6,14 @@ of damping ratios too.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
-from cmf_mj.core.result import number
+from cmf_mj.core.result import Field, Result, fields_of, number
 from cmf_mj.report_2014.models import bandwidth_example, characteristics, hardware_velocity
 from cmf_mj.report_2014.page.runs import Runs, leg_motion, specs
 from cmf_mj.report_2014.page.tables import (
@@ -82,18 +82,18 @@ def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
     return rows
 
 
-LIMITS = (0.05, 0.10, 0.15)
-"""Deviations that shares are counted within."""
-
-
 class Agreement(NamedTuple):
     """What of a class of printed numbers is met."""
 
-    what: str
-    printed: int  #: How many numbers are printed.
-    shares: tuple[float, ...]  #: Of them, within each of `LIMITS`.
-    median: float  #: Of the deviations, signed.
-    below: float  #: Share of those computed that lie below the print.
+    what: Annotated[str, Field(title="")]
+    printed: Annotated[int, Field(form="d")]  #: How many numbers are printed.
+    within_5: Annotated[float, Field(title="within 5 %", form=".0f %", unit="%")]
+    """Share of them that is off by at most so much; likewise those that follow."""
+    within_10: Annotated[float, Field(title="10 %", form=".0f %", unit="%")]
+    within_15: Annotated[float, Field(title="15 %", form=".0f %", unit="%")]
+    median: Annotated[float, Field(title="median deviation", form="+.1f %", unit="%")]
+    below: Annotated[float, Field(title="below the print", form=".0f %", unit="%")]
+    """Share of those computed that lie below the print."""
 
 
 def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
@@ -106,11 +106,11 @@ def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) ->
     """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
     off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
     known = off[np.isfinite(off)]
-    shares = tuple(float(np.mean(np.abs(off) <= limit + 1e-9)) for limit in LIMITS)
-    return Agreement(what, len(rows), shares, float(np.median(known)), float(np.mean(known < 0.0)))
+    shares = (float(np.mean(np.abs(off) <= limit + 1e-9)) for limit in (0.05, 0.10, 0.15))
+    return Agreement(what, len(rows), *shares, float(np.median(known)), float(np.mean(known < 0.0)))
 
 
-def agreements(runs: Runs) -> list[Agreement]:
+def agreements(runs: Runs) -> Result[Agreement]:
     """All classes, from all result tables."""
     rows = once(row for table in TITLES for row in result_rows(runs, table))
 
@@ -121,7 +121,7 @@ def agreements(runs: Runs) -> list[Agreement]:
     widths = of(BANDWIDTHS, lambda row: row.read)
     literal = of(BANDWIDTHS, lambda row: not row.read)
     literal += [row for row in widths if row.law not in {other.law for other in literal}]
-    return [
+    classes = [
         share_met("bandwidths", widths),
         share_met("of them calibrated", [row for row in widths if row.calibrated]),
         share_met("of them predicted", [row for row in widths if not row.calibrated]),
@@ -130,6 +130,9 @@ def agreements(runs: Runs) -> list[Agreement]:
         share_met("bandwidths, gains and filter as printed", literal),
         share_met("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
     ]
+    printed, met = not_available(runs)
+    (note,) = texts("agreement", printed=printed, met=met)
+    return Result(classes, fields_of(Agreement), "Share of the printed numbers that are met", note)
 
 
 def not_available(runs: Runs) -> tuple[int, int]:
@@ -137,16 +140,6 @@ def not_available(runs: Runs) -> tuple[int, int]:
     rows = [row for table in TITLES for row in result_rows(runs, table)]
     blank = [row for row in rows if row.read and row.printed != row.printed]
     return len(blank), sum(row.within for row in blank)
-
-
-def agreement_table(runs: Runs) -> PageTable:
-    """`agreements` as the page has them."""
-    rows = [
-        (one.what, f"{one.printed}", *(100.0 * s for s in (*one.shares, one.median, one.below)))
-        for one in agreements(runs)
-    ]
-    printed, met = not_available(runs)
-    return page_table("agreement", rows, note=texts("agreement", printed=printed, met=met)[0])
 
 
 def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
@@ -194,4 +187,9 @@ def summary(runs: Runs) -> list[PageTable | str]:
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [*lead, agreement_table(runs), *_rotation(runs), outside_table(runs)]
+    return [
+        *lead,
+        PageTable("agreement", agreements(runs).table),
+        *_rotation(runs),
+        outside_table(runs),
+    ]
