@@ -106,8 +106,9 @@ def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) ->
     """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
     off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
     known = off[np.isfinite(off)]
-    shares = (float(np.mean(np.abs(off) <= limit + 1e-9)) for limit in (0.05, 0.10, 0.15))
-    return Agreement(what, len(rows), *shares, float(np.median(known)), float(np.mean(known < 0.0)))
+    values = [np.mean(np.abs(off) <= limit + 1e-9) for limit in (0.05, 0.10, 0.15)]
+    values += [np.median(known), np.mean(known < 0.0)]
+    return Agreement(what, len(rows), *map(float, values))
 
 
 def agreements(runs: Runs) -> Result[Agreement]:
