@@ -11,7 +11,7 @@ from cmf_mj.analysis.published import published, published_results
 from cmf_mj.report_2014.page import statements as accounting
 from cmf_mj.report_2014.page import tables
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform, specs
-from cmf_mj.report_2014.page.statements import summary
+from cmf_mj.report_2014.page.statements import first_screen
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     TITLES,
@@ -169,7 +169,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     results = dict(runs.results)
     for need in specs("machine acceleration roll,pitch,yaw"):
         results[need] = runs.case("model", "acceleration")
-    lead, agreed, rotation, _, outside = summary(Runs(results, None, True, 0))
+    lead, agreed, rotation, _, outside = first_screen(Runs(results, None, True, 0))
     fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
     fields += ("oscillation_hz", "acceleration_g")
     printed = {

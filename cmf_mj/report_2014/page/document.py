@@ -25,8 +25,8 @@ from cmf_mj.report_2014.page.runs import (
 from cmf_mj.report_2014.page.statements import (
     STATEMENT_NEEDS,
     agreements,
+    first_screen,
     statement_rows,
-    summary,
     verdict_table,
 )
 from cmf_mj.report_2014.page.tables import (
@@ -107,7 +107,7 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
         *(texts("quick") if content.runs.quick else []),
         *([verdict_table(content.runs, content.tables)] if content.tables else []),
     ],
-    "summary": lambda content, _: summary(content.runs),
+    "summary": lambda content, _: first_screen(content.runs),
     "limits": lambda content, _: [page_table("table-2-1", limit_rows())],
     "gains": lambda content, number: [
         page_table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")

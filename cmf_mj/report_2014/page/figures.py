@@ -157,7 +157,7 @@ def responses(runs: Runs, figure: ReportFigure) -> Drawing:
     return drawn, {"axis": dof.capitalize(), "size": size, **figure.options}
 
 
-def steps(runs: Runs, figure: ReportFigure) -> Drawing:
+def step_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws' steps in heave."""
     cases = figure.cases(runs)
     numbers = [

@@ -183,7 +183,7 @@ def _rotation(runs: Runs) -> list[PageTable | str]:
     return [*texts("rotation", **numbers), page_table("rotation", rows)]
 
 
-def summary(runs: Runs) -> list[PageTable | str]:
+def first_screen(runs: Runs) -> list[PageTable | str]:
     """The first screen of a page with everything in it."""
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
