@@ -161,8 +161,9 @@ def outside_table(runs: Runs) -> PageTable:
     for name in TITLES:
         far = [row for row in once(result_rows(runs, name)) if row.read and not row.within]
         for row in remarks_once(far):
-            what, printed = f"{row.label}: {row.quantity}", f"{row.printed:g} {row.unit}"
-            rows.append((name, what, printed, computed_text(row, row.unit), row.note))
+            what, printed = f"{row.label}, {row.of}: {row.quantity}", f"{row.printed:g} {row.unit}"
+            why = row.note or ("" if row.stable else "the step rings on")
+            rows.append((name, what, printed, computed_text(row, row.unit), why))
     return page_table("outside", rows)
 
 
