@@ -162,6 +162,7 @@ def outside_table(runs: Runs) -> PageTable:
         far = [row for row in once(result_rows(runs, name)) if row.read and not row.within]
         for row in remarks_once(far):
             what, printed = f"{row.label}, {row.of}: {row.quantity}", f"{row.printed:g} {row.unit}"
+            printed = printed.rstrip() if row.printed == row.printed else "N/A"
             why = row.note or ("" if row.stable else "the step rings on")
             rows.append((name, what, printed, computed_text(row, row.unit), why))
     return page_table("outside", rows)
