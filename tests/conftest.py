@@ -70,8 +70,7 @@ def forgotten(request: pytest.FixtureRequest) -> Iterator[None]:
 @pytest.fixture
 def entry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[LedgerEntry]:
     """The entry of the ledger that the test demonstrates; it must ask for every figure of it."""
-    own = f"tests/{request.path.name}::{request.node.name}"
-    (found,) = (row for row in load_ledger() if row.demonstration == own)
+    (found,) = (row for row in load_ledger() if row.demonstration == request.node.nodeid)
     asked: set[str] = set()
     figure = LedgerEntry.figure
 

@@ -29,7 +29,7 @@ SEAMS = (
     "pilot.washout:Washout.run",
     "analysis.linear.linear:operating_point",
     "analysis.modes:sweep",
-    "report_2014.models:measure_loop",
+    "report_2014.model_tables:measure_loop",
     "signals.peaks:peaks",
     "pilot.airframe:Airframe.__init__",
     "studies.certificate:Family",

@@ -6,7 +6,7 @@ import pickle
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import control
 from typer.testing import CliRunner
@@ -17,7 +17,7 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
-from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core.units import INCH
 from cmf_mj.machine.geometry import DOFS
@@ -82,8 +82,8 @@ def chirp_bandwidths(
     return once(f"chirp-{plant}-{law}-{dof}-{cab}-{hydraulics}-{cuts}-{share}", compute)
 
 
-def printed(table: str, law: str, of: str = "nonlinear", dof: str = "heave") -> Published:
-    """A row of the report's result tables."""
+def printed(table: str, law: str, of: str = "nonlinear", dof: str = "heave") -> Any:
+    """A row of the report's result tables, a `Published` whose numbers are there."""
     return next(
         row
         for row in published_results()

@@ -39,7 +39,6 @@ def list_command(
     from cmf_mj.electronics.channel import load_sensors
     from cmf_mj.machine.models import machine_names
     from cmf_mj.plant.parameters import hydraulics_of
-    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
 
     if name is not None and what not in ("hydraulics", "sensors"):
         raise InputError(f"set: {name!r} is of no use to {what}; allowed: none")
@@ -59,8 +58,7 @@ def list_command(
     else:
         sensors = load_sensors(name or "noisy")
         title = f"sensors: {sensors.name}, gravity {'on' if sensors.gravity else 'off'}"
-        effect = filter_effect(sensors, "acceleration_opposing")
-        show(quantity_table(title, sensors.quantities()), effect_table(effect))
+        show(quantity_table(title, sensors.quantities()))
 
 
 @machines.command("new")

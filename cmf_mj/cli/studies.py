@@ -193,8 +193,7 @@ def report_command(
     if context.invoked_subcommand is not None:
         return
     require("jinja2", "report")
-    from cmf_mj.report_2014.page.document import make_content, save_page
-    from cmf_mj.report_2014.page.statements import verdict_tables
+    from cmf_mj.report_2014.page.document import make_content, save_page, verdict_tables
 
     folder = claim(context, out or Path("out/report"))
     with progress_bar() as update:
@@ -223,12 +222,10 @@ def linear_command(
 ) -> None:
     """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
     from cmf_mj.report_2014 import model_tables as linear
-    from cmf_mj.report_2014.models import law_loops, table_4_1
 
-    loops, rows = law_loops(laws), table_4_1()
+    loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    tables = (linear.model_table(), linear.misprint_table(), rows)
-    show(*tables, linear.loop_table(loops), written(paths, out))
+    show(linear.equation_table(), linear.misprint_table(), rows, loops, written(paths, out))
 
 
 @reports.command("calibrate")
@@ -244,12 +241,13 @@ def calibrate_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.report_2014.calibration import fit as report
     from cmf_mj.report_2014.calibration.fit import calibrate, examine
-    from cmf_mj.report_2014.calibration.trial import load_study
+    from cmf_mj.report_2014.calibration.trial import load_calibration
 
-    for chosen in [load_study(name) for name in tables]:
+    for chosen in [load_calibration(name) for name in tables]:
         say = partial(typer.echo, err=True)
         fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
         result = examine(fitted, samples=samples, jobs=jobs)
         folder = in_folder(out, chosen.name)
         paths = report.save_calibration(result, folder)
-        show(*report.tables(result), report.verdict_text(result), written(paths, folder))
+        shown = report.calibration_tables(result)
+        show(*shown, report.verdict_text(result), written(paths, folder))

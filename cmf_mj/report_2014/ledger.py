@@ -67,21 +67,11 @@ class LedgerEntry(Settings):
 
 @lru_cache
 def load_ledger() -> tuple[LedgerEntry, ...]:
-    """All entries, in the order of the report; each must have a demonstration of its own."""
-    rows = read_toml(_FILE)["entry"]
-    entries = tuple(
+    """All entries, in the order of the report."""
+    return tuple(
         validated(LedgerEntry, row | {"number": i}, f"{_FILE.name}: entry {i}")
-        for i, row in enumerate(rows, start=1)
+        for i, row in enumerate(read_toml(_FILE)["entry"], start=1)
     )
-    seen: dict[str, int] = {}
-    for entry in entries:
-        first = seen.setdefault(entry.demonstration, entry.number)
-        if first != entry.number:
-            raise InputError(
-                f"{_FILE.name}: entry {entry.number}: demonstration: {entry.demonstration} is "
-                f"that of entry {first}"
-            )
-    return entries
 
 
 def ledger_entry(number: int) -> LedgerEntry:

@@ -1,42 +1,131 @@
-"""Tables and figures of the linear models: the report's, their loops, Table 4-1, section 3.4."""
+"""Tables and figures of the linear models: the report's, laws around them, Table 4-1."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
+import control
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.analysis.linear.loop import loop_response, loop_step
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
-from cmf_mj.core.result import Field, Result, Table
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.result import Field, Result, Table, fields_of
 from cmf_mj.report_2014.models import (
     HARDWARE_MODELS,
-    LawLoop,
-    ReportModel,
-    TableRow,
+    hardware_velocity,
     report_model,
     report_models,
 )
-from cmf_mj.report_2014.second_order import GAINS, gain_effects
-from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
+from cmf_mj.show.look import (
+    GREY,
+    bode_axes,
+    legend,
+    new_figure,
+    plot_bode,
+    plot_printed,
+    save_files,
+)
 from cmf_mj.show.study import phase_text
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
-EFFECTS = (
-    *map(Field, ("gain", "value")),
-    Field("plant_natural_frequency", of="loop.natural_frequency"),
-    Field("plant_damping_ratio", of="loop.damping_ratio"),
-    *(Field(name, of=f"loop.{name}") for name in GAINS),
-    Field("natural_frequency_hz", of="result.mode_frequency_hz"),
-    Field("damping_ratio", of="result.mode_damping_ratio"),
-    Field("static_gain", of="result.static_gain"),
-    Field("phase_bandwidth_hz", of="result.phase_bandwidth_hz"),
-    Field("gain_bandwidth_hz", of="result.gain_bandwidth_hz"),
-    Field("peak_db", of="result.peak_gain_db"),
-    Field("overshoot", of="result.overshoot"),
+
+BANDWIDTH_TOLERANCE, DAMPING_TOLERANCE = 0.03, 0.1
+"""Deviations from Table 4-1 [Hz and 1] that count as agreement."""
+
+
+class LawLoop(NamedTuple):
+    """A law around one of the report's hardware models."""
+
+    law: Law
+    model: int  #: Linear model 1 to 3.
+    loop: control.StateSpace
+    measures: Measures
+
+
+def _step_damping(row: LawLoop) -> float | str:
+    return row.measures.damping_ratio if row.measures.stable else "unstable"
+
+
+LOOPS = (
+    Field("law", of="law.name"),
+    Field("model", form="#{}".format),
+    Field("", "-90 deg", "", of=lambda row: phase_text(row.measures)),
+    Field("gain_bandwidth_hz", "-3 dB", ".2f", of="measures.gain_bandwidth_hz"),
+    Field("peak_gain_db", "peak dB", ".2f", of="measures.peak_gain_db"),
+    Field("static_gain", "static", ".2f", of="measures.static_gain"),
+    Field("", "zeta step", ".2f", of=_step_damping),
+    Field("mode_damping_ratio", "zeta pole", ".2f", of="measures.mode_damping_ratio"),
 )
-"""What varying a gain does."""
+"""Bandwidths and damping of laws around the hardware models."""
+
+
+def law_loops(laws: Sequence[str]) -> Result[LawLoop]:
+    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
+    rows = []
+    for law, number in product(map(load_law, laws), HARDWARE_MODELS):
+        loop = closed_loop(law, hardware_velocity(number))
+        rows.append(LawLoop(law, number, loop, measure_loop(loop)))
+    return Result(rows, LOOPS, "laws around the report's linear models, pressures zero")
+
+
+class TableRow(NamedTuple):
+    """One entry of Table 4-1 and the computed one."""
+
+    model: Annotated[int, Field(form="#{}".format)]  #: Linear model 1 to 3.
+    equation: Annotated[str, Field(title="Eq")]  #: Of its velocity transfer function.
+    quantity: str  #: `-90 deg`, `-3 dB`, or `damping` with its reading.
+    unit: Annotated[str, Field(printed=False)]
+    published: Annotated[float, Field(form=".2f")]
+    computed: Annotated[float, Field(form=".3f")]
+    deviation: Annotated[float, Field(form="+.3f")]  #: Computed minus published.
+    tolerance: Annotated[float, Field(printed=False)]
+    """Largest deviation that counts as within."""
+    within: Annotated[bool, Field(printed=False)]
+
+
+TABLE_4_1 = (
+    *fields_of(TableRow),
+    Field("", "allowed", "", of=lambda row: f"{row.tolerance:g} {row.unit}".removesuffix(" 1")),
+    Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
+)
+
+_LEGEND = (
+    "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
+    "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg "
+    "{0.phase_bandwidth_hz} Hz, -3 dB {0.gain_bandwidth_hz} Hz, damping {0.damping_ratio}"
+)
+
+
+def table_4_1() -> Result[TableRow]:
+    """Table 4-1 computed: the velocity law around linear models 1 to 3, with the printed values.
+
+    The damping ratio stands in all three readings, the hardware under the same law in the caption.
+    """
+    rows = []
+    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
+    for number, equation in HARDWARE_MODELS.items():
+        ours = measure_loop(closed_loop("velocity", hardware_velocity(number)))
+        row = printed[f"linear_{number}"]
+        entries = [
+            ("-90 deg", "Hz", row.phase_bandwidth_hz, ours.phase_bandwidth_hz),
+            ("-3 dB", "Hz", row.gain_bandwidth_hz, ours.gain_bandwidth_hz),
+            ("damping, step", "1", row.damping_ratio, ours.damping_ratio),
+            ("damping, demand", "1", row.damping_ratio, ours.demand_damping_ratio),
+            ("damping, peak", "1", row.damping_ratio, ours.peak_damping_ratio),
+        ]
+        for quantity, unit, stated, computed in entries:
+            value = float("nan") if stated is None else stated
+            tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
+            off = computed - value
+            name = (number, equation, quantity, unit)
+            rows.append(TableRow(*name, value, computed, off, tolerance, abs(off) <= tolerance))
+    caption = _LEGEND.format(printed["hardware"])
+    title = "Table 4-1: velocity law around linear models 1 to 3"
+    return Result(rows, TABLE_4_1, title, caption, grouped=True)
 
 
 def roots_text(roots: Sequence[complex]) -> str:
@@ -47,26 +136,23 @@ def roots_text(roots: Sequence[complex]) -> str:
     )
 
 
-def _model_cells(entry: ReportModel, variant: str) -> list[str]:
-    cells = [entry.number, variant, f"{entry.model}: {entry.title}" if entry.model else entry.title]
-    cells.append(f"{entry.input} [{entry.input_unit}] -> {entry.output} [{entry.output_unit}]")
-    if entry.formula:
-        return [*cells, entry.formula, "", ""]
-    system = report_model(entry.number, "printed" if variant == "printed" else "corrected")
-    gain = float(np.real(system.dcgain()))
-    return [*cells, roots_text(system.poles()), roots_text(system.zeros()), f"{gain:.4g}"]
-
-
-def model_table() -> Table:
+def equation_table() -> Table:
     """Every transfer function of the report, a line a variant: poles, zeros, static gain."""
+    rows = []
+    for one, variant in ((each.read(v), v) for each in report_models() for v in each.variants):
+        path = f"{one.input} [{one.input_unit}] -> {one.output} [{one.output_unit}]"
+        values = (one.formula, "", "")
+        if not one.formula:
+            system = report_model(one.number, variant)
+            gain = float(np.real(system.dcgain()))
+            values = (roots_text(system.poles()), roots_text(system.zeros()), f"{gain:.4g}")
+        rows.append(
+            (one.number, variant, f"{one.model}: {one.title}".removeprefix(": "), path, *values)
+        )
     return Table(
         "transfer functions of the report",
         ("Eq", "variant", "model", "from, to", "poles", "zeros", "static gain"),
-        [
-            _model_cells(entry.read(variant), variant)
-            for entry in report_models()
-            for variant in entry.variants
-        ],
+        rows,
         "poles and zeros in rad/s, of Eq 3.6 in the z plane",
     )
 
@@ -82,19 +168,6 @@ def misprint_table() -> Table:
     return Table("remarks", ("Eq", "", "remark"), rows)
 
 
-def loop_table(loops: Sequence[LawLoop]) -> Table:
-    """Bandwidths and damping of laws around the hardware models."""
-    rows = []
-    for item in loops:
-        m = item.measures
-        values = (phase_text(m), m.gain_bandwidth_hz, m.peak_gain_db, m.static_gain)
-        damping = m.damping_ratio if m.stable else "unstable"
-        rows.append((item.law.name, f"#{item.model}", *values, damping, m.mode_damping_ratio))
-    names = ("-90 deg", "-3 dB", "peak dB", "static", "zeta step", "zeta pole")
-    columns = ("law", ("model", ""), *((name, ".2f") for name in names))
-    return Table("laws around the report's linear models, pressures zero", columns, rows)
-
-
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
     bode, gain, phase = bode_axes(limits=True)
@@ -108,11 +181,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
         colour = plot_bode(gain, phase, response, label=label, stable=stable)
         axis.plot(*(loop_step(item.loop, 2.0) if stable else ((), ())), label=label, color=colour)
         row = printed[f"linear_{item.model}"]
-        if item.law.name == row.law:
-            widths = (row.gain_bandwidth_hz, row.phase_bandwidth_hz)
-            for axes, value, level in zip((gain, phase), widths, (-3.0, -90.0), strict=True):
-                if value is not None:
-                    axes.plot(value, level, "o", color=colour, fillstyle="none")
+        if item.law.name == row.law and plot_printed(gain, phase, row, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")
@@ -126,8 +195,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
 
 def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
-    effects = Result(gain_effects(), EFFECTS)
-    files: dict[str, Any] = {"table_4_1.csv": rows.save, "gain_effects.csv": effects.save}
+    files: dict[str, Any] = {"table_4_1.csv": rows.save}
     for law in dict.fromkeys(item.law.name for item in loops):
         figures = loop_figures([item for item in loops if item.law.name == law])
         files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures

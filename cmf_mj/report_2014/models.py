@@ -1,25 +1,58 @@
-"""The report's transfer functions by equation number, misprints put right; Table 4-1 computed."""
+"""The report's transfer functions by equation number, and the second-order analysis of section 3.4.
 
-from collections.abc import Sequence
+The plant of Eq 3.1 with feedback of its position, rate and acceleration (Figure 3-12) is
+
+    G_3 = w^2 / ((1 + K_a w^2) s^2 + (2 zeta w + K_r w^2) s + (1 + K_p) w^2)           Eq 3.4
+
+and so again of second order: with a = 1 + K_a w^2 and b = 1 + K_p
+
+    natural frequency  w sqrt(b / a),   damping ratio  (2 zeta + K_r w) / (2 sqrt(a b)),
+    gain at rest       1 / b
+
+Eqs 3.1 to 3.3 are this with gains left at zero. Position feedback raises the frequency and lowers
+the damping ratio, rate feedback damps, acceleration feedback adds mass: it lowers both.
+"""
+
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple, cast, get_args
 
-import control
+import numpy as np
 from pydantic import BeforeValidator, Field
+from scipy import optimize
 
-from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
-from cmf_mj.analysis.measures import Measures, measure_loop
-from cmf_mj.analysis.published import Names, published_results
-from cmf_mj.control.law import Law, load_law
-from cmf_mj.core import result
+from cmf_mj.analysis.measures import Measures
+from cmf_mj.analysis.published import Names
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
-from cmf_mj.report_2014.second_order import FeedbackLoop, Variant, feedback_model
 
 _FILE = Path(__file__).with_suffix(".toml")
 _GAINS_FILE = Path(__file__).with_name("gains.toml")
+
+Variant = Literal["printed", "corrected"]
+"""Which reading of an equation: as printed, or with its misprint put right."""
+
+GAINS = ("position_gain", "rate_gain", "acceleration_gain")
+"""The three gains in the order of Eqs 3.2 to 3.4."""
+
+_USED = {"3.1": 0, "3.2": 1, "3.3": 2, "3.4": 3}
+"""How many of the gains each equation has."""
+
+_HALF_POWER = 10.0 ** (-3.0 / 20.0)
+"""Gain of -3 dB."""
+
+
+class FeedbackLoop(NamedTuple):
+    """A plant of second order and the gains of the feedback around it (Figure 3-12)."""
+
+    natural_frequency: float  #: w of the plant [rad/s].
+    damping_ratio: float  #: zeta of the plant.
+    position_gain: float = 0.0  #: K_p.
+    rate_gain: float = 0.0  #: K_r [s].
+    acceleration_gain: float = 0.0  #: K_a [s^2].
+
 
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
 """A list of numbers of a table."""
@@ -140,87 +173,108 @@ def hardware_velocity(number: int) -> UnitTransferFunction:
     return report_model(HARDWARE_MODELS[number])
 
 
-BANDWIDTH_TOLERANCE, DAMPING_TOLERANCE = 0.03, 0.1
-"""Deviations from Table 4-1 [Hz and 1] that count as agreement."""
+def _checked(loop: FeedbackLoop) -> tuple[float, float]:
+    """The factors a and b of the module's equations."""
+    if not loop.natural_frequency > 0.0:
+        raise InputError(f"natural_frequency: {loop.natural_frequency} rad/s must be above 0")
+    a = 1.0 + loop.acceleration_gain * loop.natural_frequency**2
+    b = 1.0 + loop.position_gain
+    if not a > 0.0:
+        least = -1.0 / loop.natural_frequency**2
+        raise InputError(f"acceleration_gain: {loop.acceleration_gain} s^2 must be above {least:g}")
+    if not b > 0.0:
+        raise InputError(f"position_gain: {loop.position_gain} must be above -1")
+    return a, b
 
 
-class LawLoop(NamedTuple):
-    """A law around one of the report's hardware models."""
+def feedback_model(
+    number: str, loop: FeedbackLoop, variant: Variant = "corrected"
+) -> UnitTransferFunction:
+    """Eq 3.1, 3.2, 3.3 or 3.4 with numbers; gains that the equation lacks are ignored.
 
-    law: Law
-    model: int  #: Linear model 1 to 3.
-    loop: control.StateSpace
-    measures: Measures
-
-
-def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
-    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
-    loops = []
-    for law in [load_law(name) for name in laws]:
-        for number in HARDWARE_MODELS:
-            loop = closed_loop(law, hardware_velocity(number))
-            loops.append(LawLoop(law, number, loop, measure_loop(loop)))
-    return tuple(loops)
-
-
-class TableRow(NamedTuple):
-    """One entry of Table 4-1 and the computed one."""
-
-    model: Annotated[int, result.Field(form="#{}".format)]  #: Linear model 1 to 3.
-    equation: Annotated[str, result.Field(title="Eq")]  #: Of its velocity transfer function.
-    quantity: str  #: `-90 deg`, `-3 dB`, or `damping` with its reading.
-    unit: Annotated[str, result.Field(printed=False)]
-    published: Annotated[float, result.Field(form=".2f")]
-    computed: Annotated[float, result.Field(form=".3f")]
-    deviation: Annotated[float, result.Field(form="+.3f")]  #: Computed minus published.
-    tolerance: Annotated[float, result.Field(printed=False)]
-    """Largest deviation that counts as within."""
-    within: Annotated[bool, result.Field(printed=False)]
-
-    @property
-    def allowed(self) -> str:
-        """The tolerance with its unit."""
-        return f"{self.tolerance:g} {self.unit if self.unit != '1' else ''}".strip()
-
-
-TABLE_4_1 = (
-    *result.fields_of(TableRow),
-    result.Field("", "allowed", "", of="allowed"),
-    result.Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
-)
-
-_LEGEND = (
-    "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
-    "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg {} "
-    "Hz, -3 dB {} Hz, damping {}"
-)
-
-
-def table_4_1() -> result.Result[TableRow]:
-    """Table 4-1 computed: the velocity law around linear models 1 to 3, with the printed values.
-
-    The damping ratio stands in all three readings, the hardware under the same law in the caption.
+    As printed, Eq 3.2 closes the loop with a gain of 1 whatever K_p is.
     """
-    rows = []
-    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for number, equation in HARDWARE_MODELS.items():
-        ours = measure_loop(closed_loop("velocity", hardware_velocity(number)))
-        row = printed[f"linear_{number}"]
-        entries = [
-            ("-90 deg", "Hz", row.phase_bandwidth_hz, ours.phase_bandwidth_hz),
-            ("-3 dB", "Hz", row.gain_bandwidth_hz, ours.gain_bandwidth_hz),
-            ("damping, step", "1", row.damping_ratio, ours.damping_ratio),
-            ("damping, demand", "1", row.damping_ratio, ours.demand_damping_ratio),
-            ("damping, peak", "1", row.damping_ratio, ours.peak_damping_ratio),
-        ]
-        for quantity, unit, stated, computed in entries:
-            value = float("nan") if stated is None else stated
-            tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
-            off = computed - value
-            name = (number, equation, quantity, unit)
-            rows.append(TableRow(*name, value, computed, off, tolerance, abs(off) <= tolerance))
-    machine = printed["hardware"]
-    widths = machine.phase_bandwidth_hz, machine.gain_bandwidth_hz
-    caption = _LEGEND.format(*widths, machine.damping_ratio)
-    title = "Table 4-1: velocity law around linear models 1 to 3"
-    return result.Result(rows, TABLE_4_1, title, caption, grouped=True)
+    used_gains = GAINS[: _USED[check_name("number", number, _USED)]]
+    gains = {name: getattr(loop, name) for name in used_gains}
+    if number == "3.2" and variant == "printed":
+        gains["position_gain"] = 1.0
+    used = FeedbackLoop(loop.natural_frequency, loop.damping_ratio, **gains)
+    a, b = _checked(used)
+    square = used.natural_frequency**2
+    damping = 2.0 * used.damping_ratio * used.natural_frequency + used.rate_gain * square
+    below, name = [a, damping, b * square], f"Eq_{number.replace('.', '_')}"
+    signals = {"inputs": "command", "outputs": "position", "name": name}
+    return UnitTransferFunction([square], below, 0.0, input_unit="1", output_unit="1", **signals)
+
+
+def characteristics(loop: FeedbackLoop) -> Measures:
+    """Natural frequency, damping and bandwidths of the loop of Eq 3.4.
+
+    Bandwidths and peak count from the static gain, which K_p lowers; the mode is the loop's. With
+    damping ratio z, natural frequency w, c = 1 - 2 z^2 and h = 10^(-3/20) the phase is -90 deg at
+    w, the gain is down by 3 dB at w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by 1 / (2 z sqrt(1
+    - z^2)) below z = 0.707.
+    """
+    a, b = _checked(loop)
+    natural = loop.natural_frequency * np.sqrt(b / a)
+    turned = 2.0 * loop.damping_ratio + loop.rate_gain * loop.natural_frequency
+    damping = turned / (2.0 * np.sqrt(a * b))
+    frequency = float(natural / units.HERTZ)
+    mode = Measures(mode_damping_ratio=float(damping), mode_frequency_hz=frequency)
+    if damping <= 0.0:
+        return mode
+    c = 1.0 - 2.0 * damping**2
+    peak = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)) if c > 0.0 else 1.0
+    over = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
+    return mode._replace(
+        phase_bandwidth_hz=frequency,
+        gain_bandwidth_hz=float(frequency * np.sqrt(c + np.sqrt(c**2 + _HALF_POWER**-2 - 1.0))),
+        peak_gain_db=float(20.0 * np.log10(peak)),
+        overshoot=float(over),
+        steady_state_error=1.0 - 1.0 / b,
+        stable=True,
+    )
+
+
+RATE_BANDWIDTH_HZ, ACCELERATION_BANDWIDTH_HZ = 1.08, 1.06
+"""-3 dB bandwidths of Figure 3-14 with position and rate feedback, and with acceleration [Hz]."""
+
+
+def bandwidth_example(
+    plant_damping: float = 0.1, loop_damping: float = 0.7, position_gain: float = 1.0
+) -> dict[str, FeedbackLoop]:
+    """Three loops with the bandwidths of Figure 3-14, whose plant and gains are not printed.
+
+    `position`, `rate` and `acceleration`, each with the gains of those before it: rate feedback is
+    added to reach `loop_damping`, then acceleration feedback. The plant's frequency puts the second
+    at 1.08 Hz, K_a then the third at 1.06 Hz. The arguments' values are assumed.
+
+    `loop_damping` lies above that with position feedback alone and below 0.706, where the -3 dB
+    bandwidth is the natural frequency: from there on acceleration feedback widens it at first.
+    """
+    bare = characteristics(FeedbackLoop(units.HERTZ, plant_damping, position_gain))
+    highest = 0.5 / _HALF_POWER
+    if not bare.mode_damping_ratio <= loop_damping < highest:
+        raise InputError(
+            f"loop_damping: {loop_damping} must be at least {bare.mode_damping_ratio:.3g}, that of "
+            f"position feedback alone, and below {highest:.3g}"
+        )
+    # At a plant frequency of 1 Hz first; all frequencies scale with it.
+    rate = (2.0 * loop_damping * np.sqrt(1.0 + position_gain) - 2.0 * plant_damping) / units.HERTZ
+    unscaled = FeedbackLoop(units.HERTZ, plant_damping, position_gain, float(rate))
+    ratio = RATE_BANDWIDTH_HZ / characteristics(unscaled).gain_bandwidth_hz
+    damped = unscaled._replace(
+        natural_frequency=unscaled.natural_frequency * ratio, rate_gain=unscaled.rate_gain / ratio
+    )
+    unit = damped.natural_frequency**-2
+
+    def excess(added: float) -> float:
+        heavier = damped._replace(acceleration_gain=added * unit)
+        return characteristics(heavier).gain_bandwidth_hz - ACCELERATION_BANDWIDTH_HZ
+
+    added = cast("float", optimize.brentq(excess, 0.0, 1.0))
+    return {
+        "position": damped._replace(rate_gain=0.0),
+        "rate": damped,
+        "acceleration": damped._replace(acceleration_gain=added * unit),
+    }

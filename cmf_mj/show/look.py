@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
+from cmf_mj.analysis.published import Published
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
@@ -70,7 +71,8 @@ def stack(
 ) -> tuple[Figure, list[Axes]]:
     """A figure of axes above each other, one for each label of y, all over the same `x`."""
     figure = new_figure(width, height)
-    axes = list(figure.subplots(len(labels), 1, sharex=True, height_ratios=ratios))
+    how: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    axes = list(figure.subplots(len(labels), 1, **how)[:, 0])
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label)
     axes[-1].set_xlabel(x)
@@ -145,6 +147,15 @@ def bode_figure(
         plot_bode(gain, phase, response, label=name, stable=stable)
     legend(gain)
     return figure, gain, phase
+
+
+def plot_printed(gain: Axes, phase: Axes, printed: Published, colour: str) -> bool:
+    """Draw published bandwidths as circles, and say whether there were any."""
+    widths = (printed.gain_bandwidth_hz, printed.phase_bandwidth_hz)
+    for axis, width, level in zip((gain, phase), widths, (-3.0, -90.0), strict=True):
+        if width is not None:
+            axis.plot(width, level, "o", color=colour, fillstyle="none")
+    return any(widths)
 
 
 def plot_band(

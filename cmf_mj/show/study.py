@@ -108,11 +108,8 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
         style, printed = _style(result, colours), result.published
         if result.response is not None:
             look.plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
-        circle: dict[str, Any] = {"color": style["color"], "marker": "o", "fillstyle": "none"}
-        if printed and printed.phase_bandwidth_hz:
-            phase.plot(printed.phase_bandwidth_hz, -90.0, **circle)
-        if printed and printed.gain_bandwidth_hz:
-            gain.plot(printed.gain_bandwidth_hz, -3.0, **circle)
+        if printed is not None:
+            look.plot_printed(gain, phase, printed, style["color"])
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
     note = f"circles: published; pale: coherence below {CLEAR:g}, or unstable"

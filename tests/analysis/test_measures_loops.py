@@ -10,7 +10,8 @@ from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core.result import Result
 from cmf_mj.core.units import FRAME
-from cmf_mj.report_2014.models import TableRow, hardware_velocity, table_4_1
+from cmf_mj.report_2014.model_tables import TableRow, table_4_1
+from cmf_mj.report_2014.models import hardware_velocity
 
 OMEGA = 2.0 * np.pi * np.linspace(0.05, 8.0, 4000)
 

@@ -103,14 +103,14 @@ def test_original_law_has_two_published_results(entry: LedgerEntry) -> None:
 def test_velocity_law_has_two_published_results(entry: LedgerEntry) -> None:
     ours = SINGLE["velocity"].gain_bandwidth_hz
     assert ours == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
-    low, high = (printed(t, "velocity").gain_bandwidth_hz or 0.0 for t in ("2-6", "3-5"))
+    low, high = (printed(t, "velocity").gain_bandwidth_hz for t in ("2-6", "3-5"))
     assert low < ours < high
 
 
 def test_shortfall_is_not_three_quarters_of_a_hertz(entry: LedgerEntry) -> None:
     machine, model = (printed("2-6", "velocity", of) for of in ("hardware", "nonlinear"))
-    phase = (machine.phase_bandwidth_hz or 0.0) - (model.phase_bandwidth_hz or 0.0)
-    gain = (machine.gain_bandwidth_hz or 0.0) - (model.gain_bandwidth_hz or 0.0)
+    phase = machine.phase_bandwidth_hz - model.phase_bandwidth_hz
+    gain = machine.gain_bandwidth_hz - model.gain_bandwidth_hz
     assert phase == pytest.approx(entry.figure("-90 deg"))
     assert gain == pytest.approx(entry.figure("-3 dB"))
     assert min(abs(phase - 0.75), abs(gain - 0.75)) > 0.14
@@ -119,7 +119,7 @@ def test_shortfall_is_not_three_quarters_of_a_hertz(entry: LedgerEntry) -> None:
 def test_damping_differs_as_much_as_before(entry: LedgerEntry) -> None:
     for table, law in (("2-4", "original"), ("2-6", "velocity")):
         machine, model = (printed(table, law, of) for of in ("hardware", "nonlinear"))
-        apart = (model.damping_ratio or 0.0) - (machine.damping_ratio or 0.0)
+        apart = model.damping_ratio - machine.damping_ratio
         assert apart == pytest.approx(entry.figure(law))
 
 
@@ -186,7 +186,7 @@ def test_combination_is_last_of_three(entry: LedgerEntry) -> None:
     ):
         assert getattr(rate, name) - getattr(both, name) == pytest.approx(entry.figure(figure))
         assert getattr(both, name) < min(getattr(rate, name), getattr(error, name))
-    assert (error.phase_bandwidth_hz or 0.0) > (rate.phase_bandwidth_hz or 0.0)
+    assert error.phase_bandwidth_hz > rate.phase_bandwidth_hz
 
 
 def test_gains_of_the_combination_add(entry: LedgerEntry) -> None:
@@ -197,13 +197,13 @@ def test_gains_of_the_combination_add(entry: LedgerEntry) -> None:
     rise = both.phase_bandwidth_hz - alone.phase_bandwidth_hz
     assert rise == pytest.approx(entry.figure("-90 deg, ours, rise"), abs=0.005)
     one, two = printed("3-2", "position_error_rate"), printed("3-2", "combined_rate")
-    fall = (two.phase_bandwidth_hz or 0.0) - (one.phase_bandwidth_hz or 0.0)
+    fall = two.phase_bandwidth_hz - one.phase_bandwidth_hz
     assert fall == pytest.approx(entry.figure("-90 deg, printed, rise"))
 
 
 def test_velocity_error_has_more_phase_bandwidth(entry: LedgerEntry) -> None:
     rate, error = printed("3-2", "position_error_rate"), printed("3-2", "velocity_error")
-    more = (error.phase_bandwidth_hz or 0.0) - (rate.phase_bandwidth_hz or 0.0)
+    more = error.phase_bandwidth_hz - rate.phase_bandwidth_hz
     assert more == pytest.approx(entry.figure("printed"))
     assert rate.damping_ratio == error.damping_ratio
     ours, other = SINGLE["velocity_error"], SINGLE["position_error_rate"]
@@ -218,7 +218,7 @@ def test_velocity_error_has_more_phase_bandwidth(entry: LedgerEntry) -> None:
 def test_position_error_rate_has_two_published_results(entry: LedgerEntry) -> None:
     ours = SINGLE["position_error_rate"]
     low, high = (
-        printed(table, "position_error_rate").gain_bandwidth_hz or 0.0 for table in ("3-2", "3-5")
+        printed(table, "position_error_rate").gain_bandwidth_hz for table in ("3-2", "3-5")
     )
     assert ours.gain_bandwidth_hz == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
     assert abs(ours.gain_bandwidth_hz - low) < abs(ours.gain_bandwidth_hz - high)

@@ -35,7 +35,7 @@ def loops() -> dict[int, Measures]:
 
 def test_gain_of_eq_4_1_is_unusable(entry: LedgerEntry) -> None:
     ratio = abs(report_model("4.1")(2.0j) / report_model("4.4")(2.0j))
-    assert ratio == pytest.approx(entry.figure("over Eq 4.4"), rel=0.01)
+    assert ratio == pytest.approx(entry.figure("over Eq 4.4"), abs=50.0)
 
 
 def test_eq_4_4_has_no_leg_mode(entry: LedgerEntry) -> None:
@@ -43,6 +43,11 @@ def test_eq_4_4_has_no_leg_mode(entry: LedgerEntry) -> None:
         poles = report_model(number).poles()
         hertz = np.abs(poles[poles.imag > 0.0]) / (2.0 * np.pi)
         assert hertz == pytest.approx([entry.figure(f"pair of Eq {number}")], rel=2e-3)
+    poles = report_model("4.4").poles()
+    assert np.abs(poles[poles.imag > 0.0]) / (2.0 * np.pi) == pytest.approx(568.4, abs=0.1)
+    for lag in (-18.85, -471.24):
+        assert np.abs(poles / lag - 1.0).min() < 6e-4
+    assert np.abs(np.abs(poles) - 71.0).min() > 50.0
 
 
 def test_eq_4_4_is_faster_than_the_non_linear_rows(entry: LedgerEntry) -> None:
@@ -59,12 +64,17 @@ def test_pressures_of_model_a_break_newtons_law(entry: LedgerEntry) -> None:
     s = 1e6j
     ratio = abs(MASS * s**2 * x(s) / (AREAS[0] * cap(s) - AREAS[1] * rod(s)))
     assert ratio == pytest.approx(entry.figure("mass times acceleration over force"), rel=0.01)
+    s = 1e-3j  # where the leg runs evenly, the force should vanish
+    force = AREAS[0] * cap(s) - AREAS[1] * rod(s)
+    assert abs(force) > 1e4 * abs(MASS * s**2 * x(s))
 
 
 def test_eq_4_7_is_not_s_times_eq_4_4(entry: LedgerEntry) -> None:
     s = 1j * np.geomspace(0.01, 1000.0, 30)
     ratio = s * report_model("4.4")(s) / report_model("4.7", "printed")(s)
     np.testing.assert_allclose(ratio, entry.figure("s times Eq 4.4 over Eq 4.7"), rtol=1e-10)
+    corrected = report_model("4.7")(s)
+    np.testing.assert_allclose(corrected, s * report_model("4.4")(s), rtol=1e-10)
 
 
 def test_fitted_positions_are_unstable(entry: LedgerEntry) -> None:

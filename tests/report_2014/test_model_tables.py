@@ -9,19 +9,14 @@ from typer.testing import CliRunner
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.report_2014.model_tables import (
+    equation_table,
+    law_loops,
     loop_figures,
     misprint_table,
-    model_table,
     roots_text,
+    table_4_1,
 )
-from cmf_mj.report_2014.models import law_loops, report_models, table_4_1
-from cmf_mj.report_2014.second_order import (
-    GAINS,
-    FeedbackLoop,
-    bandwidth_example,
-    characteristics,
-    gain_effects,
-)
+from cmf_mj.report_2014.models import report_models
 
 
 def test_linear_prints_the_tables_and_writes_the_files(
@@ -46,13 +41,6 @@ def test_linear_prints_the_tables_and_writes_the_files(
         assert float(row["published"]) == value
         off = abs(float(row["computed"]) - float(row["published"]))
         assert row["within"] == str(off <= float(row["tolerance"]))
-    with (out / "gain_effects.csv").open(newline="") as file:
-        effects = list(csv.DictReader(file))
-    some = effects[50]
-    plant = ("plant_natural_frequency", "plant_damping_ratio")
-    loop = FeedbackLoop(*(float(some[name]) for name in (*plant, *GAINS)))
-    example = characteristics(loop)
-    assert float(some["gain_bandwidth_hz"]) == pytest.approx(example.gain_bandwidth_hz, rel=1e-7)
     pictures = sorted(path.stem for path in out.glob("*.png"))
     assert pictures == ["bode_original", "bode_velocity", "step_original", "step_velocity"]
     assert set(drawn) == {f"{name}.png" for name in pictures}
@@ -72,7 +60,7 @@ def test_roots_are_listed_slowest_first_and_pairs_once() -> None:
 
 def test_tables_have_a_line_for_each_entry() -> None:
     models = report_models()
-    assert len(model_table().rows) == sum(len(entry.variants) for entry in models)
+    assert len(equation_table().rows) == sum(len(entry.variants) for entry in models)
     remarks = sum(bool(entry.note) + (entry.corrected is not None) for entry in models)
     assert len(misprint_table().rows) == remarks
     rows = table_4_1()
@@ -94,18 +82,3 @@ def test_published_bandwidths_lie_on_the_bode_diagram(law: str, models: tuple[in
         assert {float(line.get_ydata()[0]) for line in marks} <= {level}
     assert ("circles" in bode.axes[0].get_title()) == bool(models)
     assert len(step.axes[0].lines) == 4  # three steps and the demand
-
-
-def test_effects_run_from_no_gain_to_twice_the_example() -> None:
-    effects = gain_effects(5)
-    assert [effect.gain for effect in effects[::5]] == [
-        "position_gain",
-        "rate_gain",
-        "acceleration_gain",
-    ]
-    example = bandwidth_example()["acceleration"]
-    for start in (0, 5, 10):
-        values = [effect.value for effect in effects[start : start + 5]]
-        assert values[0] == 0.0
-        assert values[2] == pytest.approx(getattr(example, effects[start].gain))
-        assert values[4] == pytest.approx(2.0 * values[2])

@@ -15,7 +15,7 @@ The ranges are propagated by a Latin hypercube over all parameters at once, unif
 between `low` and `high`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -29,7 +29,7 @@ from scipy import optimize
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
-from cmf_mj.core.result import Cell, Field, Result, Table, fields_of, number
+from cmf_mj.core.result import Field, Result, Table, fields_of, number
 from cmf_mj.report_2014.calibration import trial
 from cmf_mj.report_2014.calibration.trial import MEASURES
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
@@ -70,6 +70,24 @@ class CalibrationStage(NamedTuple):
     least_damping: dict[str, float]  #: Of the velocity law's linear loop, by cab.
 
 
+ENDS = (0.05, 0.95)
+"""Quantiles that bound a spread."""
+
+
+class Spread(NamedTuple):
+    """Distribution of one result over the ranges of the parameters."""
+
+    law: str
+    measure: Annotated[trial.Measure, Field(title="what", form=MEASURE_TITLES.get)]
+    nominal: Annotated[float, Field(form=".2f")]  #: At the nominal values [Hz or 1].
+    low: Annotated[float, Field(title="5 %", form=".2f")]
+    """5 % of the stable samples lie below."""
+    high: Annotated[float, Field(title="95 %", form=".2f")]
+    """95 % of the stable samples lie below."""
+    unstable: Annotated[float, Field(form=".0f %", unit="%")]
+    """Share of samples whose loop is unstable."""
+
+
 class Calibration(NamedTuple):
     """A finished study."""
 
@@ -77,6 +95,9 @@ class Calibration(NamedTuple):
     stages: tuple[CalibrationStage, ...]  #: As shipped, then after each round.
     standard_errors: dict[str, float]
     """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
+    spread: Result[Spread] | None = None
+    """Of results over the ranges of the parameters, about the shipped values."""
+    verdicts: Sequence[trial.StepVerdict] = ()  #: Step runs with the fitted values.
 
     @property
     def before(self) -> CalibrationStage:
@@ -182,45 +203,18 @@ def calibrate(
     return Calibration(study, tuple(stages), dict(zip(names, errors.tolist(), strict=True)))
 
 
-ENDS = (0.05, 0.95)
-"""Quantiles that bound a spread."""
-
-
-class Spread(NamedTuple):
-    """Distribution of one result over the ranges of the parameters."""
-
-    law: str
-    measure: Annotated[trial.Measure, Field(title="what", form=MEASURE_TITLES.get)]
-    nominal: Annotated[float, Field(form=".2f")]  #: At the nominal values [Hz or 1].
-    low: Annotated[float, Field(title="5 %", form=".2f")]
-    """5 % of the stable samples lie below."""
-    high: Annotated[float, Field(title="95 %", form=".2f")]
-    """95 % of the stable samples lie below."""
-    unstable: Annotated[float, Field(form=".0f %", unit="%")]
-    """Share of samples whose loop is unstable."""
-
-
-class Examination(NamedTuple):
-    """A calibration with the spread of results over the ranges, and stability runs."""
-
-    calibration: Calibration
-    spread: Result[Spread]  #: About the shipped values.
-    verdicts: list[trial.StepVerdict]  #: Step runs with the fitted values.
-
-
 def examine(
     calibration: Calibration, *, samples: int = 128, jobs: int | None = None
-) -> Examination:
+) -> Calibration:
     """Add uncertainty and the stability runs of a study that asks for them."""
     study, shipped = calibration.study, calibration.before.values
-    return Examination(
-        calibration,
-        spread(study, shipped, ("original", "velocity"), samples=samples),
-        trial.simulated_stability(study, calibration.after.values, jobs=jobs),
+    return calibration._replace(
+        spread=uncertainty(study, shipped, ("original", "velocity"), samples=samples),
+        verdicts=trial.simulated_stability(study, calibration.after.values, jobs=jobs),
     )
 
 
-def spread(
+def uncertainty(
     study: trial.CalibrationStudy,
     values: trial.Values,
     laws: tuple[str, ...] = ("velocity",),
@@ -247,14 +241,7 @@ def spread(
     return Result(spreads, fields_of(Spread), "uncertainty from the ranges")
 
 
-_OF = {"hardware": "h", "nonlinear": "m"}
-
-
-def _computed(row: Residual) -> Cell:
-    return row.computed if row.stable else "unstable"
-
-
-def _deviation(row: Residual) -> str:
+def _off(row: Residual) -> str:
     scale, form = (1.0, "+.2f") if row.measure == "damping" else (100.0, "+.1f %")
     text = number(scale * row.deviation, form)
     return f"{text} !" if not row.within and (text != "-" or not row.stable) else text
@@ -262,55 +249,45 @@ def _deviation(row: Residual) -> str:
 
 def _pairs(calibration: Calibration) -> list[tuple[Residual, Residual]]:
     """Residuals as shipped and as fitted."""
-    before, after = (
-        residual_rows(calibration.study, stage.simulated)
-        for stage in (calibration.before, calibration.after)
-    )
-    return list(zip(before, after, strict=True))
+    stages = (calibration.before.simulated, calibration.after.simulated)
+    return list(zip(*(residual_rows(calibration.study, one) for one in stages), strict=True))
 
 
-def tables(result: Examination) -> list[Table]:
+def calibration_tables(calibration: Calibration) -> list[Table]:
     """Parameters, residuals, uncertainty and, where there is one, least damping."""
-    calibration = result.calibration
     study, before, after = calibration.study, calibration.before, calibration.after
-    parameters = []
+    parameters, residuals = [], []
     for p in study.parameters:
         error = calibration.standard_errors.get(p.name)
         fitted = "held" if error is None else f"{after.values[p.name]:.4g} +- {error:.2g}"
         bounds = f"{p.low:g} to {p.high:g}"
         parameters.append((p.name, p.unit, before.values[p.name], fitted, bounds, p.source))
-    residuals = [
-        (
-            *(a.table, a.law, _OF[a.of], MEASURE_TITLES[a.measure], a.role),
-            *(a.printed, _computed(a), _deviation(a), _computed(b), _deviation(b)),
-        )
-        for a, b in _pairs(calibration)
-    ]
+    for pair in _pairs(calibration):
+        a = pair[0]
+        name = (a.table, a.law, "h" if a.of == "hardware" else "m", MEASURE_TITLES[a.measure])
+        ours = [(row.computed if row.stable else "unstable", _off(row)) for row in pair]
+        residuals.append((*name, a.role, a.printed, *ours[0], *ours[1]))
+    about = ("parameter", "unit", ("shipped", ".4g"), "fitted", "range", "source of the range")
     header = ("table", "law", "of", "what", "role", ("printed", ".2f"), ("shipped", ".2f"))
-    every = [
-        Table(
-            f"{study.name}: {study.title}",
-            ("parameter", "unit", ("shipped", ".4g"), "fitted", "range", "source of the range"),
-            parameters,
-        ),
+    tables = [
+        Table(f"{study.name}: {study.title}", about, parameters),
         Table(
             "residuals of the simulation",
             (*header, ("off", ""), ("fitted", ".2f"), ("off", "")),
             residuals,
         ),
-        result.spread.table,
     ]
+    tables += [calibration.spread.table] if calibration.spread else []
     if before.least_damping:
         damping = [
-            (cab, before.least_damping[cab], after.least_damping[cab])
-            for cab in before.least_damping
+            (cab, ratio, after.least_damping[cab]) for cab, ratio in before.least_damping.items()
         ]
         columns = ("cab", ("least damping, shipped", ".3f"), ("fitted", ".3f"))
-        every.append(Table("velocity law, linear", columns, damping))
-    return every
+        tables.append(Table("velocity law, linear", columns, damping))
+    return tables
 
 
-def verdict_text(result: Examination) -> str:
+def verdict_text(result: Calibration) -> str:
     """One line on the stability runs, or nothing."""
     if not result.verdicts:
         return ""
@@ -323,15 +300,15 @@ def verdict_text(result: Examination) -> str:
     )
 
 
-def markdown(result: Examination) -> str:
+def markdown(result: Calibration) -> str:
     """The tables as Markdown, for docs/reference/calibration_tables.md."""
-    parts = [table.markdown() for table in tables(result)]
+    parts = [table.markdown() for table in calibration_tables(result)]
     if result.verdicts:
         parts.append(f"{verdict_text(result).capitalize()}.\n")
     return "\n".join(parts)
 
 
-def residual_figure(calibration: Calibration) -> Figure:
+def calibration_figure(calibration: Calibration) -> Figure:
     """Deviations over their tolerance, as shipped and as fitted."""
     pairs = [pair for pair in _pairs(calibration) if pair[0].deviation == pair[0].deviation]
     figure = new_figure(7.5, 1.3 + 0.21 * len(pairs), gridded=False)
@@ -361,8 +338,8 @@ def residual_figure(calibration: Calibration) -> Figure:
     return figure
 
 
-def save_calibration(result: Examination, folder: Path) -> list[Path]:
+def save_calibration(result: Calibration, folder: Path) -> list[Path]:
     """Write `residuals.png`, and the tables as `calibration.md`."""
     tables = partial(write_text, text=markdown(result))
-    figure = residual_figure(result.calibration)
+    figure = calibration_figure(result)
     return save_files({"residuals.png": figure, "calibration.md": tables}, folder)

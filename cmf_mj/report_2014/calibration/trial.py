@@ -143,7 +143,7 @@ def load_studies() -> dict[str, CalibrationStudy]:
     }
 
 
-def load_study(name: str) -> CalibrationStudy:
+def load_calibration(name: str) -> CalibrationStudy:
     """A shipped study by name."""
     studies = load_studies()
     return studies[check_name("study", name, studies)]

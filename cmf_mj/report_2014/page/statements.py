@@ -6,36 +6,30 @@ of damping ratios too.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
-from cmf_mj.core.result import number
-from cmf_mj.report_2014.models import hardware_velocity
-from cmf_mj.report_2014.page.curves import (
-    CONTENTS,
-    Block,
-    Content,
-    PageTable,
-    law_title,
-    specs,
-    table,
-    texts,
-)
-from cmf_mj.report_2014.page.runs import Runs, leg_motion
+from cmf_mj.core.result import Field, Result, fields_of, number
+from cmf_mj.report_2014.models import bandwidth_example, characteristics, hardware_velocity
+from cmf_mj.report_2014.page.runs import Runs, leg_motion, specs
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
+    CONTENTS,
     RATIO,
     TITLES,
     TOLERANCES,
+    PageTable,
     ResultRow,
-    printed_number,
+    computed_text,
+    page_table,
+    remarks_once,
     result_rows,
+    texts,
 )
-from cmf_mj.report_2014.second_order import bandwidth_example, characteristics
 from cmf_mj.signals.single import Step
 
 STATEMENT_NEEDS = specs(
@@ -70,45 +64,36 @@ def _values(runs: Runs) -> dict[str, float]:
     for which in (1, 2):
         _, step = loop_step(closed_loop("velocity", hardware_velocity(which)), 3.0)
         values[f"peak_{which}"] = float(step.max()) * float(reference[-1])
-    if (effect := runs.sensors) is not None:
-        values |= {
-            "rest_reading": effect.rest_reading / gravity,
-            "filter_delay": 1e3 * effect.delay,
-        }
+    if runs.sensors is not None:
+        numbers = runs.sensors.numbers
+        values |= {"rest_reading": numbers["mean"], "filter_delay": numbers["delay"]}
     return values
 
 
-def _with_unit(value: float, unit: str) -> str:
-    """A number with its unit; NaN is a peak of legs that ring on."""
-    return f"{printed_number(value)} {unit}" if value == value else "unstable"
-
-
 def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
-    """All numbers of the text that a run or a formula gives."""
-    values = _values(runs)
-    return [
-        (
-            *(entry["section"], entry["what"], f"{entry['printed']} {entry['unit']}"),
-            _with_unit(values[entry["value"]], entry["unit"]),
-            entry["remark"],
-        )
-        for entry in CONTENTS["statement"]
-        if entry["value"] in values
-    ]
-
-
-LIMITS = (0.05, 0.10, 0.15)
-"""Deviations that shares are counted within."""
+    """All numbers of the text that a run or a formula gives; NaN is a peak of legs that ring on."""
+    values, rows = _values(runs), list[tuple[str, ...]]()
+    for entry in CONTENTS["statement"]:
+        if entry["value"] in values:
+            value, unit = values[entry["value"]], entry["unit"]
+            ours = f"{value:.3g} {unit}" if value == value else "unstable"
+            printed = f"{entry['printed']} {unit}"
+            rows.append((entry["section"], entry["what"], printed, ours, entry["remark"]))
+    return rows
 
 
 class Agreement(NamedTuple):
     """What of a class of printed numbers is met."""
 
-    what: str
-    printed: int  #: How many numbers are printed.
-    shares: tuple[float, ...]  #: Of them, within each of `LIMITS`.
-    median: float  #: Of the deviations, signed.
-    below: float  #: Share of those computed that lie below the print.
+    what: Annotated[str, Field(title="")]
+    printed: Annotated[int, Field(form="d")]  #: How many numbers are printed.
+    within_5: Annotated[float, Field(title="within 5 %", form=".0f %", unit="%")]
+    """Share of them that is off by at most so much; likewise those that follow."""
+    within_10: Annotated[float, Field(title="10 %", form=".0f %", unit="%")]
+    within_15: Annotated[float, Field(title="15 %", form=".0f %", unit="%")]
+    median: Annotated[float, Field(title="median deviation", form="+.1f %", unit="%")]
+    below: Annotated[float, Field(title="below the print", form=".0f %", unit="%")]
+    """Share of those computed that lie below the print."""
 
 
 def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
@@ -117,15 +102,16 @@ def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
     return [*reversed(seen.values())]
 
 
-def agreement(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
+def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
     """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
     off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
     known = off[np.isfinite(off)]
-    shares = tuple(float(np.mean(np.abs(off) <= limit + 1e-9)) for limit in LIMITS)
-    return Agreement(what, len(rows), shares, float(np.median(known)), float(np.mean(known < 0.0)))
+    values = [np.mean(np.abs(off) <= limit + 1e-9) for limit in (0.05, 0.10, 0.15)]
+    values += [np.median(known), np.mean(known < 0.0)]
+    return Agreement(what, len(rows), *map(float, values))
 
 
-def agreements(runs: Runs) -> list[Agreement]:
+def agreements(runs: Runs) -> Result[Agreement]:
     """All classes, from all result tables."""
     rows = once(row for table in TITLES for row in result_rows(runs, table))
 
@@ -136,15 +122,18 @@ def agreements(runs: Runs) -> list[Agreement]:
     widths = of(BANDWIDTHS, lambda row: row.read)
     literal = of(BANDWIDTHS, lambda row: not row.read)
     literal += [row for row in widths if row.law not in {other.law for other in literal}]
-    return [
-        agreement("bandwidths", widths),
-        agreement("of them calibrated", [row for row in widths if row.calibrated]),
-        agreement("of them predicted", [row for row in widths if not row.calibrated]),
-        *(agreement(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
-        agreement("bandwidths, sweeps that ring read too", widths, swept=True),
-        agreement("bandwidths, gains and filter as printed", literal),
-        agreement("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
+    classes = [
+        share_met("bandwidths", widths),
+        share_met("of them calibrated", [row for row in widths if row.calibrated]),
+        share_met("of them predicted", [row for row in widths if not row.calibrated]),
+        *(share_met(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
+        share_met("bandwidths, sweeps that ring read too", widths, swept=True),
+        share_met("bandwidths, gains and filter as printed", literal),
+        share_met("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
     ]
+    printed, met = not_available(runs)
+    (note,) = texts("agreement", printed=printed, met=met)
+    return Result(classes, fields_of(Agreement), "Share of the printed numbers that are met", note)
 
 
 def not_available(runs: Runs) -> tuple[int, int]:
@@ -154,96 +143,36 @@ def not_available(runs: Runs) -> tuple[int, int]:
     return len(blank), sum(row.within for row in blank)
 
 
-def agreement_table(runs: Runs) -> PageTable:
-    """`agreements` as the page has them."""
-    rows = [
-        (one.what, f"{one.printed}", *(100.0 * s for s in (*one.shares, one.median, one.below)))
-        for one in agreements(runs)
-    ]
-    printed, met = not_available(runs)
-    return table("agreement", rows, note=texts("agreement", printed=printed, met=met)[0])
-
-
 def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
     """Verdicts by result table; of laws as read, not of their gains as printed."""
     rows = []
     for name in names:
         verdicts = [row.within for row in result_rows(runs, name) if row.read]
         rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
-    return table("verdicts", rows, note=TOLERANCES)
+    return page_table("verdicts", rows, note=TOLERANCES)
 
-
-_SHARES = {
-    "bandwidths": "all -90 deg and -3 dB",
-    "of them calibrated": "calibrated",
-    "of them predicted": "predicted",
-    "damping ratios, all predicted": "damping ratios, predicted",
-}
-"""Classes of `agreements`, as the summary names them."""
 
 _LAWS = ("position_error_rate", "acceleration", "acceleration_d2")
 
 
-def verdict_tables(content: Content) -> list[PageTable]:
-    """Verdicts by table, and with all tables the shares of agreement."""
-    tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    return tables + ([agreement_table(content.runs)] if _whole(content) else [])
-
-
-def _whole(content: Content) -> bool:
-    return len(content.tables) == len(TITLES)
-
-
-def _shares(runs: Runs) -> PageTable:
-    """Counts within 5, 10, 15 % by class; the last cell is drawn as a bar."""
+def outside_table(runs: Runs) -> PageTable:
+    """What lies outside its tolerance, of laws as read."""
     rows = []
-    for one in agreements(runs):
-        if one.what in _SHARES:
-            counts = [round(share * one.printed) for share in one.shares]
-            bar = " ".join(f"{count / one.printed:.4f}" for count in counts)
-            rows.append((_SHARES[one.what], *map(str, (one.printed, *counts)), bar))
-    return table("shares", rows)
-
-
-def _span(rows: Sequence[ResultRow], field: str, form: str) -> str:
-    """A number of rows of one quantity with its unit: one, or the lowest to the highest."""
-    values = [getattr(row, field) for row in rows]
-    known = sorted(value for value in values if value == value)
-    ends = dict.fromkeys(f"{value:{form}}" for value in known[:: len(known) - 1 or 1])
-    return " ".join([" to ".join(ends), rows[0].unit]).strip() if known else "unstable"
-
-
-def _deviations(runs: Runs) -> PageTable:
-    """What lies outside its tolerance, a row for each table and law."""
-    groups: dict[tuple[str, str], dict[str, list[ResultRow]]] = {}
     for name in TITLES:
-        for row in once(result_rows(runs, name)):
-            if row.read and not row.within:
-                groups.setdefault((name, row.law), {}).setdefault(row.quantity, []).append(row)
-    rows = []
-    for (name, law), found in groups.items():
-        count = {quantity: len(same) for quantity, same in found.items()}
-        what = ", ".join(q if n == 1 else f"{q} in {n} axes" for q, n in count.items())
-        printed, computed = (
-            list(dict.fromkeys(_span(same, field, form) for same in found.values()))
-            for field, form in (("printed", "g"), ("computed", ".3g"))
-        )
-        every = [row for same in found.values() for row in same]
-        swept = [row for row in every if row.swept == row.swept and not row.stable]
-        notes = [row.note for row in every if row not in swept and row.note]
-        if swept:
-            widths = " and ".join(f"{row.swept:.2f}" for row in swept)
-            notes.append(f"the step rings on; its sweep has {widths} Hz all the same")
-        cells = (f"{law_title(law)}: {what}", ", ".join(printed), ", ".join(computed))
-        rows.append((name, *cells, "; ".join(dict.fromkeys(notes))))
-    return table("outside", rows)
+        far = [row for row in once(result_rows(runs, name)) if row.read and not row.within]
+        for row in remarks_once(far):
+            what, printed = f"{row.label}, {row.of}: {row.quantity}", f"{row.printed:g} {row.unit}"
+            printed = printed.rstrip() if row.printed == row.printed else "N/A"
+            why = row.note or ("" if row.stable else "the step rings on")
+            rows.append((name, what, printed, computed_text(row, row.unit), why))
+    return page_table("outside", rows)
 
 
 def _phase(measures: Measures) -> str:
     return number(measures.phase_bandwidth_hz, ".1f Hz") if measures.stable else "unstable"
 
 
-def _rotation(runs: Runs) -> list[Block]:
+def _rotation(runs: Runs) -> list[PageTable | str]:
     """-90 deg in rotation: as Table D-2 has it, of single legs, of the hexapod."""
     rows: list[Sequence[str]] = []
     for row in result_rows(runs, "D-2"):
@@ -253,15 +182,17 @@ def _rotation(runs: Runs) -> list[Block]:
             rows.append((row.label, f"{row.printed:g} Hz", *(_phase(one.measures) for one in ours)))
     as_read, as_printed = (sum(row[i] == "unstable" for row in rows) for i in (-1, -2))
     numbers = {"as_read": as_read, "as_printed": as_printed, "axes": len(rows)}
-    return [*texts("rotation", **numbers), table("rotation", rows)]
+    return [*texts("rotation", **numbers), page_table("rotation", rows)]
 
 
-def blocks(content: Content, argument: str) -> Sequence[Block]:
-    """The summary of a page with everything in it; nothing for a part."""
-    if not (content.studies and _whole(content)):
-        return []
-    runs = content.runs
+def first_screen(runs: Runs) -> list[PageTable | str]:
+    """The first screen of a page with everything in it."""
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [*lead, _shares(runs), *_rotation(runs), _deviations(runs)]
+    return [
+        *lead,
+        PageTable("agreement", agreements(runs).table),
+        *_rotation(runs),
+        outside_table(runs),
+    ]

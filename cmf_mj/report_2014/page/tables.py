@@ -1,6 +1,8 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +12,45 @@ from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.result import Field, Result, Table, number
+from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.report_2014.calibration.trial import MEASURES, load_study
-from cmf_mj.report_2014.models import published_gains, table_4_1
-from cmf_mj.report_2014.page.curves import CONTENTS, law_title, texts
+from cmf_mj.report_2014.calibration.trial import MEASURES, load_calibration
+from cmf_mj.report_2014.model_tables import table_4_1
+from cmf_mj.report_2014.models import published_gains
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
 from cmf_mj.studies.case import CaseResult
+
+CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"))
+"""The tables of `contents.toml`."""
+
+
+class PageTable(NamedTuple):
+    """A table of the page; the verdict of a row stands in the column of this name."""
+
+    anchor: str
+    table: Table
+
+
+def page_table(
+    name: str, rows: Collection[Sequence[Any]], anchor: str = "", title: str = "", note: str = ""
+) -> PageTable:
+    """A table with the head of this name; `title` and `note` are for heads that have none."""
+    head = {"title": title, "note": note} | CONTENTS["table"][name]
+    return PageTable(anchor or name, Table(head["title"], head["header"], rows, head["note"]))
+
+
+def texts(name: str, **values: Any) -> list[str]:
+    """The paragraphs of this name."""
+    return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
+
+
+def law_title(name: str) -> str:
+    """Of a shipped law."""
+    return load_law(name).title
+
 
 TITLES: dict[str, str] = CONTENTS["results"]
 """Result tables of the report, by number."""
@@ -35,13 +68,14 @@ _NAN = float("nan")
 _ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
 _OF = {"hardware": "hardware", "nonlinear": "model"}
 _LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
+RINGS = "the step rings on; its sweep has {} Hz all the same"
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
 }
 _FITTED = {
     (row.law, row.published.dof, row.of, MEASURES[measure], row.printed(measure))
     for name in ("report", "hardware")
-    for row in load_study(name).rows
+    for row in load_calibration(name).rows
     for measure in row.fitted
 }
 """Printed numbers that the two calibrations fitted, wherever they are printed."""
@@ -85,6 +119,34 @@ class ResultRow(NamedTuple):
     hexapod: float | str = ""
     """The same quantity on the machine's stand-in in tables of Appendix D."""
     note: str = ""
+
+
+def _share(row: ResultRow, value: float, sign: str = "+") -> str:
+    """A deviation: of a quantity with a unit in %, of others as it is."""
+    return number(100.0 * value, f"{sign}.1f %") if row.unit else number(value, f"{sign}.2f")
+
+
+def computed_text(row: ResultRow, unit: str = "") -> str:
+    """What is computed, with a unit if named; or why there is no number."""
+    if row.computed == row.computed:
+        return f"{row.computed:.2f} {unit}".rstrip()
+    return "none below 10 Hz" if row.stable else "unstable"
+
+
+RESULTS = (
+    Field("label", "law or axis"),
+    Field("of", "source"),
+    Field("", "quantity", of=lambda row: f"{row.quantity} [{row.unit}]".removesuffix(" []")),
+    Field("printed", form=lambda value: f"{value:g}" if value == value else "N/A"),
+    Field("", "computed", of=computed_text),
+    Field("", "deviation", of=lambda row: _share(row, row.deviation)),
+    Field("", "allowed", of=lambda row: _share(row, row.tolerance, "").replace(".0 %", " %")),
+    Field("within", "verdict", lambda within: "within" if within else "outside"),
+    Field("calibrated", "role", lambda fitted: "calibrated" if fitted else "predicted"),
+    Field("hexapod", form=".2f"),
+    Field("note", "remark"),
+)
+"""Columns of the result tables; `hexapod` in those of Appendix D alone."""
 
 
 def _remark(law: str, table: str, quantity: str) -> str:
@@ -138,7 +200,7 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
             fitted = value is not None and quantity.title in BANDWIDTHS
         note = "" if within else _remark(row.law, row.table, quantity.title)
         if not (stable or note) and swept == swept:
-            note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
+            note = RINGS.format(f"{swept:.2f}")
         rows.append(
             ResultRow(
                 *(row.law, label, _OF[row.of], quantity.title, quantity.unit, printed, computed),
@@ -195,6 +257,25 @@ def result_rows(runs: Runs, table: str) -> list[ResultRow]:
     return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
 
 
+def remarks_once(rows: Iterable[ResultRow]) -> list[ResultRow]:
+    """The rows, a long remark written once."""
+    once, seen = [], set[str]()
+    for row in rows:
+        again = len(row.note) > 40 and row.note in seen
+        seen.add(row.note)
+        once.append(row._replace(note="as above") if again else row)
+    return once
+
+
+def result_table(runs: Runs, name: str) -> PageTable:
+    """A result table as the page has it."""
+    rows, appendix = remarks_once(result_rows(runs, name)), name.startswith("D-")
+    title = f"Table {name}" if name[0] != "s" else name.capitalize()
+    fields = [field for field in RESULTS if appendix or field.name != "hexapod"]
+    shown = Result(rows, fields, f"{title}: {TITLES[name]}", TOLERANCES).table
+    return PageTable(f"table-{name.replace(' ', '-')}", shown)
+
+
 def gain_rows(number: str) -> list[tuple[Any, ...]]:
     """A table of gains: law, matrix and signal, printed, in use, same or differs, remark."""
     rows: list[tuple[Any, ...]] = []
@@ -241,10 +322,3 @@ def limit_rows() -> list[tuple[Any, ...]]:
             off = 100.0 * (computed / stated - 1.0)
             rows.append((dof, *texts, off, notes.get((dof, side), "")))
     return rows
-
-
-def printed_number(value: float, digits: int = 3) -> str:
-    """A number for a table; a dash where there is none."""
-    if 0.0 < abs(value) < 1e-3:
-        return "below 0.001"
-    return "–" if not np.isfinite(value) else f"{value:.{digits}g}"

@@ -68,7 +68,6 @@ class Observation(NamedTuple):
     value: float  #: As printed.
     deviation: float  #: s, of the logarithm where `relative`.
     relative: bool
-    source: str
 
     def excess(self, predicted: float) -> float:
         """(m - y) / s of a machine."""
@@ -116,7 +115,7 @@ def observations() -> tuple[Observation, ...]:
     found = []
     for (table, law), (field, s) in product(ROWS, zip(_FIELDS, scatter().tolist(), strict=True)):
         value, log = getattr(printed[table, law], field), field != "damping_ratio"
-        found.append(Observation(f"{law}_{field}", "rows", value, s, log, f"Table {table}"))
+        found.append(Observation(f"{law}_{field}", "rows", value, s, log))
     fits = []
     for number in HARDWARE_MODELS:
         si = hardware_velocity(number).to_si()
@@ -127,7 +126,7 @@ def observations() -> tuple[Observation, ...]:
         counted = np.log(values) if relative else values
         middle = float(np.exp(counted.mean()) if relative else counted.mean())
         deviation = float(np.hypot(counted.std(ddof=1), discrepancy()))
-        found.append(Observation(name, "fits", middle, deviation, relative, "Eqs 4.12, 4.15, 4.18"))
+        found.append(Observation(name, "fits", middle, deviation, relative))
     return tuple(found)
 
 

@@ -105,31 +105,7 @@ def run_posterior(
     tables["force"] = [
         {"supply_pressure": p, "g": g} for p, g in zip(evidence.PRESSURES, force, strict=True)
     ]
-    points = sampling.first_round(settings.draws, len(settings.unknowns), settings.seed)
-    rounds: list[sampling.Round] = []
-    drawn: list[Row] = []
-    while True:
-        new = points[len(drawn) :]
-        values = [study.values(q) for q in sampling.quantiles(new)]
-        for rows in run("drawn", [(v, len(drawn) + i) for i, v in enumerate(values)]):
-            number = len(drawn)
-            drawn.append(rows[0] | {"machine": number})
-            tables["damping"] += [row | {"machine": number} for row in rows[1:]]
-        pressures = np.array([row["supply_pressure"] for row in drawn])
-        swings = evidence.oscillation_likelihood(pressures, np.array(force))
-        likelihoods = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
-        likelihoods["three_g"] = swings
-        ratio = sampling.log_ratio(points, rounds)
-        weights = np.sum(list(likelihoods.values()), axis=0) + ratio
-        if len(rounds) == settings.rounds - 1:
-            break
-        seed = [settings.seed, 2, len(rounds)]
-        rounds.append(sampling.Round(points, weights, settings.draws, seed))
-        points = np.vstack([points, rounds[-1].draw()])
-    posterior = sampling.normalised(weights)
-    for i, row in enumerate(drawn):
-        row |= {f"log_{group}": likelihoods[group][i] for group in GROUPS}
-        row |= {"log_ratio": ratio[i], "weight": posterior[i]}
+    drawn, tables["damping"], posterior = _weighted(study, run, np.array(force))
     tables["machines"] = drawn
     kept, counts = np.unique(
         sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
@@ -152,6 +128,36 @@ def run_posterior(
         for name, rows in tables.items()
     )
     return Results(study, *map(read_table, paths))
+
+
+def _weighted(
+    study: PosteriorStudy, run: Callable[..., list[list[Row]]], force: Array
+) -> tuple[list[Row], list[Row], Array]:
+    """Rounds of machines with their weights, damping ratios of all, and the posterior's weights."""
+    settings, drawn, damping = study.settings, list[Row](), list[Row]()
+    points = sampling.first_round(settings.draws, len(settings.unknowns), settings.seed)
+    rounds: list[sampling.Round] = []
+    while True:
+        values = [study.values(q) for q in sampling.quantiles(points[len(drawn) :])]
+        for rows in run("drawn", [(v, len(drawn) + i) for i, v in enumerate(values)]):
+            number = len(drawn)
+            drawn.append(rows[0] | {"machine": number})
+            damping += [row | {"machine": number} for row in rows[1:]]
+        pressures = np.array([row["supply_pressure"] for row in drawn])
+        likelihoods = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
+        likelihoods["three_g"] = evidence.oscillation_likelihood(pressures, force)
+        ratio = sampling.log_ratio(points, rounds)
+        weights = np.sum(list(likelihoods.values()), axis=0) + ratio
+        if len(rounds) == settings.rounds - 1:
+            break
+        seed = [settings.seed, 2, len(rounds)]
+        rounds.append(sampling.Round(points, weights, settings.draws, seed))
+        points = np.vstack([points, rounds[-1].draw()])
+    posterior = sampling.normalised(weights)
+    for i, row in enumerate(drawn):
+        row |= {f"log_{group}": likelihoods[group][i] for group in GROUPS}
+        row |= {"log_ratio": ratio[i], "weight": posterior[i]}
+    return drawn, damping, posterior
 
 
 def _count(study: PosteriorStudy) -> int:

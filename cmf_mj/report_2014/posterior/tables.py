@@ -34,7 +34,7 @@ FAST = "acceleration"
 """Acceleration feedback as printed behind the filter that the text describes."""
 
 
-def tables(results: Results) -> dict[str, Result[Any]]:
+def posterior_tables(results: Results) -> dict[str, Result[Any]]:
     """All tables by the name of their file."""
     return {
         "stability": answers.stability(results),
@@ -167,7 +167,7 @@ TEXTS: Mapping[str, Any] = {
 def save_posterior(results: Results, folder: Path) -> list[Path]:
     """Write tables, sentences and figures."""
     files: dict[str, Any] = {}
-    for name, result in tables(results).items():
+    for name, result in posterior_tables(results).items():
         files |= {f"{name}.{kind}": result.table.save for kind in ("md", "csv")}
     for name, text in TEXTS.items():
         content = text(results)

@@ -10,10 +10,15 @@ import pytest
 from cmf_mj.analysis.published import published, published_results
 from cmf_mj.report_2014.page import statements as accounting
 from cmf_mj.report_2014.page import tables
-from cmf_mj.report_2014.page.curves import Content, PageTable, specs
-from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform
-from cmf_mj.report_2014.page.statements import blocks
-from cmf_mj.report_2014.page.tables import BANDWIDTHS, TITLES, ResultRow, result_rows
+from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform, specs
+from cmf_mj.report_2014.page.statements import first_screen
+from cmf_mj.report_2014.page.tables import (
+    BANDWIDTHS,
+    TITLES,
+    PageTable,
+    ResultRow,
+    result_rows,
+)
 from cmf_mj.studies.case import CaseResult
 
 
@@ -65,13 +70,13 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
         and row.printed == row.printed
         and not abs(row.computed / row.printed - 1.0) <= 0.10
     }
-    assert len(beyond) == round(44 * (1.0 - whole.shares[1])) == 4
+    assert len(beyond) == round(44 * (1.0 - whole.within_10)) == 4
     assert {law for law, _, _ in beyond} == {"velocity_error", "force"}
-    assert table["bandwidths, sweeps that ring read too"].shares[1] == 1.0
-    assert table["bandwidths, gains and filter as printed"].shares[1] < 0.75
-    assert table["of them predicted"].shares[1] < table["of them calibrated"].shares[1]
+    assert table["bandwidths, sweeps that ring read too"].within_10 == 1.0
+    assert table["bandwidths, gains and filter as printed"].within_10 < 0.75
+    assert table["of them predicted"].within_10 < table["of them calibrated"].within_10
     assert table["of them predicted"].median < 0.0  # what is not fitted lies low
-    assert table["damping ratios, all predicted"].shares[1] < 0.5
+    assert table["damping ratios, all predicted"].within_10 < 0.5
 
 
 def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
@@ -99,7 +104,7 @@ def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
         encoding="utf-8"
     )
     assert accounting.verdict_table(runs, tuple(TITLES)).table.markdown() in page
-    for row in accounting.agreement_table(runs).table.cells:
+    for row in accounting.agreements(runs).table.cells:
         assert f"| {' | '.join(row[:5])} |" in page
 
 
@@ -164,8 +169,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     results = dict(runs.results)
     for need in specs("machine acceleration roll,pitch,yaw"):
         results[need] = runs.case("model", "acceleration")
-    content = Content(Runs(results, None, True, 0), (), tuple(TITLES), studies=True)
-    lead, shares, rotation, _, outside = blocks(content, "")
+    lead, agreed, rotation, _, outside = first_screen(Runs(results, None, True, 0))
     fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
     fields += ("oscillation_hz", "acceleration_g")
     printed = {
@@ -176,12 +180,16 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
         if value is not None or field in row.not_available
     }
     assert isinstance(lead, str) and f" {len(printed)} numbers" in lead
-    assert isinstance(shares, PageTable) and isinstance(outside, PageTable)
-    counts = {row[0]: [int(cell) for cell in row[1:5]] for row in shares.table.cells}
-    assert counts["calibrated"][0] + counts["predicted"][0] == 44
-    assert counts["all -90 deg and -3 dB"] == [
-        a + b for a, b in zip(counts["calibrated"], counts["predicted"], strict=True)
-    ]
+    assert isinstance(agreed, PageTable) and isinstance(outside, PageTable)
+    classes = accounting.agreements(Runs(results, None, True, 0))
+    assert agreed.table.cells == classes.table.cells
+    counts = {
+        one.what: [one.printed, *(round(share * one.printed) for share in one[2:5])]
+        for one in classes
+    }
+    parts = (counts[f"of them {role}"] for role in ("calibrated", "predicted"))
+    assert counts["bandwidths"] == [sum(pair) for pair in zip(*parts, strict=True)]
+    assert counts["bandwidths"][0] == 44
     judged = {name: [row for row in rows_of(runs, name) if not row.within] for name in TITLES}
     assert {row[0] for row in outside.table.cells} == {name for name in judged if judged[name]}
     assert all(row[-1] for row in outside.table.cells)

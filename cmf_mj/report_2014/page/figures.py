@@ -1,0 +1,400 @@
+"""The report's figures as ours: laws on the two plants, readings of sensors, linear models.
+
+In chapter 4 the report's models stand with ours, made the same way from the stand-in: leg velocity
+from the valve command on a pulse, a sine and the sweep of Table 2-3, by least squares (ARX).
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, cast
+
+import control
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.identification.continuous import in_field_units
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
+from cmf_mj.analysis.measurable import dof_history
+from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.published import published_results
+from cmf_mj.core import units
+from cmf_mj.core.units import FRAME
+from cmf_mj.plant.parameters import load_hydraulics
+from cmf_mj.record.record import Record
+from cmf_mj.report_2014.models import (
+    bandwidth_example,
+    characteristics,
+    feedback_model,
+    hardware_velocity,
+    report_model,
+)
+from cmf_mj.report_2014.page.runs import (
+    IDENTIFIED_ON,
+    SLOW,
+    Readings,
+    Runs,
+    RunSpec,
+    SensorReadings,
+    Signal,
+    after_step,
+    leg_motion,
+    leg_signals,
+    report_plant,
+    specs,
+)
+from cmf_mj.report_2014.page.tables import CONTENTS, law_title
+from cmf_mj.show.look import (
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    ORANGE,
+    bode_axes,
+    legend,
+    plot_bode,
+    plot_printed,
+    stack,
+)
+from cmf_mj.show.study import responses_figure, step_figure
+from cmf_mj.studies.case import CaseResult
+
+Array = NDArray[np.float64]
+
+_STEP = (-0.2, 3.0)
+_HARDWARE, _REPORT, _OURS = "hardware stand-in", "report's model", "our model"
+_EXTENSION = "extension of leg 1 [in]"
+_GRAVITY = units.STANDARD_GRAVITY
+
+_EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.17", "4.18", "4.19")}
+"""Position, velocity and acceleration of linear models 1 to 3."""
+
+_LEG = ("position [in]", "velocity [in/s]", "acceleration [g]")
+
+Drawing = tuple[Figure, dict[str, Any]]
+"""A figure, and what its caption fills in."""
+
+
+class ReportFigure(NamedTuple):
+    """A figure of the report, and how ours is made."""
+
+    number: str
+    title: str
+    drawing: Callable[[Runs, "ReportFigure"], Drawing]
+    needs: tuple[RunSpec, ...] = ()  #: Runs it is drawn from.
+    sensors: bool = False  #: Whether it needs the accelerometers' readings.
+    options: Mapping[str, Any] = {}  #: What one drawing function does differently in each figure.
+
+    def cases(self, runs: Runs) -> list[CaseResult]:
+        """Chirps and steps of its laws on its plants."""
+        return [runs.results[need] for need in self.needs if need.signal == "case"]
+
+    def draw(self, runs: Runs) -> tuple[Figure, str]:
+        """The figure and its caption."""
+        figure, values = self.drawing(runs, self)
+        figure.axes[0].set_title(self.title)
+        caption = CONTENTS["caption"][self.options.get("caption", self.drawing.__name__)]
+        return figure, caption.format(**(CONTENTS["words"] | values))
+
+
+class Line(NamedTuple):
+    """A history of leg or platform in a figure."""
+
+    name: str
+    time: Array
+    values: Array
+    colour: str = BLUE
+    style: str = "-"
+
+
+def histories(
+    panels: Mapping[str, Iterable[Line]],
+    span: tuple[float, float],
+    x: str = "time after the step [s]",
+    height: float = 2.2,
+) -> Figure:
+    """Histories in axes above each other, by the label of their y axis."""
+    figure, every = stack(8.0, height * len(panels) + 0.6, *panels, x=x)
+    for axes, lines in zip(every, panels.values(), strict=True):
+        for line in lines:
+            seen = (line.time >= span[0]) & (line.time <= span[1])
+            style: dict[str, Any] = {"color": line.colour, "linestyle": line.style}
+            axes.plot(line.time[seen], line.values[seen], label=line.name, **style)
+    every[-1].set_xlim(*span)
+    legend(*every)
+    return figure
+
+
+def demand_and_leg(record: Record) -> tuple[Line, Line]:
+    """The demand of leg 1 and what it does, positive out."""
+    time = after_step(record)
+    return (
+        Line("demand", time, leg_motion(record, "leg_reference", "in"), GREY),
+        Line(_HARDWARE, time, leg_motion(record, "leg_position", "in"), ORANGE),
+    )
+
+
+def coordinates(runs: Runs, figure: ReportFigure) -> Drawing:
+    """A step along the degree of freedom and along a leg."""
+    record = runs.record("machine", "velocity", "rise")
+    demand, leg = demand_and_leg(record)
+    along = [
+        line._replace(values=units.from_si("in", dof_history(record, channel, "heave")))
+        for line, channel in ((demand, "leg_reference"), (leg, "leg_position"))
+    ]
+    panels = {"heave, down [in]": along, _EXTENSION: (demand, leg)}
+    return histories(panels, _STEP), {"reached": demand.values[-1]}
+
+
+def responses(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Laws' frequency responses in one degree of freedom; sines, where it has them, as dots."""
+    drawn, dof = responses_figure(figure.cases(runs)), figure.needs[0].dof
+    for need in figure.needs:
+        if need.signal == "rounds":
+            gain, phase = drawn.axes
+            plot_bode(gain, phase, runs.rounds(need.law), color=BLUE, linestyle="", marker=".")
+    size = "0.33 in" if dof in ("surge", "sway", "heave") else "0.2 deg"
+    return drawn, {"axis": dof.capitalize(), "size": size, **figure.options}
+
+
+def step_responses(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Laws' steps in heave."""
+    cases = figure.cases(runs)
+    numbers = [
+        f"{one.case.plant.replace('_', ' ')}: overshoot {100 * m.overshoot:.0f} %, damping ratio "
+        f"{m.damping_ratio:.2f}, steady-state error {100 * m.steady_state_error:.1f} %"
+        for one, m in ((one, one.measures) for one in cases)
+    ]
+    errors = [
+        f"{one.case.law.title} {100 * one.measures.steady_state_error:.2f} %"
+        for one in cases
+        if one.measures.stable
+    ]
+    first = cases[0].measures
+    return step_figure(cases), {
+        **{"errors": ", ".join(errors), "numbers": "; ".join(numbers)},
+        **{"overshoot": 100 * first.overshoot, "damping": first.damping_ratio},
+        "error": abs(100 * first.steady_state_error),
+    }
+
+
+def sines(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Laws' motion and error in a slow sine on the single legs."""
+    legs, errors = [], []
+    for need, colour in zip(figure.needs, COLOURS, strict=False):
+        record = runs.record(need.on, need.law, "sine")
+        demand, leg = demand_and_leg(record)
+        legs.append(leg._replace(name=law_title(need.law), colour=colour))
+        errors.append(legs[-1]._replace(values=demand.values - leg.values))
+    panels = {_EXTENSION: (demand, *legs), "demand less leg [in]": errors}
+    return histories(panels, (3.0, 7.0), "time [s]", 3.0), {"frequency": SLOW}
+
+
+def simple_model(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Eqs 3.1 to 3.4."""
+    lines, widths = np.geomspace(0.05, 10.0, 400), []
+    titles = ("position", "position and rate", "position, rate and acceleration")
+    drawn, gain, phase = bode_axes()
+    for title, loop in zip(titles, bandwidth_example().values(), strict=True):
+        plot_bode(gain, phase, loop_response(feedback_model("3.4", loop), lines), label=title)
+        widths.append(f"{title} {characteristics(loop).gain_bandwidth_hz:.2f} Hz")
+    gain.set(ylim=(-40.0, 10.0))
+    legend(gain)
+    return drawn, {"widths": "; ".join(widths)}
+
+
+def accelerometer(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Accelerometer of a leg at rest or in motion, before and behind the filter."""
+    sensors, span = cast("SensorReadings", runs.sensors), figure.options["span"]
+    readings: Readings = getattr(sensors, figure.options["state"])
+    time = np.arange(round(span / FRAME)) * FRAME
+    lines = [
+        Line(name, time, values[: time.size, 0] / _GRAVITY, colour)
+        for name, values, colour in (
+            ("raw", readings.raw, "#aaaaaa"),
+            ("true specific force", readings.truth, BLUE),
+            ("filtered, Eq 3.6", readings.filtered, ORANGE),
+        )
+    ]
+    drawn = histories({"accelerometer of leg 1 [g]": lines}, (0.0, span), "time [s]", 3.5)
+    for level in figure.options.get("guides", ()):
+        drawn.axes[0].axhline(level, color=GREY, linestyle=":")
+    return drawn, sensors.numbers
+
+
+def feedback_signals(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Position, velocity and acceleration of a step under acceleration feedback."""
+    (case,), plant = figure.cases(runs), report_plant("model")
+    time, mass = after_step(case.step), float(plant.reflected_mass()[0, 0])
+    # The report: acceleration from actuator force, static load and effective mass.
+    computed = (case.step["leg_force"][:, 0] - plant.static_load()[0]) / mass / _GRAVITY
+    signals = leg_signals(case.step)
+    panels = {t: [Line("leg sensor", time, y)] for t, y in zip(_LEG, signals, strict=True)}
+    panels[_LEG[2]].append(Line("(force - static load) / mass", time, computed, ORANGE, "--"))
+    apart = float(np.abs(np.interp(time - FRAME, time, computed) - signals[2]).max())
+    return histories(panels, (-0.1, 1.0)), {
+        "law": case.case.law.title,
+        "mass": mass / units.POUND_MASS,
+        "apart": 1e3 * apart,
+    }
+
+
+def pressure(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Pressure difference of a leg under force feedback."""
+    record = figure.cases(runs)[0].step
+    difference = units.from_si("psi", (record["cap_pressure"] - record["rod_pressure"])[:, 0])
+    line = Line(law_title("force"), after_step(record), difference)
+    return histories({"cap less rod pressure [psi]": [line]}, _STEP, height=3.5), {}
+
+
+# -- chapter 4 -------------------------------------------------------------------------------------
+
+
+def velocity_models(runs: Runs, number: int) -> dict[str, UnitTransferFunction]:
+    """The report's linear model of this number and ours: leg velocity per command [in/s per %]."""
+    return {
+        f"{_REPORT} #{number}": hardware_velocity(number),
+        f"{_OURS} #{number}": in_field_units(runs.identified[number].continuous.rational),
+    }
+
+
+def driven(
+    system: control.TransferFunction, command: NDArray[np.floating], step: float = FRAME
+) -> Array:
+    """Response from rest to a command with samples `step` seconds apart, (N,)."""
+    even = np.arange(command.size) * step
+    return np.asarray(control.forced_response(system, even, command).outputs)
+
+
+def measured(runs: Runs, signal: Signal) -> tuple[Array, ...]:
+    """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
+
+    The five rounds of the sweep are put end to end, as section 4.3.3 says.
+    """
+    records = runs.records("machine", "velocity", signal)
+    begins = np.cumsum([0.0, *(record.time.size / record.rate for record in records[:-1])])
+    time = [r.time - r.time[0] + begin for r, begin in zip(records, begins, strict=True)]
+    command = np.concatenate([record["valve_command"][:, 0] for record in records])
+    legs = zip(*map(leg_signals, records), strict=True)
+    return np.concatenate(time), 100.0 * (command - command.mean()), *map(np.concatenate, legs)
+
+
+def pulse_data(runs: Runs, figure: ReportFigure) -> Drawing:
+    """What linear model 1 was fitted to."""
+    time, *signals = measured(runs, "pulse")
+    titles = ("command [%]", *_LEG)
+    panels = {t: [Line(_HARDWARE, time, y)] for t, y in zip(titles, signals, strict=True)}
+    return histories(panels, (0.5, 4.0), "time [s]", 1.7), {}
+
+
+def fit_text(values: Array, modelled: Array) -> str:
+    """100 (1 - |y - yhat| / |y - mean y|) %; what has less than nothing in common has no fit."""
+    apart, spread = values - modelled, values - values.mean()
+    fit = float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(spread)))
+    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
+
+
+def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
+    """A model driven from rest at `begin` [s] by the recorded command; default `span` all of it."""
+    number, begin = (figure.options[name] for name in ("number", "begin"))
+    time, *signals = measured(runs, IDENTIFIED_ON[number])
+    span = figure.options.get("span", (begin, float(time[-1])))
+    chosen = (time >= begin) & (time <= span[1])
+    time, command, *legs = (values[chosen] for values in (time, *signals))
+    step = time[1] - time[0]
+    _, velocity = velocity_models(runs, number).values()
+    # The same model integrated and differentiated, the derivative in g.
+    slope = control.tf([1.0 / units.from_si("in", _GRAVITY), 0.0], [1.0])
+    plain = control.tf(velocity.num_array[0, 0], velocity.den_array[0, 0])
+    ours = (plain * control.tf([1.0], [1.0, 0.0]), plain, plain * slope)
+    panels, fits = {}, []
+    for title, values, equation, model in zip(_LEG, legs, _EQUATIONS[number], ours, strict=True):
+        theirs, our = (driven(system, command, step) for system in (report_model(equation), model))
+        panels[title] = (
+            Line(_HARDWARE, time, values, GREY),
+            Line(_REPORT, time, theirs, ORANGE),
+            Line(_OURS, time, our, BLUE, "--"),
+        )
+        fits.append(
+            f"{title.split()[0]} {fit_text(values, theirs)} (Eq {equation}) and "
+            f"{fit_text(values, our)} (ours)"
+        )
+    drawn = histories(panels, span, "time [s]")
+    for axes, values in zip(drawn.axes, legs, strict=True):
+        margin = 0.3 * float(np.ptp(values))
+        axes.set_ylim(float(values.min()) - margin, float(values.max()) + margin)
+    return drawn, {"fits": "; ".join(fits), **figure.options}
+
+
+def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
+    """A step or sine with velocity feedback closed around the report's model and ours."""
+    number, signal, span = (figure.options[name] for name in ("number", "signal", "span"))
+    demand, leg = demand_and_leg(runs.record("machine", "velocity", signal))
+    models = [
+        Line(name, demand.time, driven(closed_loop("velocity", velocity), demand.values), *style)
+        for (name, velocity), style in zip(
+            velocity_models(runs, number).items(), ((BLUE, "-"), (GREEN, "--")), strict=True
+        )
+    ]
+    inside = (demand.time > span[0]) & (demand.time < span[1])
+    sizes = (
+        f"{line.name.removeprefix('hardware ')} {np.ptp(line.values[inside]) / 2:.3f} in"
+        for line in (leg, *models)
+    )
+    x = "time after the step [s]" if signal == "rise" else "time [s]"
+    return histories({_EXTENSION: (demand, leg, *models)}, span, x, 3.5), {
+        **figure.options,
+        "numbers": "; ".join(f"{one.name} peaks at {one.values.max():.2f} in" for one in models),
+        "peak": leg.values.max(),
+        "sizes": "; ".join(sizes),
+    }
+
+
+def linear_responses(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Frequency responses with velocity feedback closed around models."""
+    drawn, gain, phase = bode_axes(limits=True)
+    (hardware,), lines = figure.cases(runs), np.geomspace(0.1, 10.0, 300)
+    if hardware.response is not None:
+        plot_bode(gain, phase, hardware.response, label=_HARDWARE, color=GREY, linestyle=":")
+    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
+    for number, colour in zip(figure.options["numbers"], COLOURS, strict=False):
+        models = velocity_models(runs, number).items()
+        for (name, velocity), style in zip(models, ("-", "--"), strict=True):
+            closed = loop_response(closed_loop("velocity", velocity), lines)
+            plot_bode(gain, phase, closed, label=name, color=colour, linestyle=style)
+        plot_printed(gain, phase, printed[f"linear_{number}"], colour)
+    gain.set(ylim=(-20.0, 10.0))
+    phase.set(ylim=(-270.0, 20.0), xlim=(0.1, 10.0))
+    legend(gain)
+    return drawn, {}
+
+
+def linear_model_a(runs: Runs, figure: ReportFigure) -> Drawing:
+    """A step with velocity feedback closed around Eqs 4.4 to 4.6."""
+    loop = closed_loop("velocity", leg_plant(*map(report_model, ("4.4", "4.5", "4.6"))))
+    measures = measure_loop(loop)
+    model = runs.case("model", "velocity").step
+    turned_over = -leg_motion(model, "leg_position", "in")
+    demand, leg = demand_and_leg(runs.record("machine", "velocity", "rise"))
+    lines = (
+        *(demand, leg),
+        Line("non-linear model", after_step(model), turned_over, GREEN),
+        Line("linear model A", demand.time, driven(loop, demand.values), BLUE, "--"),
+    )
+    return histories({_EXTENSION: lines}, (-0.1, 2.0), height=3.5), {
+        "phase": measures.phase_bandwidth_hz,
+        "gain": measures.gain_bandwidth_hz,
+        "damping": measures.damping_ratio,
+        "stand_in_speed": load_hydraulics("hardware").leg_speed.value,
+        "model_speed": load_hydraulics("report").leg_speed.value,
+    }
+
+
+FIGURES = tuple(
+    ReportFigure(
+        *(entry["number"], entry["title"], globals()[entry["draw"]]),
+        *(specs(*entry.get("runs", ())), entry.get("sensors", False), entry.get("options", {})),
+    )
+    for entry in CONTENTS["figure"]
+)
+"""All figures with numbers behind them, in the report's order."""
