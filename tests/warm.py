@@ -10,7 +10,7 @@ python tests/warm.py chain    the loop of the facility, from host to sensors, an
 import sys
 
 import numpy as np
-from flights import level
+from cab_motions import level
 from protected_records import fault_of
 
 from cmf_mj import Hexapod, signals, simulate

@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from flights import G, level, pushed, sustained, turn_entry, turned
+from cab_motions import G, level, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.filters import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flights import pushed, sustained, turn_entry
+from cab_motions import pushed, sustained, turn_entry
 from shared import WORKING_STROKE, cmf
 
 from cmf_mj.facility.host.files import read_stream

@@ -5,7 +5,7 @@ import csv
 import control
 import numpy as np
 import pytest
-from flights import G
+from cab_motions import G
 from shared import cmf
 
 from cmf_mj.control.dcu.state import load_dcu

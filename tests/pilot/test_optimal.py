@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from flights import G, pushed, sustained, turned
+from cab_motions import G, pushed, sustained, turned
 from scipy import linalg
 
 from cmf_mj.pilot.motion import PilotMotion

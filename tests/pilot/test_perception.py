@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flights import G, level, pushed, sustained, turned
+from cab_motions import G, level, pushed, sustained, turned
 
 from cmf_mj.pilot.perception import (
     canal_response,
