@@ -3,8 +3,10 @@
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
 from cmf_mj.core.compiled import compiled
+from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.electronics.sensors import at_frame
 from cmf_mj.facility import replay
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
 
 
@@ -21,7 +23,11 @@ def fault_of(record: Record, protection: Protection, supply_pressure: float) -> 
     reference = replay._legs(record, "leg_reference")
     readings = (replay._legs(record, name) for name in replay.FEEDBACK.values())
     histories = LegFeedback(*readings)
-    histories.acceleration[:] -= replay._felt(record) * (not replay._compensated(record))
+    made = record.metadata
+    felt = (made.get("electronics") or {}).get("sensors", {}).get("gravity", False)
+    if felt and not made["law_parameters"]["gravity_compensation"]:
+        machine = recorded_machine(made)
+        histories.acceleration[:] -= gravity_history(histories.position, machine)
     state = protection_state(histories.position[0])
     _watch(protection, state, reference, histories, supply_pressure)
     return latched(state)
