@@ -369,15 +369,17 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
 
 
 def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
+    tags: dict[Any, type[BaseModel]] = {}
     for part in path:
-        if part in model.model_fields:
-            within = _models_in(model.model_fields[part].annotation)
+        known = {one.serialization_alias: one for one in model.model_fields.values()}
+        if field := model.model_fields.get(part) or known.get(part):
+            within = _models_in(field.annotation)
             tags = {tag: one for one in within for tag in _tags(one)}
             model = within[0] if len(within) == 1 else model
         elif part in tags:
             model = tags[part]
-    fields = model.model_fields.items()
-    return sorted(field.serialization_alias or name for name, field in fields if not field.exclude)
+    fields = [(name, field) for name, field in model.model_fields.items() if not field.exclude]
+    return sorted(field.serialization_alias or name for name, field in fields)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -4,6 +4,9 @@ The numbers live in `hydraulics.toml`; this module names, checks and loads them.
 actuator, which all are equal to unless `actuators` says otherwise, and the supply they share.
 Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk modulus, Ps, Pt supply and
 return pressure.
+
+>>> cmf_mj.load_hydraulics("report").name
+'report'
 """
 
 from collections.abc import Mapping

@@ -130,7 +130,7 @@ def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
     """The production door of the plan's kind, with the line in place of its socket."""
     cab = plant.cab_parameters
     with ExitStack() as patches:
-        for module in (moog, live, udp):
+        for module in (live, udp):
             patches.enter_context(patch.object(module, "open_socket", lambda *_: line))
         if plan.door == "moog":
             base = patches.enter_context(moog.MoogServer(host_port=HOST[1]))

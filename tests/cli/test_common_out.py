@@ -99,7 +99,7 @@ def test_a_package_that_cannot_be_written_to_keeps_its_cache_elsewhere(
     homeless: bool,
 ) -> None:
     """One line says where, until the folder is there; what a user has set is left alone."""
-    package, home = Path(core.__file__).parents[2], tmp_path / "home"
+    package, home = Path(core.__file__).parents[1], tmp_path / "home"
     closed = (str(package), str(home)) if homeless else (str(package),)
     access = os.access
     monkeypatch.setattr(

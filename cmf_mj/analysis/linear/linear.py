@@ -125,7 +125,7 @@ class Linear:
         return modes(self.system, self.jacobian)
 
     def model(self, signal: str) -> control.StateSpace:
-        """One degree of freedom, moved by all legs and read from all legs, or a leg, `leg_model`.
+        """A `signal`: one degree of freedom, moved and read by all legs, or a leg, `leg_1`.
 
         With J = d(legs)/d(pose) the commands are c = J_i w and the pose J^-1 l. A leg of full speed
         k then makes a pose of speed k w while the oil does not give way. The motion the others make
