@@ -273,7 +273,6 @@ class Unknowns(dict[str, Unknown]):
                 made = part if name is None else part.model_copy(update={"name": name})
                 for path, (one, value) in given.items():
                     made = _replaced(made, path.split(".")[1:], one, value)
-                made = validated(type(part), dict(made), f"{made.name} with unknowns")
         return cast("Part", made)
 
     def save(self, path: Path) -> Path:
@@ -356,16 +355,16 @@ def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
         every = list(field) or [exact] * (len(chosen) if rest == ["*"] else len(LEGS))
         for index, x in chosen.items():
             every[index] = Quantity(**one.changed(every[index], float(x)))
-        return part.model_copy(update={name: every})
-    if rest:
-        return part.model_copy(update={name: _replaced(field, rest, one, value)})
-    if isinstance(field, Quantity):
-        new: Any = Quantity(**one.changed(field, float(value)))
+        new: Any = every
+    elif rest:
+        new = _replaced(field, rest, one, value)
+    elif isinstance(field, Quantity):
+        new = Quantity(**one.changed(field, float(value)))
     elif isinstance(field, float):
         new = one.number(field, value) if one.effect != "value" else float(value)
     else:
         raise InputError(f"{one.path}: is not a number that is given")
-    return part.model_copy(update={name: new})
+    return validated(type(part), dict(part) | {name: new}, one.path)
 
 
 def _checked(tables: Mapping[str, Any], where: str) -> Unknowns:

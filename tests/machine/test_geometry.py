@@ -16,7 +16,8 @@ def test_three_lengths_then_three_angles():
 
 
 def test_examples_run():
-    assert doctest.testmod(dof, extraglobs={"cmf_mj": cmf_mj}) == (0, 3)
+    failed, attempted = doctest.testmod(dof, extraglobs={"cmf_mj": cmf_mj})
+    assert attempted and not failed
 
 
 def test_unknown_degree_of_freedom_lists_the_six():
