@@ -167,7 +167,5 @@ def test_a_step_that_does_not_divide_the_frame_is_refused(plant: str, timestep: 
 
 @pytest.mark.parametrize(("field", "value"), [("record_every", 0), ("command_delay", -1)])
 def test_frame_counts_out_of_range_are_refused(field: str, value: int) -> None:
-    with pytest.raises(
-        ValueError, match=f"{field}: {value} is refused: .* to {value + 1}"
-    ):
+    with pytest.raises(ValueError, match=f"{field}: {value} is refused: .* to {value + 1}"):
         simulate(SingleLegs(), "velocity", np.zeros((4, 6)), **{field: value})

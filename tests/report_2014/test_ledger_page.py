@@ -1,6 +1,7 @@
 """The ledger: its form, its page and its command."""
 
 import ast
+import re
 import runpy
 from pathlib import Path
 
@@ -78,8 +79,9 @@ def test_command_prints_entries(arguments: list[str], count: int | None) -> None
     assert result.exit_code == 0, result.output
     rows = [line for line in result.output.splitlines() if "B = 0.1709" in line]
     assert len(rows) == 1
-    tops = [entry for entry in load_ledger() if f" {entry.number} │" in result.output]
-    assert len(tops) == (count or len(load_ledger()))
+    numbers = [int(one) for one in re.findall(r"^ +(\d+)   \S", result.output, re.MULTILINE)]
+    every = [entry.number for entry in load_ledger()]
+    assert numbers == ([3] if count else every)
 
 
 def test_command_refuses_an_unknown_entry() -> None:

@@ -143,11 +143,10 @@ def test_likelihood_is_that_of_independent_gaussians() -> None:
 
 
 def test_force_feedback_swings_with_the_supply_pressure() -> None:
-    """Amplitudes are those of the pressure, in proportion within a tenth; pages have the first."""
+    """Amplitudes are those of the pressure, in proportion within a tenth; a page has the first."""
     low, high = evidence.oscillation_g(1500.0), evidence.oscillation_g(3000.0)
-    for page in ("force_feedback", "report"):
-        text = (ROOT / "docs" / "explanation" / f"{page}.md").read_text(encoding="utf-8")
-        assert re.findall(r"(\d\.\d\d) g\b", text) == [f"{low:.2f}"]
+    text = (ROOT / "docs" / "explanation" / "deviations.md").read_text(encoding="utf-8")
+    assert re.findall(r"(\d\.\d\d) g\b", text) == [f"{low:.2f}"]
     assert high / low == pytest.approx(2.0, rel=0.1)
     likely = evidence.oscillation_likelihood(
         np.array([1300.0, 2000.0, 3000.0]), np.array([1.6, 2.1, 2.7, 3.3])

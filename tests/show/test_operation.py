@@ -104,7 +104,7 @@ def test_cmf_serve_refuses_bad_arguments() -> None:
         (["--lockstep"], "lockstep: is nothing to the protocol cmf"),
         (["--protocol", "moog", "--key", "secret.txt"], "key: is nothing to the protocol moog"),
         (["--bind", "everywhere"], "bind: 'everywhere' is not an IPv4 address"),
-        (["--port", "0", "--seconds", "-1"], "seconds: -1.0 must be greater than 0"),
+        (["--port", "0", "--seconds", "-1"], "seconds: -1.0 is refused; allowed: above 0"),
     ):
         result = CliRunner().invoke(app, ["serve", *arguments])
         assert result.exit_code == 2
