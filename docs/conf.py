@@ -150,10 +150,16 @@ def _paper(app: Any, page: str, *_rest: Any) -> None:
         app.add_css_file("paper.css", media="print")
 
 
+def _of_a_generic(_app: object, _what: str, name: str, *_: object) -> bool | None:
+    """Leave out classes that pydantic makes of a generic one, `Check[...]`."""
+    return True if "[" in name else None
+
+
 def setup(app: Any) -> None:
     """Read docstrings as they are written, borrow pages, write equations as MathML."""
     app.connect("html-page-context", _paper)
     app.connect("autodoc-process-docstring", _process, priority=400)
+    app.connect("autodoc-skip-member", _of_a_generic)
     app.connect("source-read", _read)
     app.connect("env-updated", _short_menu)
     app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
