@@ -20,14 +20,14 @@ pytestmark = pytest.mark.slow
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """Plain MJCF, compiled by MuJoCo with the plugin loaded."""
     out = tmp_path_factory.mktemp("plugin")
-    files = export_plugin(
+    export_plugin(
         Path(models.model_path("excavator.xml")),
         CYLINDERS,
         models.model_path("excavator_hydraulics.toml"),
         out,
     )
     mujoco.mj_loadPluginLibrary(str(out / "libcmf_cylinders.so"))
-    return mujoco.MjModel.from_xml_path(str(files[-1]))
+    return mujoco.MjModel.from_xml_path(str(out / "excavator.xml"))
 
 
 def commands() -> np.ndarray:

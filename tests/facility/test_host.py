@@ -141,6 +141,13 @@ def test_resampling_keeps_the_motion() -> None:
         assert np.abs(getattr(back, name) - getattr(stream, name)).max() < 1e-10
 
 
+def test_a_gap_that_memory_cannot_hold_is_refused() -> None:
+    """A clock that jumps by thirty years within a file: 2e9 frames at 2 Hz."""
+    stream = make_stream(np.array([0.0, 0.1, 1e9]), *np.zeros((3, 3, 6)))
+    with pytest.raises(ValueError, match="rate: 2 Hz makes 2e.09 frames of a stream of 1e.09 s"):
+        resample(stream, 2.0)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -20,7 +20,7 @@ from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.signals.signal import Command, check_positive
+from cmf_mj.signals.signal import LONGEST, Command, check_positive
 
 DERIVATIVES = ("spline", "zero")
 """How velocity and acceleration are made: of the quintic spline, or none."""
@@ -157,6 +157,12 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     if stream.time.size < 2:
         raise InputError(f"stream: {stream.time.size} frames; resampling needs at least 2")
     start = float(stream.time[0])
+    frames = (float(stream.time[-1]) - start) * rate
+    if frames > LONGEST * RATE:
+        raise InputError(
+            f"rate: {rate:g} Hz makes {frames:.3g} frames of a stream of {frames / rate:.6g} s; "
+            f"allowed: at most {LONGEST * RATE:.3g}"
+        )
     curve = BPoly.from_derivatives(stream.time - start, stream.values)
     time = np.arange(int(np.floor((stream.time[-1] - start) * rate + 1e-9)) + 1) / rate
     motion = [curve(time, nu=order) for order in range(3)]
