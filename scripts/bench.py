@@ -207,8 +207,8 @@ def flying(repeat: int, bare: Callable[[int], float]) -> dict[str, float]:
 
 
 def studying(repeat: int) -> dict[str, float]:
-    """Linear cases of twelve machines of the `mismatch` study in one process and in two."""
-    study = load_study("mismatch", changes={"draws": 12, "cabs": ["gfd"], "simulate_every": 0})
+    """Linear cases of four machines of the `mismatch` study in one process and in two."""
+    study = load_study("mismatch", changes={"draws": 4, "cabs": ["gfd"], "simulate_every": 0})
     count, cases = len(study.laws), [case for case in study.cases if case.draw >= 0]
     machines = [cases[i : i + count] for i in range(0, len(cases), count)]
     spent: dict[int, list[float]] = {1: [], 2: []}
@@ -333,7 +333,7 @@ def main() -> None:
         with native.untimed():
             result |= flying(3, lambda count: bare_seconds(headless, load, count))
     if options.study:
-        result |= studying(3)
+        result |= studying(options.repeat)
     if options.exudyn:
         result |= against_exudyn(options.repeat)
     print(json.dumps(result, indent=2))
