@@ -35,7 +35,6 @@ class PosteriorSettings(Settings):
     draws: Annotated[int, Field(ge=8)]  #: Machines of each round, a power of 2.
     kept: Annotated[int, Field(ge=1)]  #: Machines drawn from the posterior and measured.
     simulated: Annotated[int, Field(ge=0)]  #: Of these, simulated.
-    grid: Annotated[int, Field(ge=2)]  #: Points along each side of a map.
     gains: list[float]  #: Of acceleration that are tried [%/(in/s^2)].
     corners: list[Annotated[float, Field(ge=0.0)]]
     """Corners of the accelerometer's filter that they are tried behind [Hz]; 0 for no filter."""
