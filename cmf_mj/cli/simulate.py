@@ -208,14 +208,12 @@ def capacity_command(
     least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
     envelope: Annotated[bool, Option(help="the largest sustained sines, 0.1 to 10 Hz")] = True,
     dofs: options.Dofs = options.ALL,
-    jobs: options.Jobs = None,
-    quick: Annotated[bool, Option("--quick", help="envelope at 4 frequencies")] = False,
     out: options.Out = Path("out/capacity"),
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
     from cmf_mj.show import capacity as report
-    from cmf_mj.studies import envelope as envelopes
+    from cmf_mj.studies import asymptotes
     from cmf_mj.studies.capacity import capacity, manoeuvre
 
     parameters = cmf_mj.load_hydraulics(hydraulics)
@@ -225,14 +223,9 @@ def capacity_command(
     paths = report.save_capacity(result, parameters, out)
     show(report.capacity_result(result).turned)
     if envelope:
-        frequencies = envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES
-        limits: dict[str, Any] = {"least_pressure": least, "frequencies": frequencies}
-        with progress_bar() as update:
-            sines = envelopes.performance_envelope(
-                law, cab, parameters, dofs=dofs, jobs=jobs, progress=update, **limits
-            )
-        paths += report.save_envelope(sines, out)
-        show(report.envelope_table(sines), width=132)
+        plant = cmf_mj.Hexapod(cab, parameters)
+        paths += report.save_envelope(plant, dofs, out)
+        show(asymptotes.envelope(plant, dofs))
     show(written(paths))
 
 
