@@ -1,7 +1,6 @@
 """The report on one page: its tables, figures and studies."""
 
 import base64
-import importlib
 import re
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from cmf_mj.analysis.linear.poles import leg_model, limit_cycle, oscillation
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
-from cmf_mj.core import errors
 from cmf_mj.core.units import FRAME
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
@@ -252,39 +250,6 @@ def test_what_rings_on_shows_its_mark_and_does_not_agree(content: Content) -> No
     hardware = [row[1:] for row in shown if row[0] == "hardware"]
     assert hardware == [["unstable", "-", "outside"]] * 3
     assert all(row[1] != "unstable" for row in shown if row[0] != "hardware")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--figures", "9-9"], "figures: '9-9' is not one of 2-4, 2-12"),
-        (["--tables", "9-9"], "tables: '9-9' is not one of 2-4, 2-6"),
-        (["--jobs", "0"], "jobs: '0' is refused"),
-        (["--seed", "-1"], "greater than or equal to 0"),
-    ],
-)
-def test_report_refuses_before_it_runs(arguments: list[str], message: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["report", *arguments, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert message in result.output
-    assert not (tmp_path / "out").exists()
-
-
-def test_report_without_jinja_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = importlib.import_module
-
-    def without(name: str, package: str | None = None) -> Any:
-        if name.startswith("jinja2"):
-            raise ImportError(f"No module named {name!r}", name=name)
-        return real(name, package)
-
-    monkeypatch.setattr(errors, "import_module", without)
-    result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert "cmf-mj[report]" in result.output
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
