@@ -46,8 +46,7 @@ def study_command(
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     from cmf_mj.report_2014.posterior.answers import posterior_tables, sample_text
     from cmf_mj.report_2014.posterior.figures import save_posterior
-    from cmf_mj.report_2014.posterior.run import run_posterior
-    from cmf_mj.report_2014.posterior.settings import load_posterior
+    from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import run_study
     from cmf_mj.studies.settings import load_study, study_table

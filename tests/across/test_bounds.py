@@ -26,7 +26,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.calibration.trial import CalibrationStudy, load_calibration
 from cmf_mj.report_2014.ledger import LedgerEntry, load_ledger
-from cmf_mj.report_2014.posterior.settings import PosteriorSettings, load_posterior
+from cmf_mj.report_2014.posterior.run import PosteriorSettings, load_posterior
 from cmf_mj.studies.settings import StudySettings, load_study
 
 MODEL = {"natural_frequency": 4.0, "damping_ratio": 0.7}

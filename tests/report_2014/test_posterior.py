@@ -17,8 +17,14 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers, evidence, sampling
-from cmf_mj.report_2014.posterior.run import GROUPS, TABLES, Results, run_posterior
-from cmf_mj.report_2014.posterior.settings import PosteriorStudy, load_posterior
+from cmf_mj.report_2014.posterior.run import (
+    GROUPS,
+    TABLES,
+    PosteriorStudy,
+    Results,
+    load_posterior,
+    run_posterior,
+)
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
 
