@@ -30,7 +30,6 @@ from cmf_mj.report_2014.models import hardware_velocity, report_model
 from cmf_mj.report_2014.page.runs import (
     FELT,
     IDENTIFIED_ON,
-    QUICK_REST,
     REST,
     SLOW,
     Runs,
@@ -62,6 +61,7 @@ Array = NDArray[np.float64]
 
 _STEP = (-0.2, 3.0)
 _HARDWARE, _REPORT, _OURS = "hardware stand-in", "report's model", "our model"
+_SHOWN = 1.5  # of readings of sensors [s]
 _EXTENSION = "extension of leg 1 [in]"
 _GRAVITY = units.STANDARD_GRAVITY
 
@@ -191,10 +191,10 @@ def sines(runs: Runs, figure: ReportFigure) -> Drawing:
 def accelerometer(
     runs: Runs, figure: ReportFigure, part: tuple[float, float]
 ) -> tuple[Figure, Array, Array]:
-    """What leg accelerometers read before and behind the filter of the DCL, in a part of a run [s].
+    """Readings of leg accelerometers less gravity, as the DCL has them, in a part of a run [s].
 
-    The filter y[k+1] = a y[k] + b x[k] (Eq 3.6) has seen the first sample for ever. Readings in g,
-    (N, 6).
+    Before and behind the filter y[k+1] = a y[k] + b x[k] (Eq 3.6), which has seen the first sample
+    for ever, in g, (N, 6).
     """
     (need,) = figure.needs
     law, record = load_law(need.law), runs.record(need.on, need.law, need.signal)
@@ -203,22 +203,25 @@ def accelerometer(
     behind, _ = lfilter([0.0, b], [1.0, -a], every, axis=0, zi=b / (1.0 - a) * every[:1])
     begin, end = (round(at * RATE) for at in part)
     raw, filtered = every[begin:end], behind[begin:end]
-    time, span = FRAME * np.arange(len(raw), dtype=float), min(part[1] - part[0], 2.5)
+    time, span = FRAME * np.arange(len(raw), dtype=float), min(part[1] - part[0], _SHOWN)
     lines = [
         Line("raw", time, raw[:, 0], "#aaaaaa"),
         Line("filtered, Eq 3.6", time, filtered[:, 0], ORANGE),
     ]
-    drawn = histories({"accelerometer of leg 1 [g]": lines}, (0.0, span), "time [s]", 3.5)
+    drawn = histories(
+        {"accelerometer of leg 1\nless gravity [g]": lines}, (0.0, span), "time [s]", 3.5
+    )
     return drawn, raw, filtered
 
 
 def sensor_noise(runs: Runs, figure: ReportFigure) -> Drawing:
     """Accelerometers at rest, once the filter has settled."""
-    drawn, raw, filtered = accelerometer(runs, figure, (0.5, QUICK_REST if runs.quick else REST))
+    drawn, raw, filtered = accelerometer(runs, figure, (0.5, REST))
     noise = [float(np.sqrt(np.mean(values.var(axis=0)))) for values in (raw, filtered)]
+    gravity = float(axial_gravity(np.zeros(6)).mean()) / _GRAVITY
     return drawn, {
-        "mean": float(raw.mean()),
-        "gravity": float(axial_gravity(np.zeros(6)).mean()) / _GRAVITY,
+        "mean": gravity + float(raw.mean()),
+        "gravity": gravity,
         "raw": 1e3 * noise[0],
         "filtered": 1e3 * noise[1],
         "noise": 100.0 * noise[1] / noise[0],

@@ -62,7 +62,7 @@ STEP = 1.0 * units.INCH
 SLOW, FIRST, FELT, FAST = 0.5, 1.0, 1.2, 5.0
 """Sines of Figures 3-10 and 3-22, of linear model 2, of Figures 3-16 and 4-7 [Hz]."""
 
-REST, QUICK_REST = 20.0, 5.0
+REST = 20.0
 """Rest of Figure 3-15 [s]."""
 
 IDENTIFIED_ON: Mapping[int, Signal] = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
@@ -139,7 +139,7 @@ class Runs:
 
 
 def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
-    dof, size, rest = spec.dof, dof_amplitude(spec.dof), QUICK_REST if quick else REST
+    dof, size = spec.dof, dof_amplitude(spec.dof)
     shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
     if spec.signal == "rounds":
         numbers = range(1, len(composite.ROUNDS) + 1)
@@ -153,7 +153,7 @@ def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
         "multisine": lambda: signals.multisine(
             dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed
         ),
-        "felt_rest": lambda: signals.Command.from_pose(np.zeros((round(rest * RATE), 6))),
+        "felt_rest": lambda: signals.Command.from_pose(np.zeros((round(REST * RATE), 6))),
         "felt_sine": lambda: signals.sine(dof, size, FELT, cycles=12, fade=2.0 / FELT),
     }
     return [makers[spec.signal]()]
@@ -184,7 +184,7 @@ def perform(
     """Make all runs, one asked for twice once; `progress` is called with (done, in all).
 
     Results do not depend on the number of threads, `jobs`; `quick` sweeps 30 s for 100 s and
-    shortens rounds and rest.
+    shortens the rounds.
     """
     if seed < 0:
         raise InputError(f"seed: {seed} must be at least 0")
