@@ -64,8 +64,7 @@ def modes_command(
     from cmf_mj.show import linearization as report
 
     plants = [cmf_mj.Hexapod(name, hydraulics) for name in cabs]
-    here = pose_option(pose)
-    at_pose = [plant.hydraulic_modes(here) for plant in plants]
+    at_pose = [plant.hydraulic_modes(pose_option(pose)) for plant in plants]
     sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
     maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
     with progress_bar() as progress:
@@ -73,8 +72,7 @@ def modes_command(
             over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
             for plant in plants
         ]
-    # The envelope has neutral in it.
-    paths = report.save_modes(ranges, sweeps, maps, at_pose if here.any() else [], out)
+    paths = report.save_modes(ranges, sweeps, maps, out)
     for modes in at_pose:
         show(report.mode_table(modes))
     for one in ranges:

@@ -26,9 +26,7 @@ from cmf_mj.cli.options import argument, file, name_or_file, new_file, size
 from cmf_mj.core.errors import InputError, require
 
 if TYPE_CHECKING:
-    from cmf_mj.core.result import Result
     from cmf_mj.plant.events import Event
-    from cmf_mj.studies.case import CaseResult
 
 command = partial(app.command, rich_help_panel="Simulate")
 
@@ -78,39 +76,6 @@ def run_command(
     show(written(paths))
 
 
-def run_comparison(
-    laws: list[str], dofs: list[str], out: Path, **options: Any
-) -> Result[CaseResult]:
-    """Compare with a progress bar, print the table and write all files.
-
-    `options` are others of `compare`; records are kept unless `records` is False, with `measures`
-    what compares laws stands in a table more.
-    """
-    from cmf_mj.show import study as report
-    from cmf_mj.studies.comparison import rated
-
-    kept, more = options.pop("records", True), options.pop("measures", False)
-    folder = out / "records" if kept else None
-    with progress_bar() as update:
-        comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **options)
-    paths = report.save_comparison(comparison, out)
-    tables, beside = [report.comparison_table(comparison)], ""
-    if more:
-        found = rated(comparison, options.get("jobs"))
-        tables.append(found.table)
-        beside = f", {found.save(out / 'measures.md').name}"
-    gap = max(result.gimbal_error for result in comparison)
-    show(
-        *tables,
-        f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
-        f"written to {out}: comparison.csv, comparison.md, {len(paths) - 2} figures"
-        + beside
-        + (", records/" if kept else ""),
-        unfolded=True,
-    )
-    return comparison
-
-
 @command("compare")
 def compare_command(
     laws: options.Laws = _DEFAULT_LAWS,
@@ -128,10 +93,29 @@ def compare_command(
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
-    built = {"plants": plants, "cab": cab, "hydraulics": hydraulics}
+    from cmf_mj.show import study as report
+    from cmf_mj.studies.comparison import rated
+
+    built = {"plants": plants, "cab": cab, "hydraulics": hydraulics, "quick": quick}
     changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
-    how = {"jobs": jobs, "quick": quick, "records": records, "measures": measures}
-    run_comparison(laws, dofs, out, **built, **changed, **how)
+    how: dict[str, Any] = {**built, **changed, "jobs": jobs}
+    with progress_bar() as update:
+        folder = out / "records" if records else None
+        comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **how)
+    paths = report.save_comparison(comparison, out)
+    tables, beside = [report.comparison_table(comparison)], ""
+    if measures:
+        found = rated(comparison, jobs)
+        tables.append(found.table)
+        beside = f", {found.save(out / 'measures.md').name}"
+    gap = max(result.gimbal_error for result in comparison)
+    files = f"comparison.csv, comparison.md, {len(paths) - 2} figures"
+    show(
+        *tables,
+        f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
+        f"written to {out}: {files}{beside}{', records/' if records else ''}",
+        unfolded=True,
+    )
 
 
 def events_of(
@@ -208,14 +192,12 @@ def capacity_command(
     least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
     envelope: Annotated[bool, Option(help="the largest sustained sines, 0.1 to 10 Hz")] = True,
     dofs: options.Dofs = options.ALL,
-    jobs: options.Jobs = None,
-    quick: Annotated[bool, Option("--quick", help="envelope at 4 frequencies")] = False,
     out: options.Out = Path("out/capacity"),
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
     from cmf_mj.show import capacity as report
-    from cmf_mj.studies import envelope as envelopes
+    from cmf_mj.studies import asymptotes
     from cmf_mj.studies.capacity import capacity, manoeuvre
 
     parameters = cmf_mj.load_hydraulics(hydraulics)
@@ -225,14 +207,9 @@ def capacity_command(
     paths = report.save_capacity(result, parameters, out)
     show(report.capacity_result(result).turned)
     if envelope:
-        frequencies = envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES
-        limits: dict[str, Any] = {"least_pressure": least, "frequencies": frequencies}
-        with progress_bar() as update:
-            sines = envelopes.performance_envelope(
-                law, cab, parameters, dofs=dofs, jobs=jobs, progress=update, **limits
-            )
-        paths += report.save_envelope(sines, out)
-        show(report.envelope_table(sines), width=132)
+        plant = cmf_mj.Hexapod(cab, parameters)
+        paths += report.save_envelope(plant, dofs, out)
+        show(asymptotes.envelope(plant, dofs))
     show(written(paths))
 
 

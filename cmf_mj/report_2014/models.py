@@ -15,11 +15,10 @@ the damping ratio, rate feedback damps, acceleration feedback adds mass: it lowe
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, cast, get_args
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field
-from scipy import optimize
 
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures
@@ -234,47 +233,3 @@ def characteristics(loop: FeedbackLoop) -> Measures:
         steady_state_error=1.0 - 1.0 / b,
         stable=True,
     )
-
-
-RATE_BANDWIDTH_HZ, ACCELERATION_BANDWIDTH_HZ = 1.08, 1.06
-"""-3 dB bandwidths of Figure 3-14 with position and rate feedback, and with acceleration [Hz]."""
-
-
-def bandwidth_example(
-    plant_damping: float = 0.1, loop_damping: float = 0.7, position_gain: float = 1.0
-) -> dict[str, FeedbackLoop]:
-    """Three loops with the bandwidths of Figure 3-14, whose plant and gains are not printed.
-
-    `position`, `rate` and `acceleration`, each with the gains of those before it: rate feedback is
-    added to reach `loop_damping`, then acceleration feedback. The plant's frequency puts the second
-    at 1.08 Hz, K_a then the third at 1.06 Hz. The arguments' values are assumed.
-
-    `loop_damping` lies above that with position feedback alone and below 0.706, where the -3 dB
-    bandwidth is the natural frequency: from there on acceleration feedback widens it at first.
-    """
-    bare = characteristics(FeedbackLoop(units.HERTZ, plant_damping, position_gain))
-    highest = 0.5 / _HALF_POWER
-    if not bare.mode_damping_ratio <= loop_damping < highest:
-        raise InputError(
-            f"loop_damping: {loop_damping} must be at least {bare.mode_damping_ratio:.3g}, that of "
-            f"position feedback alone, and below {highest:.3g}"
-        )
-    # At a plant frequency of 1 Hz first; all frequencies scale with it.
-    rate = (2.0 * loop_damping * np.sqrt(1.0 + position_gain) - 2.0 * plant_damping) / units.HERTZ
-    unscaled = FeedbackLoop(units.HERTZ, plant_damping, position_gain, float(rate))
-    ratio = RATE_BANDWIDTH_HZ / characteristics(unscaled).gain_bandwidth_hz
-    damped = unscaled._replace(
-        natural_frequency=unscaled.natural_frequency * ratio, rate_gain=unscaled.rate_gain / ratio
-    )
-    unit = damped.natural_frequency**-2
-
-    def excess(added: float) -> float:
-        heavier = damped._replace(acceleration_gain=added * unit)
-        return characteristics(heavier).gain_bandwidth_hz - ACCELERATION_BANDWIDTH_HZ
-
-    added = cast("float", optimize.brentq(excess, 0.0, 1.0))
-    return {
-        "position": damped._replace(rate_gain=0.0),
-        "rate": damped,
-        "acceleration": damped._replace(acceleration_gain=added * unit),
-    }

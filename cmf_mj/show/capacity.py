@@ -1,4 +1,4 @@
-"""Tables and figures of capacity studies."""
+"""Figures and files of capacity studies."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,26 +10,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
-from cmf_mj.core.result import Result, Table
+from cmf_mj.core.result import Result
 from cmf_mj.machine.geometry import by_kind, dof_unit
 from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.plant.plant import Plant
 from cmf_mj.show import look
 from cmf_mj.show.operation import plot_motion
-from cmf_mj.studies.asymptotes import Asymptotes
+from cmf_mj.studies.asymptotes import FREQUENCIES, Asymptotes, asymptotes, envelope
 from cmf_mj.studies.capacity import CAPACITY, CapacityResult, relief_flow
-from cmf_mj.studies.envelope import Envelope, EnvelopePoint
 
 _GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
-
-_BINDING = {
-    "displacement": ("operational displacement", "s", look.BLUE),
-    "leg_stroke": ("leg stroke", "D", look.SKY),
-    "valve_command": ("valve command", "^", look.ORANGE),
-    "supply_pressure": ("supply pressure", "v", look.PURPLE),
-    "pump_flow": ("pump flow", "o", look.GREEN),
-    "physical_bounds": ("model left its bounds", "x", "#000000"),
-}
-"""Title, marker and colour of every limit."""
 
 _CLOSED: dict[str, tuple[str, Any, str]] = {
     "displacement": ("operational displacement", "-", look.BLUE),
@@ -50,41 +40,6 @@ def capacity_result(result: CapacityResult) -> Result[CapacityResult]:
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
     return Result([result], CAPACITY, f"capacity: {', '.join(filter(None, words))}")
-
-
-def envelope_table(envelope: Envelope) -> Table:
-    """The envelope, a row per point."""
-    closed = {each.dof: each for each in envelope.asymptotes}
-    rows = []
-    for point in envelope.points:
-        length, turn = _scales(point.dof)
-        rows.append(
-            (
-                *(point.dof, point.frequency, point.command / length),
-                *(point.displacement / length, point.velocity / length, point.acceleration / turn),
-                closed[point.dof].velocity(point.frequency) / length,
-                *(point.least_pressure / _PSI, point.drawn_flow / _GPM, 100.0 * point.distortion),
-                _BINDING[point.binding][0],
-            )
-        )
-    names = ("Hz", "demand", "displ.", "velocity", "accel.", "closed\nform")
-    return Table(
-        f"largest sustained sine: {envelope.law}, {envelope.cab}, "
-        f"{envelope.hydraulics} hydraulics, manifold above {_psi(envelope.allowed_pressure)}",
-        (
-            *("dof", *((name, ".3g") for name in names)),
-            *(("manifold\npsi", ".0f"), ("drawn\ngpm", ".0f"), ("distort.\n%", ".2g"), "bound by"),
-        ),
-        rows,
-        "Displacement, velocity, acceleration: amplitudes of the response's fundamental; "
-        "in, in/s, g or deg, deg/s, deg/s^2. Closed form: smallest of the velocity limits.",
-        grouped=True,
-    )
-
-
-def _scales(dof: str) -> tuple[float, float]:
-    """The field's unit of displacement, and of acceleration, in SI."""
-    return units.factor(dof_unit(dof)), by_kind(dof, units.STANDARD_GRAVITY, units.DEGREE)
 
 
 def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Figure:
@@ -136,35 +91,26 @@ def _network(axes: Sequence[Axes], result: CapacityResult, parameters: Hydraulic
     oil.set_ylim(0.0, 1.1 * float(bank.max()) / units.GALLON)
 
 
-def envelope_figure(envelope: Envelope) -> Figure:
+def envelope_figure(plant: Plant, dofs: Sequence[str]) -> Figure:
     """Velocity over frequency, log-log, with diagonals of displacement and acceleration."""
-    columns = min(len(envelope.asymptotes), 3)
-    rows = -(-len(envelope.asymptotes) // columns)
+    columns = min(len(dofs), 3)
+    rows = -(-len(dofs) // columns)
     figure = look.new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
-    for place, closed in enumerate(envelope.asymptotes, start=1):
-        axis = figure.add_subplot(rows, columns, place)
-        _envelope_panel(axis, envelope.of(closed.dof), closed)
+    for place, dof in enumerate(dofs, start=1):
+        _envelope_panel(figure.add_subplot(rows, columns, place), asymptotes(plant, dof))
     look.legend(figure, ncols=columns)
-    figure.suptitle(
-        f"{envelope.law}, {envelope.cab.upper()}, {envelope.hydraulics} hydraulics: "
-        f"largest sustained sine with the manifold above {_psi(envelope.allowed_pressure)}"
-    )
+    name = " ".join(filter(None, (plant.cab.upper(), plant.parameters.name)))
+    figure.suptitle(f"{name}: largest sustained sine, closed forms of its limits")
     return figure
 
 
-def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes) -> None:
-    length, turn = _scales(closed.dof)
+def _envelope_panel(axis: Axes, closed: Asymptotes) -> None:
     unit = dof_unit(closed.dof)
-    reached = [point for point in points if np.isfinite(point.velocity)]
-    lowest = min(point.frequency for point in points)
-    highest = max(max(point.frequency for point in points), 2.0 * lowest)
-    frequency = np.geomspace(lowest, highest, 200)
+    length, turn = units.factor(unit), by_kind(closed.dof, units.STANDARD_GRAVITY, units.DEGREE)
+    frequency = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], 200)
     curves = [closed.velocities(float(f)) for f in frequency]
     least = np.array([min(curve.values()) for curve in curves]) / length
-    speeds = [point.velocity / length for point in reached]
-    across = (lowest / 1.1, highest * 1.1)
-    both = [*speeds, *least]
-    up = (0.4 * min(both), 3.0 * max(both))
+    across, up = (0.9 * frequency[0], 1.1 * frequency[-1]), (0.4 * least.min(), 3.0 * least.max())
     axis.set(xscale="log", yscale="log", xlim=across, ylim=up)
     # Of constant displacement (rising) and of constant acceleration (falling).
     f, v = np.meshgrid(np.geomspace(*across, 60), np.geomspace(*up, 60))
@@ -173,16 +119,11 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
     for size, label in ((v / rate, unit), (v * rate * length / turn, per)):
         lines = axis.contour(f, v, size, levels, colors="0.82", linewidths=0.7, zorder=0)
         axis.clabel(lines, fmt=f"%g {label}", fontsize=6.5, colors="0.45")
-    style: dict[str, Any] = {"color": look.DARK, "label": "largest sine that holds"}
-    axis.plot([point.frequency for point in reached], speeds, linewidth=1.8, **style)
-    for point, speed in zip(reached, speeds, strict=True):
-        title, marker, colour = _BINDING[point.binding]
-        style = {"color": colour, "linestyle": "", "label": f"bound by {title}"}
-        axis.plot(point.frequency, speed, marker=marker, markersize=6, zorder=4, **style)
+    axis.plot(frequency, least, color=look.DARK, linewidth=1.8, label="largest sine")
     for name, (title, line, colour) in _CLOSED.items():
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
-            style = {"color": colour, "linestyle": line, "label": f"closed form: {title}"}
+            style: dict[str, Any] = {"color": colour, "linestyle": line, "label": title}
             axis.plot(frequency, values, linewidth=1.0, **style)
     axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
     for ticks in (axis.xaxis, axis.yaxis):
@@ -202,7 +143,8 @@ def save_capacity(
     return look.save_files(files | {"capacity.parquet": result.record}, folder)
 
 
-def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
-    """Write `envelope.md`, the table, and `envelope.png`."""
-    table, figure = envelope_table(envelope), envelope_figure(envelope)
-    return look.save_files({"envelope.md": table, "envelope.png": figure}, folder)
+def save_envelope(plant: Plant, dofs: Sequence[str], folder: Path) -> list[Path]:
+    """Write `envelope.csv` (SI), `envelope.md` and `envelope.png`."""
+    result = envelope(plant, dofs)
+    files = {"envelope.csv": result, "envelope.md": result}
+    return look.save_files(files | {"envelope.png": envelope_figure(plant, dofs)}, folder)

@@ -97,15 +97,6 @@ def film(
     return write_reels(reels, count, path, chosen, columns=len(reels), progress=progress)
 
 
-def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) -> None:
-    """Refuse what `film` would, before a long run for it: settings, packages, OpenGL."""
-    check_settings(path, settings)
-    if Path(path).suffix == ".mp4":
-        _mp4_codec()
-    with FilmStage(model, settings.width, settings.height, settings.camera):
-        pass
-
-
 def check_settings(path: str | Path, settings: FilmSettings) -> None:
     """Refuse a file name or settings that no film can have."""
     target, fps, speed = Path(path), settings.fps, settings.speed

@@ -255,43 +255,26 @@ def save_modes(
     ranges: Sequence[EnvelopeModes],
     sweeps: Sequence[Sequence[Sweep]],
     maps: Sequence[Sequence[PlaneMap]],
-    more: Sequence[HydraulicModes],
     folder: Path,
 ) -> list[Path]:
-    """Write the figures `modes_sweep.png` and `modes_map.png`, `range_table` and data, in SI.
+    """Write the figures `modes_sweep.png` and `modes_map.png`, `range_table` and `modes.csv`.
 
-    `modes.csv` has the six frequencies at each pose of each cab, the worst pose last.
-    `reflected_mass.csv` has six rows a pose, those of `more` first, and so has `mode_shapes.csv`: a
-    mode each with its mass a leg feels, shares of the kinetic energy, the legs' motion with its
-    largest part 1, and the platform's that goes with it.
+    `modes.csv` has the six frequencies at each pose [m, rad] of each cab, the worst pose last.
     """
     cabs = [each.worst.cab for each in ranges]
-    looked_at = [modes for each in ranges for modes in (*each.modes, each.worst)]
-    masses = [
-        _pose_of(modes) | {"leg": leg} | entries("leg_{}_kg", _SIX, row)
-        for modes in (*more, *looked_at)
-        for leg, row in zip(_SIX, modes.reflected_mass, strict=True)
+    rows = [
+        {
+            "cab": modes.cab,
+            **entries("{}", DOFS, modes.pose),
+            **entries("mode_{}_hz", _SIX, modes.frequency_hz),
+        }
+        for each in ranges
+        for modes in (*each.modes, each.worst)
     ]
-    shapes = []
-    for modes in (*more, *looked_at):
-        largest = modes.leg_shape[np.abs(modes.leg_shape).argmax(axis=0), range(6)]
-        columns = zip(modes.share.T, (modes.leg_shape / largest).T, strict=True)
-        moved = modes.pose_shape / largest
-        for i, (share, legs) in enumerate(columns):
-            row = {"mode": i + 1, "frequency_hz": modes.frequency_hz[i]}
-            row |= {"leg_mass_kg": modes.leg_mass[i]} | entries("share_{}", DOFS, share)
-            row |= entries("leg_{}", _SIX, legs) | entries("{}_per_leg", DOFS, moved[:, i])
-            shapes.append(_pose_of(modes) | row)
     files = {
         "modes_sweep.png": sweep_figure(cabs, sweeps),
         "modes_map.png": map_figure(cabs, maps),
-        "modes.csv": [_pose_of(m) | entries("mode_{}_hz", _SIX, m.frequency_hz) for m in looked_at],
+        "modes.csv": rows,
         "modes.md": range_table(ranges),
-        "reflected_mass.csv": masses,
-        "mode_shapes.csv": shapes,
     }
     return look.save_files(files, folder, 100)
-
-
-def _pose_of(modes: HydraulicModes) -> dict[str, Any]:
-    return {"cab": modes.cab} | entries("{}", DOFS, modes.pose)

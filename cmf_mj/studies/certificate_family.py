@@ -21,7 +21,6 @@ gravity's stiffness and the content of the oil change with the cab.
 """
 
 from collections.abc import Mapping
-from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,8 +125,6 @@ _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01
 """Range of the slopes taken over the one found."""
-_SWEPT = 2.0 * np.pi * np.geomspace(0.2, 20.0, 60)
-"""Angular frequencies at which peaks are looked for, besides those of the poles."""
 SIZES = (1,) * 42 + (3, 4, 4, 4, 3)
 """How often parameters enter: six drives, spools, cap ports, rod ports and leaks, cap and rod
 chambers; the cab's mass, three shifts of its centre of mass, and its inertia."""
@@ -155,17 +152,13 @@ class Family:
         cylinder = plant.hydraulics.cylinder[0]
         self._held = (cylinder.cap_area - cylinder.rod_area) * plant.parameters.supply_pressure.si
         self._plant = reduced(linear.system, outputs=labels(FEEDBACK, 6))
-        self._law = dcl_state_space(bound(law, plant), 6)
-        self._frame, self._jacobian = law.frame, leg_jacobian(pose, plant.machine)
-        self.loop, _ = self._loop(FEEDBACK)
+        self.loop = self._loop(bound(law, plant))
         """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
 
-    def _loop(self, inputs: tuple[str, ...]) -> tuple[Uncertain, Array]:
-        """The loop with those states of the law that its inputs reach.
-
-        And what inputs other than feedback, which come first, do to the states.
-        """
-        system, law = self._plant, _in_frames(reduced(self._law, labels(inputs, 6)), self._frame)
+    def _loop(self, law: Law) -> Uncertain:
+        """The loop with those states of a bound law that feedback reaches."""
+        dcl = reduced(dcl_state_space(law, 6), labels(FEEDBACK, 6))
+        system, (ak, bk, ck) = self._plant, _in_frames(dcl, law.frame)
         a, b, c, _ = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
         names, n = list(system.state_labels), len(a)
         state, command, w = np.split(np.eye(n + 6 + sum(SIZES)), [n, n + 6])
@@ -192,16 +185,13 @@ class Family:
         for side in (cap, rod):
             change[side] += free(change[side])
         self._free_cab(change, speed, w[42:], seen[42:])
-        ak, bk, ck = law
         sees = c @ state
         sees[12:18] = change[speed]
-        bk, driven = np.split(bk, [len(sees)], axis=1)
         a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
         z, z_command, z_w = np.split(seen, [n, n + 6], axis=1)
         whole = np.hstack([a, by_command @ ck])
         whole[n:, n:] += ak
-        loop = Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
-        return loop, np.vstack([np.zeros((n, driven.shape[1])), driven])
+        return Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
 
     def _free_cab(self, change: Array, speed: list[int], w: Array, seen: Array) -> None:
         """Put mass, place and inertia of the cab into the rows of the legs' speeds.
@@ -268,27 +258,8 @@ class Family:
         poles = np.linalg.eigvals(_off(self.loop, deltas))
         return np.asarray((-poles.real / np.abs(poles)).min(axis=1))
 
-    @cached_property
-    def _driven(self) -> tuple[Uncertain, Array]:
-        return self._loop((*FEEDBACK, "reference"))
-
-    def peaks(self, deltas: Array) -> Array:
-        """Largest gain [dB] of any degree of freedom, from its demand to its motion, (N,)."""
-        loop, driven = self._driven
-        moved = np.linalg.solve(self._jacobian, np.asarray(self._plant.C)[:6])
-        found = []
-        for a in _off(loop, deltas):
-            poles = np.linalg.eigvals(a).imag
-            omega = np.append(_SWEPT, poles[(poles > _SWEPT[0]) & (poles < _SWEPT[-1])])
-            states = np.linalg.solve(
-                1j * omega[:, None, None] * np.eye(len(a)) - a, driven @ self._jacobian
-            )
-            gains = np.abs(np.einsum("ij,kji->ki", moved, states[:, : moved.shape[1]]))
-            found.append(20.0 * np.log10(gains.max()))
-        return np.array(found)
-
     def damping_in(self, box: Box, points: Array) -> Array:
-        """The same at points of the unit box."""
+        """Damping ratios at points of the unit box."""
         return self.damping(self.deltas(box.changes(points)))
 
     def within(self, widths: Array) -> Uncertain:

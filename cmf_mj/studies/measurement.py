@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic_core import to_jsonable_python
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
@@ -90,31 +89,30 @@ class Measurement:
     qualities: Qualities  #: What compares laws.
 
     def summary(self) -> dict[str, Any]:
-        """Everything but the response curve as JSON values; NaN becomes None."""
+        """Everything but the response curve, by name."""
         case = self.case
-        results = {
+        return {
             "plant": case.plant,
             "cab": case.cab_name,
             "hydraulics": case.hydraulics.name,
             "law": case.law.name,
             "dof": case.dof,
             "amplitude": case.size,
-            "measures": self.measures._asdict(),
-            "qualities": self.qualities._asdict(),
-            "second_order": self.second_order and self.second_order._asdict(),
+            "measures": self.measures,
+            "qualities": self.qualities,
+            "second_order": self.second_order,
             "transport_delay": self.transport_delay,
-            "describing_function": [point._asdict() for point in self.describing_function],
+            "describing_function": self.describing_function,
             "half_hertz_noise": [
                 {"amplitude": size, **noise._asdict()} for size, noise in self.half_hertz_noise
             ],
             "hysteresis": self.hysteresis,
-            "dynamic_threshold": [point._asdict() for point in self.threshold],
+            "dynamic_threshold": self.threshold,
             "crosstalk": {
                 driven: dict(zip(DOFS, row, strict=True))
                 for driven, row in zip(DOFS, self.crosstalk, strict=True)
             },
         }
-        return _plain(results)
 
 
 def dof_accelerations(record: Record) -> NDArray[np.float64]:
@@ -248,22 +246,15 @@ class RecordingMeasures(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Files, settings and measures."""
-        results = {
+        return {
             "files": [str(path) for path in self.files],
             "dof": self.dof,
             "estimator": self.estimator,
-            "bandwidths": bandwidths(self.response)._asdict(),
-            "second_order": self.second_order._asdict(),
+            "bandwidths": bandwidths(self.response),
+            "second_order": self.second_order,
             "coherence_least": float(self.response.coherence.min()),
             "lines_left_out": self.left_out,
         }
-        return _plain(results)
-
-
-def _plain(results: dict[str, Any]) -> dict[str, Any]:
-    """JSON values: NumPy numbers become Python's, NaN becomes None."""
-    numbers: Any = {"inf_nan_mode": "null", "fallback": lambda number: number.item()}
-    return cast("dict[str, Any]", to_jsonable_python(results, **numbers))
 
 
 def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:

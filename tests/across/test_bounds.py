@@ -24,6 +24,10 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.report_2014.calibration.trial import CalibrationStudy, load_calibration
+from cmf_mj.report_2014.ledger import LedgerEntry, load_ledger
+from cmf_mj.report_2014.posterior.run import PosteriorSettings, load_posterior
+from cmf_mj.studies.settings import StudySettings, load_study
 
 MODEL = {"natural_frequency": 4.0, "damping_ratio": 0.7}
 ADAPTATION = dict.fromkeys(("rate", "slope", "corner", "level", "lowest", "highest"), 1.0)
@@ -41,6 +45,10 @@ SETTINGS: list[tuple[type[Settings], Any]] = [
     (HydraulicParameters, load_hydraulics("lossy")),
     (MotionLimits, load_motion_limits()),
     (Machine, load_machine("lab").model_copy(update={"name": "mine"})),
+    (StudySettings, load_study("mismatch").settings),
+    (PosteriorSettings, load_posterior("rotation").settings),
+    (CalibrationStudy, load_calibration("hardware")),
+    (LedgerEntry, load_ledger()[0]),
 ]
 
 

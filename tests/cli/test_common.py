@@ -3,7 +3,6 @@
 import csv
 from pathlib import Path
 
-import pytest
 from shared import cmf
 
 from cmf_mj.machine.models import machine_names
@@ -58,50 +57,6 @@ def test_compare_writes_table_figures_and_records(
     assert len(records) == 16
     record = Record.load(records[0])
     assert {"leg_reference", "valve_command", "leg_position"} <= set(record.channels)
-
-
-REFUSED = {
-    "compare --laws fast": "'fast'",
-    "compare --dofs up": "'up'",
-    "compare --cab bus": "'bus'",
-    "compare --dofs ,": "names nothing; allowed: one name at least",
-    "compare --plants boat": "'boat'",
-    "compare --hydraulics missing.toml": "missing.toml",
-    "compare --jobs 0": "jobs",
-    "compare --jobs two": "jobs: 'two' is refused: input should be a valid integer",
-    "compare --laws velocity,velocity": "laws: velocity, velocity must differ in name",
-    "fly loop": "cmf: flight: 'loop' is not one of",
-    "fly gusts --laws none": "law: 'none'",
-    "fly gusts --washout none": "'none'",
-    "flight loop --file x.csv": "flight: 'loop' is not one of",
-    "flight turn --from telex": "form: 'telex' is not one of",
-    "learn gusts --trials 0": "trials: '0' is refused",
-    "learn gusts --jobs 0": "jobs: '0' is refused",
-    "learn loop": "flight: 'loop' is not one of",
-    "learn gusts --law none": "law: 'none'",
-    "cue missing.csv": "missing.csv",
-    "cue gusts --washout best": "'best'",
-    "cue gusts --cab bus": "'bus'",
-    "cue gusts --rate 0": "rate",
-    "list hydraulics water": "'water'",
-    "list laws report": "set: 'report' is of no use to laws; allowed: none",
-    "list hydraulics --machine simon": "'simon'",
-    "machine new cmf": "is a shipped machine",
-}
-
-
-@pytest.mark.parametrize("line", REFUSED)
-def test_a_line_is_refused_in_one_line_and_writes_nothing(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    output = " ".join(cmf(*line.split(), code=2).split())
-    assert REFUSED[line] in output and "Traceback" not in output
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_amplitude_of_nothing_is_refused() -> None:
-    assert "amplitude" in cmf("compare", "--amplitude", "0 in", code=2)
 
 
 def test_lists_show_their_sources() -> None:

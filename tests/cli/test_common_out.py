@@ -132,36 +132,30 @@ def test_a_package_that_cannot_be_written_to_keeps_its_cache_elsewhere(
     assert os.environ["NUMBA_CACHE_DIR"] == "mine"
 
 
+INTERRUPTED = {
+    "turned into an error": """
+    try:
+        os.kill(os.getpid(), NUMBER)
+    except KeyboardInterrupt as error:
+        raise ImportError("initialization failed") from error
+""",
+    "where Python cannot raise it": """
+    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), NUMBER))()
+    time.sleep(60.0)
+""",
+}
+"""What libraries do with an interrupt: extension modules while they are imported, engines in
+functions of the user; in what they call back Python would print it and go on."""
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_that_a_library_turns_into_its_own_error_is_one(
-    number: signal.Signals,
+@pytest.mark.parametrize("how", INTERRUPTED)
+def test_an_interrupt_ends_the_command_whatever_a_library_does(
+    how: str, number: signal.Signals
 ) -> None:
-    """As extension modules do while they are imported, and engines in functions of the user."""
+    body = INTERRUPTED[how].replace("NUMBER", str(int(number)))
     text = (
-        "import os, cmf_mj.cli as cli\n"
-        "def app(**_):\n"
-        "    try:\n"
-        f"        os.kill(os.getpid(), {int(number)})\n"
-        "    except KeyboardInterrupt as error:\n"
-        "        raise ImportError('initialization failed') from error\n"
-        "cli.app = app\n"
-        "cli.main()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (130, b"")
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_of_what_a_library_calls_back_is_not_lost(number: signal.Signals) -> None:
-    """Python cannot raise it there, and would print it and go on."""
-    text = (
-        "import ctypes, os, time, cmf_mj.cli as cli\n"
-        f"called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {int(number)}))\n"
-        "def app(**_):\n"
-        "    called()\n"
-        "    time.sleep(60.0)\n"
-        "cli.app = app\n"
-        "cli.main()\n"
+        f"import ctypes, os, time, cmf_mj.cli as cli\ndef app(**_):{body}cli.app = app\ncli.main()"
     )
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (130, b"")

@@ -72,28 +72,6 @@ def test_study(mine: str, tmp_path: Path) -> None:
     )
 
 
-def test_modes(mine: str, tmp_path: Path) -> None:
-    options = ("modes", "--samples", "90", "--points", "3", "--rounds", "1")
-    output = cmf(*options, "--cabs", f"gfd,{mine}", "--out", str(tmp_path))
-    assert "HEAVY_CAB" in output
-    lowest: dict[str, list[float]] = {"gfd": [], "heavy_cab": []}
-    for row in rows_of(tmp_path / "modes.csv"):
-        lowest[row["cab"]].append(float(row["mode_1_hz"]))
-    assert np.median(lowest["heavy_cab"]) < np.median(lowest["gfd"])
-
-
-def test_capacity(mine: str, tmp_path: Path) -> None:
-    """A heavier cab leaves less of the supply's pressure over what holds it."""
-    options = ("capacity", "--amplitude", "1 in", "--no-envelope", "--frequency", "1")
-    cmf(*options, "--cab", mine, "--out", str(tmp_path / "mine"))
-    cmf(*options, "--out", str(tmp_path / "gfd"))
-    margin = {}
-    for cab in ("mine", "gfd"):
-        (row,) = rows_of(tmp_path / cab / "capacity.csv")
-        margin[cab] = float(row["least_pressure_margin"])
-    assert margin["mine"] < margin["gfd"]
-
-
 def test_failure(mine: str, tmp_path: Path) -> None:
     """Loads are counted in the static load of the cab that is there."""
     options = ("failure", "sensor_stuck", "--at", "1", "--after", "4", "--jobs", "1")
@@ -123,18 +101,6 @@ def test_run(mine: str, tmp_path: Path) -> None:
     plant = Hexapod(mine)
     plant.start()
     assert other["leg_force"][0] == pytest.approx(plant.static_load(), rel=1e-3)
-
-
-def test_linearize(mine: str, tmp_path: Path) -> None:
-    assert "heavy cab" in cmf("linearize", "--cab", mine, "--out", str(tmp_path))
-
-
-def test_operate(mine: str, tmp_path: Path) -> None:
-    flight = tmp_path / "flight.csv"
-    names = "time,surge,sway,heave,roll,pitch,yaw\n"
-    flight.write_text(names + "".join(f"{i / 60:.6f},0,0,0,0,0,0\n" for i in range(60)))
-    cmf("operate", str(flight), "--cab", mine, "--out", str(tmp_path / "out"))
-    assert Record.load(tmp_path / "out" / "record.parquet").metadata["cab"] == "heavy_cab"
 
 
 def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:

@@ -180,6 +180,8 @@ def test_numbers_of_law_machine_and_sensors_change_by_path() -> None:
         ({"deviation": 0.0}, "deviation"),
         ({"deviation": None}, "deviation: goes with"),
         ({"deviation": None, "distribution": "uniform"}, "None to None is refused"),
+        (BETWEEN | {"deviation": None, "distribution": "uniform", "low": 9.0}, "9.0 to .* refused"),
+        (BETWEEN | {"deviation": None, "distribution": "loguniform", "low": 0.0}, "0.0 to .* ref"),
         ({"unit": "furlong"}, "'furlong'"),
         ({"source": ""}, "source"),
     ],

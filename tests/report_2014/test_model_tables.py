@@ -46,14 +46,6 @@ def test_linear_prints_the_tables_and_writes_the_files(
     assert set(drawn) == {f"{name}.png" for name in pictures}
 
 
-def test_linear_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["report", "linear", "--laws", "fast", "--out", str(out)])
-    assert result.exit_code == 2
-    assert "'fast'" in result.output
-    assert not out.exists()
-
-
 def test_roots_are_listed_slowest_first_and_pairs_once() -> None:
     assert roots_text([-471.24, -0.8 - 71j, 0.0, -0.8 + 71j]) == "0, -0.8 ± 71j, -471.24"
 

@@ -11,7 +11,6 @@ from cmf_mj.core import units
 from cmf_mj.report_2014.models import (
     GAINS,
     FeedbackLoop,
-    bandwidth_example,
     characteristics,
     feedback_model,
     hardware_velocity,
@@ -232,7 +231,7 @@ def test_overshoot_is_that_of_the_simulated_step(damping: float) -> None:
 
 def test_each_gain_does_what_the_characteristic_equation_says() -> None:
     """K_p raises the frequency, K_r only damps, K_a lowers frequency and damping."""
-    loop = bandwidth_example()["acceleration"]
+    loop = FeedbackLoop(4.2, 0.1, 1.0, 0.36, 0.003)
     varied = {
         name: [
             characteristics(loop._replace(**{field: share * getattr(loop, field)}))
@@ -253,22 +252,6 @@ def test_each_gain_does_what_the_characteristic_equation_says() -> None:
     assert (damping["ka"] == -1).all()
 
 
-@pytest.mark.parametrize("plant_damping", [0.05, 0.3])
-@pytest.mark.parametrize("loop_damping", [0.4, 0.7])
-def test_example_has_the_bandwidths_of_figure_3_14(
-    plant_damping: float, loop_damping: float
-) -> None:
-    """1.08 Hz with position and rate feedback, 1.06 Hz with acceleration feedback added."""
-    loops = bandwidth_example(plant_damping, loop_damping)
-    rate, acceleration = (feedback_model("3.4", loops[name]) for name in ("rate", "acceleration"))
-    assert loops["acceleration"].acceleration_gain > 0.0
-    for system, hertz in ((rate, 1.08), (acceleration, 1.06)):
-        # python-control's bandwidth counts from the static gain, -3 dB as given.
-        assert control.bandwidth(system, -3.0) / (2.0 * np.pi) == pytest.approx(hertz, abs=1e-4)
-    natural, damping, _ = control.damp(rate, doprint=False)
-    assert damping[0] == pytest.approx(loop_damping)
-
-
 def test_unstable_and_refused_loops() -> None:
     unstable = characteristics(FeedbackLoop(5.0, 0.1, rate_gain=-0.1))
     assert unstable.mode_damping_ratio == pytest.approx(-0.15)
@@ -284,13 +267,10 @@ def test_unstable_and_refused_loops() -> None:
             feedback_model("3.4", loop)
     with pytest.raises(ValueError, match="number: '3.5' is not one of 3.1, 3.2, 3.3, 3.4"):
         feedback_model("3.5", FeedbackLoop(5.0, 0.1))
-    for damping in (0.01, 0.75):
-        with pytest.raises(ValueError, match=f"loop_damping: {damping} must be at least .* 0.706"):
-            bandwidth_example(loop_damping=damping)
 
 
 def test_acceleration_feedback_widens_the_band_of_a_well_damped_loop() -> None:
-    """Why the example ends at a damping ratio of 0.706: above it -3 dB moves up at first."""
+    """Below a damping ratio of 0.706 -3 dB moves down, above it up at first."""
     for damping, direction in ((0.70, -1.0), (0.72, 1.0)):
         bare, heavier = (
             characteristics(FeedbackLoop(5.0, damping, acceleration_gain=gain)).gain_bandwidth_hz

@@ -17,9 +17,14 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers, evidence, sampling
-from cmf_mj.report_2014.posterior.run import GROUPS, TABLES, Results, run_posterior
-from cmf_mj.report_2014.posterior.settings import PosteriorStudy, load_posterior
-from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
+from cmf_mj.report_2014.posterior.run import (
+    GROUPS,
+    TABLES,
+    PosteriorStudy,
+    Results,
+    load_posterior,
+    run_posterior,
+)
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
 
@@ -33,7 +38,6 @@ SMALL = {
     "draws": 8,
     "kept": 6,
     "simulated": 1,
-    "grid": 2,
     "gains": [0.0, -0.08],
     "corners": [2.485],
 }
@@ -206,7 +210,6 @@ def test_rounds_and_tables(results: Results, folder: Path) -> None:
     assert results.machines.num_rows == count
     assert results.damping.num_rows == count * 4 * 2
     assert sum(row["count"] for row in results.gains.to_pylist()) == 6 * 2 * 2
-    assert results.points.num_rows == (1 + 2 * 14 + 3 * 4) * 4
     assert answers.weights(results).sum() == pytest.approx(1.0)
     assert {path.stem for path in folder.glob("*.parquet")} == set(TABLES)
     with np.errstate(divide="ignore"):
@@ -233,7 +236,7 @@ def raw(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) -> None:
-    """The probability of `acceleration_d2`, the size of +0.01 and the best gain, recomputed."""
+    """The probability of `acceleration_d2`, the size of +0.01 and each gain, recomputed."""
     machines, damping = raw(folder, "machines"), raw(folder, "damping")
     weight = [row["weight"] for row in machines]
     unstable = sum(
@@ -255,9 +258,9 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
     ]
     values = np.array([value for value, _ in moved])
     prior = sampling.normalised(np.array([row["log_ratio"] for row in machines]))
-    for weights in (np.array(weight), prior):
-        low, middle, high = sampling.weighted_quantiles(values, weights, answers.LEVELS)
-        assert f"{middle:+.3f} ({low:+.3f} to {high:+.3f})" in TEXTS["robust"](results)
+    for weights, found in ((np.array(weight), change.posterior), (prior, change.prior)):
+        expected = sampling.weighted_quantiles(values, weights, answers.LEVELS)
+        assert found == pytest.approx(expected)
     below = sum(w for value, w in moved if value < change.posterior[1])
     above = sum(w for value, w in moved if value > change.posterior[1])
     assert below <= 0.5 + 1e-9 and above <= 0.5 + max(weight)
@@ -269,15 +272,8 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
         step: sum(all(r["stable"] for r in each) * each[0]["count"] for each in tested.values()) / 6
         for step, tested in tried.items()
     }
-    allowed = {step for step in tried if good[step] >= 0.95} or set(tried)
-    best = best_gain(results)
-    assert (best.corner, best.gain) in allowed
-    assert best.stable == pytest.approx(good[best.corner, best.gain])
-    medians = {(one.corner, one.gain): one.damping[1] for one in answers.gain_steps(results)}
-    assert best.damping[1] == max(medians[step] for step in allowed)
-    text = TEXTS["advice"](results)
-    assert f"{best.gain:g} %/(in/s²)" in text
-    assert f"of {results.study.settings.kept} machines drawn from the posterior" in text
+    stable = {(one.corner, one.gain): one.stable for one in answers.gain_steps(results)}
+    assert stable == pytest.approx(good)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +283,6 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
         ({"simulated": 7}, "simulated: 7 must be at most kept, 6"),
         ({"laws": ["fast"]}, "law: 'fast' is not one of"),
         ({"cabs": ["bus"]}, "cab: 'bus'"),
-        ({"speed": 1}, "speed: is not a known field"),
     ],
 )
 def test_bad_specifications_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -296,26 +291,12 @@ def test_bad_specifications_are_refused(changes: dict[str, Any], message: str) -
 
 
 def test_bounds_that_cannot_be_are_refused() -> None:
-    one = {"unit": "1", "source": "test", "path": "legs.mass"}
-    height = one | {"unit": "m", "path": "cab.centre_of_mass.z", "effect": "offset"}
-    for unknowns, message in (
-        ({"luck": {"low": 0.0, "high": 1.0, **one, "path": "luck"}}, "path: 'luck' is refused"),
-        (
-            {"leg_mass": {"low": 2.0, "high": 1.0, **one}},
-            "leg_mass: 2.0 to 1.0 is refused",
-        ),
-        (
-            {"leg_mass": {"low": 0.0, "high": 1.0, "distribution": "loguniform", **one}},
-            "leg_mass: 0.0 to 1.0 is refused",
-        ),
-        (
-            {"legs": one | {"path": "hydraulics.actuators.*.leak_rate", "low": 0.5, "high": 1.0}},
-            "one number",
-        ),
-        ({"cab_height": {"low": -9.0, "high": 0.0, **height}}, "below the floor"),
-    ):
+    """Of an unknown's own form: tests/facility/test_unknowns.py."""
+    one = {"unit": "1", "source": "test", "path": LEAKS, "low": 0.5, "high": 1.0}
+    height = {"unit": "m", "path": "cab.centre_of_mass.z", "effect": "offset", "low": -9.0}
+    for unknown, message in ((one, "one number"), (one | height, "below the floor")):
         with pytest.raises(ValueError, match=message):
-            load_posterior("rotation", changes=SMALL | {"unknowns": unknowns})
+            load_posterior("rotation", changes=SMALL | {"unknowns": {"one": unknown}})
 
 
 @pytest.mark.slow
@@ -332,6 +313,6 @@ def test_the_command_writes_tables_and_readable_figures(
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     assert "effective sample size" in result.output
-    assert set(drawn) >= {"tornado.png", "maps.png", "unknowns.png", "bandwidths.png", "gains.png"}
-    for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence", "robust"):
+    assert set(drawn) >= {"unknowns.png", "bandwidths.png", "gains.png"}
+    for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence"):
         assert (tmp_path / "out" / f"{name}.md").read_text()

@@ -19,7 +19,7 @@ from cmf_mj.facility import scenario
 from cmf_mj.facility.scenario import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import stage
-from cmf_mj.show.film import FilmSettings, check_film, film
+from cmf_mj.show.film import FilmSettings, film
 from cmf_mj.show.look import Curve, Panel
 from cmf_mj.show.stage import FilmStage, Strip, choose_backend, traces_of
 
@@ -112,17 +112,14 @@ def test_what_a_film_cannot_do_is_named(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_a_film_will_lack_is_said_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = hexapod_spec("gfd").compile()
-    check_film(model, "x.mp4", SMALL)
-    with pytest.raises(ValueError, match="camera: 'roof'"):
-        check_film(model, "x.mp4", SMALL._replace(camera="roof"))
+def test_a_film_without_its_package_is_refused(
+    single: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    check_film(model, "x.gif", SMALL)
     with pytest.raises(
         MissingExtraError, match=r"av is not installed: pip install 'cmf-mj\[video\]'"
     ):
-        check_film(model, "x.mp4", SMALL)
+        film([single], tmp_path / "x.mp4", SMALL)
 
 
 @pytest.mark.slow

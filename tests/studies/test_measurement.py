@@ -12,6 +12,7 @@ from rich.console import Console
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.show.look import plain_data
 from cmf_mj.show.measurement import measurement_table, save_measurement
 from cmf_mj.signals.composite import acceleration_step
 from cmf_mj.studies.case import make_case
@@ -53,7 +54,7 @@ def test_hysteresis_is_the_lag_of_the_loop(session: Measurement) -> None:
 
 
 def test_summary_is_json_with_every_measure(session: Measurement) -> None:
-    summary = json.loads(json.dumps(session.summary(), allow_nan=False))
+    summary = json.loads(json.dumps(plain_data(session.summary()), allow_nan=False))
     assert summary["law"] == "velocity"
     for driven, row in summary["crosstalk"].items():
         assert row[driven] == 1.0

@@ -13,6 +13,7 @@ from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import quantity_table
 from cmf_mj.plant.parameters import load_hydraulics
+from cmf_mj.report_2014.page.agreement import agreements, first_screen, verdict_table
 from cmf_mj.report_2014.page.figures import FIGURES, ReportFigure
 from cmf_mj.report_2014.page.runs import (
     CAB,
@@ -22,13 +23,6 @@ from cmf_mj.report_2014.page.runs import (
     Runs,
     perform,
     report_plant,
-)
-from cmf_mj.report_2014.page.statements import (
-    STATEMENT_NEEDS,
-    agreements,
-    first_screen,
-    statement_rows,
-    verdict_table,
 )
 from cmf_mj.report_2014.page.tables import (
     CONTENTS,
@@ -72,7 +66,7 @@ class Content(NamedTuple):
     figures: tuple[ReportFigure, ...]  #: Figures of the page.
     tables: tuple[str, ...]  #: Result tables of the page.
     studies: bool
-    """Whether the page has its summary and the text's numbers: it has all figures and tables."""
+    """Whether the page has its summary: it has all figures and tables."""
 
 
 def provenance(runs: Runs) -> PageTable:
@@ -121,7 +115,6 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
         for figure in content.figures
         if figure.number.startswith(prefix)
     ],
-    "statements": lambda content, _: [page_table("text-numbers", statement_rows(content.runs))],
     "parameters": lambda content, _: [hydraulic_numbers(on) for on in PLANTS],
     "provenance": lambda content, _: [provenance(content.runs)],
 }
@@ -157,8 +150,8 @@ def make_content(
 ) -> Content:
     """Make all runs of the figures and result tables with these numbers; see `perform`.
 
-    With all of both, the default, the page also has its summary and the numbers in the text. An
-    argument out of range is refused before anything runs.
+    With all of both, the default, the page also has its summary. An argument out of range is
+    refused before anything runs.
     """
     numbers = _chosen("figures", figures, [figure.number for figure in FIGURES])
     chosen = tuple(figure for figure in FIGURES if figure.number in numbers)
@@ -166,15 +159,7 @@ def make_content(
     studies = figures is None and tables is None
     needs = [need for figure in chosen for need in figure.needs]
     needs += [need for table in results for need in table_needs(table)]
-    needs += STATEMENT_NEEDS if studies else ()
-    runs = perform(
-        needs,
-        sensors=any(figure.sensors for figure in chosen),
-        jobs=jobs,
-        quick=quick,
-        seed=seed,
-        progress=progress,
-    )
+    runs = perform(needs, jobs=jobs, quick=quick, seed=seed, progress=progress)
     return Content(runs, chosen, results, studies)
 
 

@@ -5,37 +5,35 @@ from the valve command on a pulse, a sine and the sweep of Table 2-3, by least s
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from cmf_mj.analysis.identification.continuous import in_field_units
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.analysis.published import published_results
+from cmf_mj.control.law import load_law
 from cmf_mj.core import units
-from cmf_mj.core.units import FRAME
+from cmf_mj.core.units import FRAME, RATE
+from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.record.record import Record
-from cmf_mj.report_2014.models import (
-    bandwidth_example,
-    characteristics,
-    feedback_model,
-    hardware_velocity,
-    report_model,
-)
+from cmf_mj.report_2014.models import hardware_velocity, report_model
 from cmf_mj.report_2014.page.runs import (
+    FELT,
     IDENTIFIED_ON,
+    REST,
     SLOW,
-    Readings,
     Runs,
     RunSpec,
-    SensorReadings,
     Signal,
     after_step,
     leg_motion,
@@ -63,6 +61,7 @@ Array = NDArray[np.float64]
 
 _STEP = (-0.2, 3.0)
 _HARDWARE, _REPORT, _OURS = "hardware stand-in", "report's model", "our model"
+_SHOWN = 1.5  # of readings of sensors [s]
 _EXTENSION = "extension of leg 1 [in]"
 _GRAVITY = units.STANDARD_GRAVITY
 
@@ -81,8 +80,7 @@ class ReportFigure(NamedTuple):
     number: str
     title: str
     drawing: Callable[[Runs, "ReportFigure"], Drawing]
-    needs: tuple[RunSpec, ...] = ()  #: Runs it is drawn from.
-    sensors: bool = False  #: Whether it needs the accelerometers' readings.
+    needs: tuple[RunSpec, ...]  #: Runs it is drawn from.
     options: Mapping[str, Any] = {}  #: What one drawing function does differently in each figure.
 
     def cases(self, runs: Runs) -> list[CaseResult]:
@@ -190,36 +188,58 @@ def sines(runs: Runs, figure: ReportFigure) -> Drawing:
     return histories(panels, (3.0, 7.0), "time [s]", 3.0), {"frequency": SLOW}
 
 
-def simple_model(runs: Runs, figure: ReportFigure) -> Drawing:
-    """Eqs 3.1 to 3.4."""
-    lines, widths = np.geomspace(0.05, 10.0, 400), []
-    titles = ("position", "position and rate", "position, rate and acceleration")
-    drawn, gain, phase = bode_axes()
-    for title, loop in zip(titles, bandwidth_example().values(), strict=True):
-        plot_bode(gain, phase, loop_response(feedback_model("3.4", loop), lines), label=title)
-        widths.append(f"{title} {characteristics(loop).gain_bandwidth_hz:.2f} Hz")
-    gain.set(ylim=(-40.0, 10.0))
-    legend(gain)
-    return drawn, {"widths": "; ".join(widths)}
+def accelerometer(
+    runs: Runs, figure: ReportFigure, part: tuple[float, float]
+) -> tuple[Figure, Array, Array]:
+    """Readings of leg accelerometers less gravity, as the DCL has them, in a part of a run [s].
 
-
-def accelerometer(runs: Runs, figure: ReportFigure) -> Drawing:
-    """Accelerometer of a leg at rest or in motion, before and behind the filter."""
-    sensors, span = cast("SensorReadings", runs.sensors), figure.options["span"]
-    readings: Readings = getattr(sensors, figure.options["state"])
-    time = np.arange(round(span / FRAME)) * FRAME
+    Before and behind the filter y[k+1] = a y[k] + b x[k] (Eq 3.6), which has seen the first sample
+    for ever, in g, (N, 6).
+    """
+    (need,) = figure.needs
+    law, record = load_law(need.law), runs.record(need.on, need.law, need.signal)
+    a, b = law.accelerometer_pole, law.accelerometer_gain
+    every = record["leg_acceleration"] / _GRAVITY
+    behind, _ = lfilter([0.0, b], [1.0, -a], every, axis=0, zi=b / (1.0 - a) * every[:1])
+    begin, end = (round(at * RATE) for at in part)
+    raw, filtered = every[begin:end], behind[begin:end]
+    time, span = FRAME * np.arange(len(raw), dtype=float), min(part[1] - part[0], _SHOWN)
     lines = [
-        Line(name, time, values[: time.size, 0] / _GRAVITY, colour)
-        for name, values, colour in (
-            ("raw", readings.raw, "#aaaaaa"),
-            ("true specific force", readings.truth, BLUE),
-            ("filtered, Eq 3.6", readings.filtered, ORANGE),
-        )
+        Line("raw", time, raw[:, 0], "#aaaaaa"),
+        Line("filtered, Eq 3.6", time, filtered[:, 0], ORANGE),
     ]
-    drawn = histories({"accelerometer of leg 1 [g]": lines}, (0.0, span), "time [s]", 3.5)
-    for level in figure.options.get("guides", ()):
-        drawn.axes[0].axhline(level, color=GREY, linestyle=":")
-    return drawn, sensors.numbers
+    drawn = histories(
+        {"accelerometer of leg 1\nless gravity [g]": lines}, (0.0, span), "time [s]", 3.5
+    )
+    return drawn, raw, filtered
+
+
+def sensor_noise(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Accelerometers at rest, once the filter has settled."""
+    drawn, raw, filtered = accelerometer(runs, figure, (0.5, REST))
+    noise = [float(np.sqrt(np.mean(values.var(axis=0)))) for values in (raw, filtered)]
+    gravity = float(axial_gravity(np.zeros(6)).mean()) / _GRAVITY
+    return drawn, {
+        "mean": gravity + float(raw.mean()),
+        "gravity": gravity,
+        "raw": 1e3 * noise[0],
+        "filtered": 1e3 * noise[1],
+        "noise": 100.0 * noise[1] / noise[0],
+    }
+
+
+def filter_effect(runs: Runs, figure: ReportFigure) -> Drawing:
+    """Accelerometers in a sine: what the filter passes of it, and -arg H / w, its delay."""
+    turn = 2.0 * np.pi * FELT
+    drawn, raw, filtered = accelerometer(runs, figure, (4.0 / FELT, 9.0 / FELT))
+    angle = turn * FRAME * np.arange(len(raw))
+    before, after = (fit_sines(values, angle).amplitude[0].sum() for values in (raw, filtered))
+    ratio = after / before
+    return drawn, {
+        "frequency": FELT,
+        "signal": 100.0 * float(abs(ratio)),
+        "delay": 1e3 * float(-np.angle(ratio) / turn),
+    }
 
 
 def feedback_signals(runs: Runs, figure: ReportFigure) -> Drawing:
@@ -393,7 +413,7 @@ def linear_model_a(runs: Runs, figure: ReportFigure) -> Drawing:
 FIGURES = tuple(
     ReportFigure(
         *(entry["number"], entry["title"], globals()[entry["draw"]]),
-        *(specs(*entry.get("runs", ())), entry.get("sensors", False), entry.get("options", {})),
+        *(specs(*entry["runs"]), entry.get("options", {})),
     )
     for entry in CONTENTS["figure"]
 )

@@ -1,48 +1,150 @@
-"""Runs a study of the unknown: rounds of machines, their weights, and what is asked of them.
+"""A study of the unknown: ranges of numbers nobody published, and what machines within them do.
+
+It is a TOML file with ranges, laws and cabs. A machine is a value of each unknown, drawn between
+its bounds, and valves and leaks that differ from leg to leg. `values` are in the units of the file;
+factors and shifts change a shipped cab. Rounds of machines get their weights; then, in the folder:
 
 force.parquet      acceleration under force feedback by supply pressure
 machines.parquet   every machine drawn: its values, what it makes of the evidence, its weights
 damping.parquet    every machine, cab and law: damping ratios of the linear loop
 measures.parquet   machines drawn from the posterior: bandwidths, peaks, damping by law and axis
 gains.parquet      the same machines under gains of acceleration behind filters
-points.parquet     the median machine with one unknown moved, or two on a map
 simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import read_table, write_parquet
+from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.unknowns import Unknowns
-from cmf_mj.machine.cab import Cab
+from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.posterior import evidence, sampling
-from cmf_mj.report_2014.posterior.settings import PosteriorStudy
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
+from cmf_mj.studies.settings import study_table
 
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
 
-MAPS = tuple(("cab_height", other) for other in ("leg_speed", "bulk_modulus", "leak_rate"))
-"""Pairs of unknowns that maps are made of."""
-
-TABLES = ("force", "machines", "damping", "measures", "gains", "points", "simulated")
+TABLES = ("force", "machines", "damping", "measures", "gains", "simulated")
 """What the folder holds, each as Parquet."""
 
 Array = NDArray[np.float64]
+
+
+class PosteriorSettings(Settings):
+    """What the study runs."""
+
+    title: Annotated[str, Field(min_length=1)]
+    laws: Annotated[list[str], Field(min_length=1)]  #: Names or TOML files.
+    cabs: Annotated[list[str], Field(min_length=1)]  #: Shipped ones or TOML files.
+    hydraulics: str = "hardware"  #: What is not unknown comes from this set.
+    seed: Annotated[int, Field(ge=0)]
+    rounds: Annotated[int, Field(ge=2)]  #: Rounds of drawing, see `sampling`.
+    draws: Annotated[int, Field(ge=8)]  #: Machines of each round, a power of 2.
+    kept: Annotated[int, Field(ge=1)]  #: Machines drawn from the posterior and measured.
+    simulated: Annotated[int, Field(ge=0)]  #: Of these, simulated.
+    gains: list[float]  #: Of acceleration that are tried [%/(in/s^2)].
+    corners: list[Annotated[float, Field(ge=0.0)]]
+    """Corners of the accelerometer's filter that they are tried behind [Hz]; 0 for no filter."""
+    unknowns: Annotated[dict[str, Unknown], Field(min_length=1)]
+    mismatch: dict[str, Unknown]  #: What scatters from leg to leg, by `draw`.
+
+
+@dataclass(frozen=True)
+class PosteriorStudy:
+    """A study with everything it refers to loaded."""
+
+    settings: PosteriorSettings
+    laws: tuple[Law, ...]
+    cabs: tuple[Cab, ...]
+    hydraulics: HydraulicParameters
+
+    def identity(self) -> dict[str, Any]:
+        """What the study runs, as JSON values, see `journal`."""
+        return {
+            "settings": self.settings.model_dump(mode="json"),
+            "laws": [law.model_dump(mode="json") for law in self.laws],
+            "cabs": [cab.model_dump(mode="json") for cab in self.cabs],
+            "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
+        }
+
+    def values(self, quantiles: NDArray[np.float64]) -> dict[str, float]:
+        """Values of the unknowns at a point of the unit cube, (n,)."""
+        return Unknowns(self.settings.unknowns).at(quantiles)
+
+    def hydraulics_of(self, values: Mapping[str, float], draw: int | None) -> HydraulicParameters:
+        """The hydraulic set of a machine; `draw` numbers its mismatch, None has none."""
+        made = Unknowns(self.settings.unknowns).apply(values, self.hydraulics)
+        mismatch = Unknowns(self.settings.mismatch)
+        scatter = {} if draw is None else mismatch.streams(self.settings.seed, draw)
+        return mismatch.apply(scatter, made)
+
+    def plant(self, cab: Cab, values: Mapping[str, float], oil: HydraulicParameters) -> Hexapod:
+        """The machine with a cab and its hydraulic set; laws take the cab for the shipped one."""
+        return Hexapod(Unknowns(self.settings.unknowns).apply(values, cab), oil)
+
+    def law(self, law: Law, values: Mapping[str, float]) -> Law:
+        """A law with the derivative filter of a machine."""
+        return Unknowns(self.settings.unknowns).apply(values, law)
+
+
+def load_posterior(
+    source: str | Path | dict[str, Any],
+    *,
+    laws: Sequence[str | Law] | None = None,
+    changes: Mapping[str, Any] | None = None,
+    quick: bool = False,
+) -> PosteriorStudy:
+    """Load a study of the unknown.
+
+    `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
+    laws, `changes` replace its fields; a `quick` study has the fields of its table `quick`.
+    """
+    table, where = study_table(source)
+    fewer = table.pop("quick", {})
+    table |= (fewer if quick else {}) | dict(changes or {})
+    if laws is not None:
+        table["laws"] = [load_law(law).name for law in laws]
+    settings = validated(PosteriorSettings, table, where)
+    with within(where):
+        return _checked(settings, laws)
+
+
+def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
+    for name, one in settings.unknowns.items():
+        if one.shape or one.low is None:
+            raise InputError(f"unknowns.{name}: allowed: one number between bounds, low and high")
+    if settings.draws & (settings.draws - 1):
+        raise InputError(f"draws: {settings.draws} must be a power of 2, for Sobol's sequence")
+    if settings.simulated > settings.kept:
+        raise InputError(f"simulated: {settings.simulated} must be at most kept, {settings.kept}")
+    chosen = tuple(load_law(law) for law in (settings.laws if laws is None else laws))
+    check_distinct("laws", [law.name for law in chosen])
+    cabs = tuple(load_cab(cab) for cab in settings.cabs)
+    study = PosteriorStudy(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
+    for end in (0.0, 1.0):  # bounds that no machine can have are refused here
+        values = study.values(np.full(len(settings.unknowns), end))
+        for cab in cabs:
+            study.plant(cab, values, study.hydraulics_of(values, None))
+    return study
 
 
 @dataclass(frozen=True)
@@ -54,7 +156,7 @@ class Task:
     kind: str  #: One of `_ASK`.
     values: Mapping[str, float]  #: Of the unknowns.
     draw: int | None = None  #: Of the mismatch; None for none.
-    about: str = ""  #: Of a point: what is moved. Of a simulated machine: its cab.
+    cab: str = ""  #: Of a simulated machine.
 
     @property
     def laws(self) -> list[Law]:
@@ -76,7 +178,6 @@ class Results(NamedTuple):
     damping: pa.Table
     measures: pa.Table
     gains: pa.Table
-    points: pa.Table
     simulated: pa.Table
 
 
@@ -115,9 +216,6 @@ def run_posterior(
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
-    moved = _points(study, drawn, posterior)
-    for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
-        tables["points"] += [row | {"about": about} for row in rows]
     order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
     some = [chosen[i] for i in order[: settings.simulated]]
     flights = [(*machine, cab.name) for machine in some for cab in study.cabs]
@@ -162,30 +260,9 @@ def _weighted(
 
 def _count(study: PosteriorStudy) -> int:
     settings = study.settings
-    moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
     flights = settings.simulated * len(study.cabs)
     drawn = settings.rounds * settings.draws
-    return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
-
-
-def _points(
-    study: PosteriorStudy, drawn: Sequence[Row], weights: Array
-) -> list[tuple[dict[str, float], None, str]]:
-    """The median machine, with one unknown at the ends of its range, or two on a grid."""
-    unknowns, median = study.settings.unknowns, {}
-    for name in unknowns:
-        values = np.array([row[name] for row in drawn])
-        median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
-    moved: list[tuple[dict[str, Any], str]] = [({}, "median")]
-    for name, one in unknowns.items():
-        moved += [
-            ({name: one.at(q)}, f"{name} {end}") for end, q in (("low", 0.05), ("high", 0.95))
-        ]
-    sides = np.linspace(0.0, 1.0, study.settings.grid)
-    for x, y in MAPS:
-        ends = [(unknowns[x].at(p), unknowns[y].at(q)) for p, q in product(sides, sides)]
-        moved += [({x: across, y: up}, f"{x} {y}") for across, up in ends]
-    return [(median | {n: float(v) for n, v in new.items()}, None, about) for new, about in moved]
+    return len(evidence.PRESSURES) + drawn + settings.kept + flights
 
 
 def _drawn(task: Task) -> list[Row]:
@@ -258,14 +335,9 @@ def acceleration_law(gain: float, corner: float) -> Law:
     )
 
 
-def _point(task: Task) -> list[Row]:
-    rows = _dampings(task.machines(task.study.cabs[:1]), task.laws)
-    return [dict(task.values) | row for row in rows]
-
-
 def _simulated(task: Task) -> list[Row]:
     study = task.study
-    (cab,) = (cab for cab in study.cabs if cab.name == task.about)
+    (cab,) = (cab for cab in study.cabs if cab.name == task.cab)
     oil = study.hydraulics_of(task.values, task.draw)
     return [
         {"cab": cab.name, "law": law.name}
@@ -278,7 +350,6 @@ _ASK: dict[str, Callable[[Task], list[Row]]] = {
     "force": lambda task: [{"g": evidence.oscillation_g(task.values["psi"])}],
     "drawn": _drawn,
     "kept": _kept,
-    "point": _point,
     "simulated": _simulated,
 }
 

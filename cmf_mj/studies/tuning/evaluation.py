@@ -23,6 +23,7 @@ from cmf_mj.control import dcl as blocks
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.facility.unknowns import valve_gains
@@ -32,7 +33,6 @@ from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import fitting
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
-from cmf_mj.studies.tuning.loop import run
 
 LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
 """Frequencies of the responses [Hz]; the report's chirp ends at 10 Hz."""
@@ -43,6 +43,26 @@ STEP_TIME = 0.7
 STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
 """Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,
 heave and yaw are easier."""
+
+
+@allocating
+def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
+    """Run the law against a sampled linear plant (A, B, C), one frame of delay."""
+    a, b, c = plant
+    legs, command = demand.shape[0], dcl.workspace.command
+    x, counts, volts = np.zeros(a.shape[0]), np.zeros(legs), np.zeros(legs)
+    for frame in range(legs_out.shape[0]):
+        y = c @ x
+        for leg in range(legs):
+            feedback.position[leg] = y[leg]
+            feedback.velocity[leg] = y[legs + leg]
+            feedback.acceleration[leg] = y[2 * legs + leg]
+            feedback.cap_pressure[leg] = y[3 * legs + leg]
+            feedback.rod_pressure[leg] = y[4 * legs + leg]
+        legs_out[frame] = feedback.position
+        x = a @ x + b @ command
+        blocks.step(dcl, state, demand, feedback)
+        servo.step(drive, driven, True, command, feedback.position, counts, volts, command)
 
 
 class LinearCab(NamedTuple):

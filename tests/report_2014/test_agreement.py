@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cmf_mj.analysis.published import published, published_results
-from cmf_mj.report_2014.page import statements as accounting
+from cmf_mj.report_2014.page import agreement as accounting
 from cmf_mj.report_2014.page import tables
+from cmf_mj.report_2014.page.agreement import first_screen
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform, specs
-from cmf_mj.report_2014.page.statements import first_screen
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     TITLES,
@@ -31,7 +31,7 @@ def runs() -> Runs:
     results: dict[RunSpec, Any] = dict(made.results)
     for need in shown:  # of the column that stands beside, and is judged by nothing
         results[need] = made.case("model", need.law, need.dof)
-    return Runs(results, None, True, 0)
+    return Runs(results, True, 0)
 
 
 def rows_of(runs: Runs, *names: str) -> list[ResultRow]:
@@ -120,7 +120,7 @@ def ringing(runs: Runs, need: RunSpec) -> Runs:
     result: CaseResult = runs.results[need]
     results = dict(runs.results)
     results[need] = result._replace(measures=result.measures._replace(stable=False))
-    return Runs(results, None, True, 0)
+    return Runs(results, True, 0)
 
 
 def test_a_law_that_rings_agrees_with_nothing(runs: Runs) -> None:
@@ -169,7 +169,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     results = dict(runs.results)
     for need in specs("machine acceleration roll,pitch,yaw"):
         results[need] = runs.case("model", "acceleration")
-    lead, agreed, rotation, _, outside = first_screen(Runs(results, None, True, 0))
+    lead, agreed, rotation, _, outside = first_screen(Runs(results, True, 0))
     fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
     fields += ("oscillation_hz", "acceleration_g")
     printed = {
@@ -181,7 +181,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     }
     assert isinstance(lead, str) and f" {len(printed)} numbers" in lead
     assert isinstance(agreed, PageTable) and isinstance(outside, PageTable)
-    classes = accounting.agreements(Runs(results, None, True, 0))
+    classes = accounting.agreements(Runs(results, True, 0))
     assert agreed.table.cells == classes.table.cells
     counts = {
         one.what: [one.printed, *(round(share * one.printed) for share in one[2:5])]

@@ -1,4 +1,4 @@
-"""Numbers of the report's text; how many printed results are met.
+"""How many printed results are met.
 
 Every printed number counts once, however often the report prints it. A law whose step rings on has
 no bandwidth and no damping ratio, and so agrees with no printed one. Deviations are relative, those
@@ -10,15 +10,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.measures import Measures
-from cmf_mj.core import units
 from cmf_mj.core.result import Field, Result, fields_of, number
-from cmf_mj.report_2014.models import bandwidth_example, characteristics, hardware_velocity
-from cmf_mj.report_2014.page.runs import Runs, leg_motion, specs
+from cmf_mj.report_2014.page.runs import Runs
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
-    CONTENTS,
     RATIO,
     TITLES,
     TOLERANCES,
@@ -30,56 +26,6 @@ from cmf_mj.report_2014.page.tables import (
     result_rows,
     texts,
 )
-from cmf_mj.signals.single import Step
-
-STATEMENT_NEEDS = specs(
-    "model original,velocity_integral,force",
-    "machine original,velocity_integral",
-    "machine velocity heave rise",
-)
-"""Runs of the numbers."""
-
-
-def _values(runs: Runs) -> dict[str, float]:
-    """What runs and formulas give, by the names that `contents.toml` has for it."""
-    gravity = units.STANDARD_GRAVITY
-    model, machine = runs.case("model", "original"), runs.case("machine", "original")
-    with_integral = runs.case("machine", "velocity_integral").measures
-    ringing, force = runs.case("model", "velocity_integral").step, runs.case("model", "force")
-    late = ringing.time > ringing.signal_as(Step).at + 1.0
-    example = bandwidth_example()
-    reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
-    values = {
-        "machine_overshoot": 100.0 * machine.measures.overshoot,
-        "model_overshoot": 100.0 * model.measures.overshoot,
-        "integral_overshoot": 100.0 * with_integral.overshoot,
-        "integral_error": 100.0 * abs(with_integral.steady_state_error),
-        "late_acceleration": float(np.abs(ringing["leg_acceleration"][late]).max()) / gravity,
-        "rate_bandwidth": characteristics(example["rate"]).gain_bandwidth_hz,
-        "acceleration_bandwidth": characteristics(example["acceleration"]).gain_bandwidth_hz,
-        "force_peak": force.measures.peak_gain_db,
-        "force_acceleration": float(np.abs(force.step["leg_acceleration"]).max()) / gravity,
-        "leg_extension": float(reference[-1]),
-    }
-    for which in (1, 2):
-        _, step = loop_step(closed_loop("velocity", hardware_velocity(which)), 3.0)
-        values[f"peak_{which}"] = float(step.max()) * float(reference[-1])
-    if runs.sensors is not None:
-        numbers = runs.sensors.numbers
-        values |= {"rest_reading": numbers["mean"], "filter_delay": numbers["delay"]}
-    return values
-
-
-def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
-    """All numbers of the text that a run or a formula gives; NaN is a peak of legs that ring on."""
-    values, rows = _values(runs), list[tuple[str, ...]]()
-    for entry in CONTENTS["statement"]:
-        if entry["value"] in values:
-            value, unit = values[entry["value"]], entry["unit"]
-            ours = f"{value:.3g} {unit}" if value == value else "unstable"
-            printed = f"{entry['printed']} {unit}"
-            rows.append((entry["section"], entry["what"], printed, ours, entry["remark"]))
-    return rows
 
 
 class Agreement(NamedTuple):
