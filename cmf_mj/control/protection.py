@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator
 
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
@@ -158,7 +158,8 @@ def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Prote
 def protection_state(position: NDArray[np.float64]) -> ProtectionState:
     """State of a machine at rest at the leg positions (n,) [m], no fault."""
     counts = np.zeros((len(FAULTS), position.shape[0]), dtype=np.int64)
-    return ProtectionState(counts, np.array(position, dtype=float), one_row(Detection()))
+    detection = record_array(Detection, [Detection()])
+    return ProtectionState(counts, np.array(position, dtype=float), detection)
 
 
 @compiled

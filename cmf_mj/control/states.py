@@ -49,7 +49,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, in_si, positive_in
@@ -185,7 +185,7 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     if code == State.OFF:
         at[:] = -states.travel
     gain = 0.0 if code == State.OFF else 1.0
-    phase = one_row(Phase(int(code), valve=gain, gain=gain))
+    phase = record_array(Phase, [Phase(int(code), valve=gain, gain=gain)])
     return OperatingState(phase, np.zeros((3, at.size)), hold=at, host=at.copy())
 
 

@@ -9,7 +9,7 @@ H runs at the frame rate by the bilinear transform, pre-warped to its corner
 (`cmf_mj.core.filters`).
 
 Aliasing. The simulation has no contents above half the frame rate f_s = 2048 Hz, so nothing folds
-in it. On the machine a tone at f appears at |f - f_s round(f / f_s)|, damped to |H(f)|: `aliased`.
+in it. On the machine a tone at f appears at |f - f_s round(f / f_s)|, damped to |H(f)|.
 
 Everything is off in the set `off`, the default: readings pass bit for bit. The facility published
 neither bits nor range nor filter; the set `sixteen_bit` is assumed.
@@ -136,20 +136,6 @@ def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-d
     """All channels of all legs, one frame; both are a `LegFeedback` and may be the same."""
     for channel in range(5):
         convert(converters[channel], state[channel], analogue[channel], digital[channel])
-
-
-def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float]:
-    """Frequency [Hz] at which a tone of the analogue signal appears in the samples, and its gain.
-
-    |H(f)| = 1 / sqrt(1 + (f / corner)^(2 order)), the analogue Butterworth filter.
-    """
-    if not frequency >= 0.0:
-        raise InputError(f"frequency: {frequency} Hz must be at least 0")
-    rate = 1.0 / FRAME
-    ratio = frequency / (settings.filter_corner.si / (2.0 * np.pi))
-    order = settings.filter_order
-    gain = 1.0 / np.sqrt(1.0 + ratio ** (2 * order)) if order else 1.0
-    return float(abs(frequency - rate * np.round(frequency / rate))), float(gain)
 
 
 @compiled

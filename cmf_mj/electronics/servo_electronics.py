@@ -112,15 +112,12 @@ def convert(electronics, command):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def step(  # type: ignore[no-untyped-def]
-    electronics, state, raised, command, position, counts, volts, valve
-):
-    """Turn the control law's commands (n,), fractions, into those of the valves, one frame.
+def step(electronics, state, raised, command, position):  # type: ignore[no-untyped-def]
+    """Turn the law's commands (n,), fractions, into those of the valves in place, one frame.
 
     The lower switches are watched if `raised`: in hold and engaged, not on the stops, in raise,
-    return and fault. A leg extension (n,) [m] that is no number trips the switches watched. Counts
-    and volts of the DAC (n,) are overwritten. Returned is whether a switch has tripped, now or
-    earlier.
+    return and fault. A leg extension (n,) [m] that is no number trips the switches watched.
+    Returned is whether a switch has tripped, now or earlier.
     """
     end = electronics.switch_position
     tripped = False
@@ -131,11 +128,11 @@ def step(  # type: ignore[no-untyped-def]
             state.tripped[leg, 1] = True
         tripped |= state.tripped[leg, 0] | state.tripped[leg, 1]
     for leg in range(command.shape[0]):
-        counts[leg], volts[leg] = convert(electronics, command[leg])
-        target = 0.0 if tripped else volts[leg] / electronics.full_command
+        _, volts = convert(electronics, command[leg])
+        target = 0.0 if tripped else volts / electronics.full_command
         target = min(max(target, -electronics.velocity_clamp), electronics.velocity_clamp)
         before, change = state.command[leg], electronics.change
         # A bound at a time, so that an unlimited command passes to the bit.
         state.command[leg] = min(max(target, before - change), before + change)
-        valve[leg] = state.command[leg]
+        command[leg] = state.command[leg]
     return tripped

@@ -31,7 +31,7 @@ from cmf_mj.facility.simulate import check_options
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-CHAIN = ("begin", "requests", "dcu", "limits", "states", "demand")
+CHAIN = ("begin", "requests", "dcu", "limits", "states")
 """Fields of `HostChain` that are options here."""
 
 OPTIONS = (*CHAIN, "events", "electronics", "protection", "record_every", "command_delay")
@@ -97,7 +97,7 @@ def operate(
         seconds: length of the run.
         progress: called with the seconds run, about once a second.
         **options: fields of `Run`: `begin`, an operating state, and the operator's `requests`;
-            `events`; `dcu`, `limits`, `states` and leg `demand`; `electronics`, by default noisy,
+            `events`; `dcu`, `limits` and `states`; `electronics`, by default noisy,
             and `protection`, by default on, None for ideal and none; `record_every`;
             `command_delay`.
     """

@@ -17,8 +17,8 @@ from cmf_mj.control.states import StateSettings, load_state_settings
 from cmf_mj.core.quantity import Kind
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.core.units import from_si
-from cmf_mj.electronics.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.converter import ConverterSettings, load_converters
+from cmf_mj.electronics.sensors import SensorSettings, load_sensors
 from cmf_mj.electronics.servo_electronics import ServoSettings, load_servo_settings
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine

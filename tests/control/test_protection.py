@@ -19,8 +19,7 @@ from cmf_mj.control.protection import (
     protection_state,
     reset,
 )
-from cmf_mj.electronics.channel import load_sensors
-from cmf_mj.electronics.sensors import make_sensors, sense_history
+from cmf_mj.electronics.sensors import load_sensors, make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters import fitting
@@ -258,7 +257,7 @@ def test_conditions_can_be_switched_off(name: str) -> None:
 def noisy(record: Record) -> Record:
     """The record with readings of noisy sensors, gravity and all, for the feedback."""
     truth = LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
-    reading, _ = sense_history(make_sensors(load_sensors("noisy"), 2048.0, 6), truth)
+    reading = sense_history(make_sensors(load_sensors("noisy"), 2048.0, 6), truth)
     channels = dict(record.channels) | dict(zip(FEEDBACK.values(), reading, strict=True))
     return Record(record.time, channels, record.units, record.metadata)
 

@@ -17,8 +17,8 @@ from cmf_mj.cli.common import app, show
 from cmf_mj.control.law import law_names
 from cmf_mj.core.files import in_folder
 from cmf_mj.core.settings import checked_name, validated
-from cmf_mj.electronics.channel import load_sensors
 from cmf_mj.electronics.converter import load_converters
+from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.scenario import scenario_names
 from cmf_mj.facility.settings import Outputs
 from cmf_mj.facility.unknowns import with_valve_gains

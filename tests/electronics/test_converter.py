@@ -1,16 +1,14 @@
-"""Analogue inputs: codes against an independent count, aliasing against an oversampled tone."""
+"""Analogue inputs: codes against an independent count, noise of quantisation."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
     CONVERTER_SETS,
     Converters,
-    aliased,
     convert,
     converter_state,
     digitise,
@@ -19,7 +17,6 @@ from cmf_mj.electronics.converter import (
 )
 
 INCH = 0.0254
-RATE = 2048
 
 
 def feedback(seed: int = 0) -> LegFeedback:
@@ -79,31 +76,6 @@ def test_the_filter_takes_in_place_and_starts_settled() -> None:
         for name, read, true in zip(Converters._fields, same, analogue, strict=True):
             step = getattr(converters, name).step
             assert np.abs(read - true).max() <= 0.5001 * step
-
-
-@pytest.mark.parametrize("frequency", [300.0, 1100.0, 1948.0, 2048.0 + 77.0, 4000.0])
-def test_a_tone_beyond_the_rate_appears_where_and_as_large_as_said(frequency: float) -> None:
-    """Oracle: the analogue filter's state space, integrated exactly on 64 times the rate.
-
-    `lsim` joins the input's samples by lines, which leave sinc^2 of a tone.
-    """
-    settings = load_converters("sixteen_bit")
-    fine = 64 * RATE
-    time = np.arange(2 * fine) / fine
-    analogue = signal.butter(2, 2 * np.pi * 500.0, analog=True, output="ba")
-    _, output, _ = signal.lsim(analogue, np.cos(2 * np.pi * frequency * time), time)
-    sampled = output[fine::64]  # the second second, settled
-    spectrum = np.abs(np.fft.rfft(sampled)) * 2.0 / sampled.size
-    appears, gain = aliased(frequency, settings)
-    assert int(np.argmax(spectrum)) == round(appears)
-    lines = np.sinc(frequency / fine) ** 2
-    assert spectrum.max() == pytest.approx(gain * lines, rel=1e-4)
-
-
-def test_without_a_filter_aliases_are_full_size() -> None:
-    assert aliased(2000.0, load_converters("off")) == (48.0, 1.0)
-    with pytest.raises(ValueError, match="frequency: -1"):
-        aliased(-1.0, load_converters())
 
 
 def mine(*changes: tuple[str, str]) -> str:

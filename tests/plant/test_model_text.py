@@ -17,7 +17,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import State
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.channel import SensorSettings
+from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate

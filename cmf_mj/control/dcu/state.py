@@ -17,7 +17,7 @@ from pydantic import AfterValidator, model_validator
 from scipy.signal import bessel
 
 from cmf_mj.control.dcu.motion import POSE
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import chain
 from cmf_mj.core.quantity import Kind, Quantity, in_si, positive_in
@@ -345,8 +345,8 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
-        clocks=one_row(Clocks(interval=dcu.host_interval)),
-        events=one_row(Events()),
+        clocks=record_array(Clocks, [Clocks(interval=dcu.host_interval)]),
+        events=record_array(Events, [Events()]),
         time=np.zeros(CAPACITY),
         frame=np.zeros((CAPACITY, 3, 6)),
         apart=np.zeros(CAPACITY, dtype=np.int64),

@@ -33,8 +33,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import FRAME, STANDARD_GRAVITY
-from cmf_mj.electronics.channel import SensorSettings, load_sensors
-from cmf_mj.electronics.sensors import make_sensors, sense_history
+from cmf_mj.electronics.sensors import SensorSettings, load_sensors, make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.leg_motion import axial_gravity
@@ -74,7 +73,7 @@ def _readings(
     """Read histories, filter from rest on the first sample, leave out the first `skip` frames."""
     perfect = SensorSettings(name="perfect", gravity=settings.gravity)
     clean, raw = (
-        sense_history(make_sensors(which, 1.0 / FRAME, seed), truth)[0].acceleration
+        sense_history(make_sensors(which, 1.0 / FRAME, seed), truth).acceleration
         for which in (perfect, settings)
     )
     a, b = law.accelerometer_pole, law.accelerometer_gain
