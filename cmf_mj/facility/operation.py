@@ -26,8 +26,7 @@ from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import dcu_of, starting_pose
-from cmf_mj.facility.simulate import check_options
+from cmf_mj.facility.settings import check_options, dcu_of, starting_pose
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 

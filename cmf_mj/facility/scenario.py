@@ -8,7 +8,7 @@ import tomlkit
 
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import read_toml, sealed, validated
+from cmf_mj.core.settings import read_toml, validated
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.signal import BLOCK
 from cmf_mj.machine import models
@@ -59,8 +59,8 @@ def save_scenario(scenario: Run, path: str | Path) -> Path:
 
 
 def scenario_toml(scenario: Run) -> str:
-    """A scenario as TOML text below its checksum, defaults left out."""
-    return sealed(tomlkit.dumps(scenario.table()))
+    """A scenario as TOML text, defaults left out."""
+    return tomlkit.dumps(scenario.table())
 
 
 def run_scenario(scenario: Run, *, progress: Callable[[int, int], None] | None = None) -> Record:

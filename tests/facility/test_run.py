@@ -19,9 +19,7 @@ from cmf_mj import (
     compare,
     drive,
     load_law,
-    signals,
     simulate,
-    simulate_many,
 )
 from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.facility.front import from_table
@@ -88,7 +86,6 @@ def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
     for run in (
         lambda: simulate(PLANT, "velocity", STILL, **wrong),
         lambda: drive(PLANT, STILL, **wrong),
-        lambda: simulate_many(PLANT, "velocity", [STILL], **wrong),
     ):
         with pytest.raises(InputError, match=said):
             run()
@@ -106,14 +103,6 @@ def test_a_plant_is_none_by_its_name(plant: Any) -> None:
             InputError, match=r"plant: .* allowed: a Plant, such as Hexapod\('gfd'\)"
         ):
             run()
-    if not callable(plant):
-        with pytest.raises(InputError, match="plant: .* allowed: a Plant"):
-            simulate_many(plant, "velocity", [STILL])
-
-
-def test_one_command_is_not_many() -> None:
-    with pytest.raises(InputError, match="commands: is one Command; allowed: as many in a list"):
-        simulate_many(PLANT, "velocity", signals.sine("heave", 0.01, 2.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("bad", [1j * STILL, [["a"] * 6], [[0.0] * 6, [0.0]]], ids=type)

@@ -65,7 +65,6 @@ def random_machine(generator: np.random.Generator) -> Machine:
     heavy = 1000.0 * size**3
     table = load_machine("lab").model_dump() | {
         "name": "drawn",
-        "axes": "z up",
         "gimbals": {
             "upper_radius": stated(size, "m"),
             "upper_spacing": stated(generator.uniform(5.0, 30.0), "deg"),
