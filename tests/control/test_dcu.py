@@ -107,20 +107,6 @@ def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
     assert not state.rejected.any()
 
 
-def test_uniform_motion_is_reproduced_by_every_degree_of_freedom() -> None:
-    speed = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.02])
-
-    def motion(time: Array) -> Array:
-        values = np.zeros((time.size, 3, 6))
-        values[:, 0], values[:, 1] = np.outer(time, speed), speed
-        return values
-
-    stream = arrivals(motion, 64.0, 2.0)
-    demand = upsample(DCU, resting(DCU), stream, 4100)
-    error = (demand - expected(motion, stream, 4100))[SETTLED]
-    assert np.abs(error).max() < 1e-10
-
-
 @pytest.mark.parametrize("frequency", [1.0, 3.7])
 def test_a_sine_at_80_hz_has_the_error_of_the_quintic(frequency: float) -> None:
     """f^(6) (h / 2)^6 / 720 in the middle of the intervals, an odd number of half frames."""
@@ -443,12 +429,6 @@ def test_the_pose_ends_within_its_bound() -> None:
     assert edge < demand[:, 0, 2].max() < edge + SETTINGS.dcu.overtravel_translation.si
     assert (demand[-1, 1:] == 0.0).all()
     assert_smooth(demand)
-
-
-def test_same_frames_same_bits() -> None:
-    stream = drop(arrivals(sine(0.05, 2.0), 75.0, 2.0), 20, 40, 41, 42, 43)
-    runs = [upsample(DCU, resting(DCU), stream, 4000).tobytes() for _ in range(2)]
-    assert runs[0] == runs[1]
 
 
 @pytest.mark.parametrize(

@@ -311,15 +311,3 @@ def test_leg_and_pose_limiters_take_the_shipped_limits():
     np.testing.assert_allclose(legs.acceleration, 0.8 * G)
     np.testing.assert_allclose(pose.low[:3] / 0.0254, [-55, -55, -41])
     np.testing.assert_allclose(np.degrees(pose.high[3:]), [28, 28, 38])
-
-
-@pytest.mark.parametrize(
-    ("demand", "velocity", "message"),
-    [
-        (np.zeros((3, 2)), None, r"demand: shape is \(3, 2\); it must be \(frames, 1\)"),
-        (np.zeros((3, 1)), np.zeros((2, 1)), r"velocity: shape is \(2, 1\); demand has \(3, 1\)"),
-    ],
-)
-def test_refused_histories_are_named(demand, velocity, message):
-    with pytest.raises(ValueError, match=message):
-        limit_history(channel(), demand, velocity)

@@ -158,15 +158,6 @@ def test_a_name_made_past_the_check_still_leaves_no_folder(tmp_path: Path) -> No
         in_folder(tmp_path, f"{case.label}-chirp.parquet")
 
 
-def test_the_command_refuses_it_and_writes_nothing(tmp_path: Path) -> None:
-    law, out = tmp_path / "mine.toml", tmp_path / "deep" / "er" / "out"
-    law.write_text('["../../x"]\nbased_on = "velocity"\ntitle = "t"\n')
-    result = CliRunner().invoke(app, ["compare", "--laws", str(law), "--out", str(out)])
-    assert result.exit_code == 2
-    assert "name of the table: '../../x' is refused" in result.output
-    assert [path.name for path in tmp_path.rglob("*")] == ["mine.toml"]
-
-
 def test_text_with_brackets_is_printed_as_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
     """Titles are free text, and rich has markup of its own."""
     show("written to a[/b]c: [bold]x")

@@ -1,13 +1,10 @@
 """Analogue inputs: codes against an independent count, noise of quantisation."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
-    CONVERTER_SETS,
     Converters,
     convert,
     converter_state,
@@ -76,31 +73,3 @@ def test_the_filter_takes_in_place_and_starts_settled() -> None:
         for name, read, true in zip(Converters._fields, same, analogue, strict=True):
             step = getattr(converters, name).step
             assert np.abs(read - true).max() <= 0.5001 * step
-
-
-def mine(*changes: tuple[str, str]) -> str:
-    text = load_converters.shipped.read_text()
-    common = text.split("[common]\n")[1].split("[off]")[0]
-    for old, new in changes:
-        assert old in common
-        common = common.replace(old, new)
-    body, scale = common.split("[common.full_scale]\n")
-    return f"[card]\nquantise = true\nfilter_order = 1\n{body}\n[card.full_scale]\n{scale}"
-
-
-def test_a_card_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "card.toml"
-    file.write_text(mine(("bits = 16", "bits = 12")))
-    settings = load_converters(file)
-    assert (settings.name, settings.bits) == ("card", 12)
-    assert load_converters(settings) is settings
-    assert set(CONVERTER_SETS) == {"off", "sixteen_bit"}
-
-
-def test_unknown_sets_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="is not one of off, sixteen_bit"):
-        load_converters("eight_bit")
-    empty = tmp_path / "two.toml"
-    empty.write_text("[a]\n[b]\n")
-    with pytest.raises(ValueError, match="exactly one"):
-        load_converters(empty)

@@ -61,14 +61,6 @@ def test_quantisation_noise_is_that_of_a_uniform_error():
     assert np.std(error) == pytest.approx(electronics.quantum / np.sqrt(12.0), rel=0.015)
 
 
-def test_without_limits_and_quantisation_the_command_passes_to_the_bit():
-    """Full command 1 V, so that no conversion rounds."""
-    commands = np.random.default_rng(4).uniform(-1.0, 1.0, (500, 6))
-    volts, valve, _ = run(FREE._replace(full_command=1.0), commands)
-    np.testing.assert_array_equal(valve, commands)
-    np.testing.assert_array_equal(volts, commands)
-
-
 def test_range_below_full_command_saturates():
     """5 V of range for 10 V of full command: half the command is left."""
     electronics = FREE._replace(dac_range=5.0)

@@ -250,13 +250,6 @@ def test_the_frame_the_dcl_computes_is_behind_the_reference() -> None:
     assert list(first.values()) == [at, at, at, at + 2]
 
 
-def test_the_demand_is_the_dcus_in_its_own_frame() -> None:
-    """No frame is added to the transport line between DCU and leg reference."""
-    operation = operate(Hexapod(), "velocity", sine(2.0))
-    legs = kinematics.pose_to_legs(operation.session.replay()[:, 0])
-    np.testing.assert_allclose(operation.record["leg_reference"], legs, rtol=0, atol=1e-12)
-
-
 def bad_host(kind: str) -> Arrivals:
     """Three seconds of an 80 Hz host that goes wrong after one."""
     good = arrivals_of(sine(3.0))

@@ -312,12 +312,6 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
     assert run.frame == run.frames and run.look().law == "mine"
 
 
-def test_a_change_with_a_time_is_not_for_now() -> None:
-    run = SignalSession(scenario())
-    with pytest.raises(ValueError, match="at: 0.2 is refused; a change applied live happens"):
-        run.apply(change_of({"at": 0.2}))
-
-
 def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
     run = SignalSession(
         scenario(

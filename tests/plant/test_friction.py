@@ -87,11 +87,6 @@ def test_the_result_does_not_depend_on_the_step() -> None:
     assert force == pytest.approx(whole[1], rel=1e-9)
 
 
-def test_without_friction_nothing_resists() -> None:
-    contact = make_frictions(load_hydraulics("hardware"), ["leg"])[0]
-    assert slide(contact, 0.0, 0.5, 1e-3) == (0.0, 0.0)
-
-
 def test_numbers_come_from_the_set() -> None:
     contact = make_frictions(load_hydraulics("lossy"), ["a", "b"])[1]
     assert contact.coulomb_friction == pytest.approx(150 * LBF, rel=1e-12)
