@@ -26,7 +26,6 @@ from cmf_mj.core.settings import Seed, Settings, name_or
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
-    Converters,
     ConverterSettings,
     converter_state,
     digitise,
@@ -94,7 +93,7 @@ class Electronics(NamedTuple):
     active: bool  #: Whether they act; readings and commands pass as they are otherwise.
     sensors: Sensors
     sensor_state: SensorState
-    converters: Converters
+    converters: LegFeedback  #: `Converter` of each channel.
     converter_state: LegFeedback  #: Filter states (n, s, 2).
     axes_state: LegAxesState  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]

@@ -26,7 +26,15 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import (
+    Acceleration,
+    Kind,
+    Length,
+    Pressure,
+    Quantity,
+    Speed,
+    Voltage,
+)
 from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.core.units import FRAME
 
@@ -34,17 +42,16 @@ CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
 
 _BELOW_HALF_RATE = Kind(("Hz", "rad/s"), below=np.pi / FRAME)
-_Pressure = Annotated[Quantity, positive_in("psi", "Pa")]
 
 
 class FullScale(Settings):
     """Reading of each channel at full-scale volts."""
 
-    position: Annotated[Quantity, positive_in("in", "m")]
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]
-    acceleration: Annotated[Quantity, positive_in("g", "in/s/s", "m/s/s")]
-    cap_pressure: _Pressure
-    rod_pressure: _Pressure
+    position: Length
+    velocity: Speed
+    acceleration: Acceleration
+    cap_pressure: Pressure
+    rod_pressure: Pressure
 
 
 class ConverterSettings(Settings):
@@ -53,7 +60,7 @@ class ConverterSettings(Settings):
     name: Name  #: Name of the set.
     quantise: bool  #: Whether range and resolution act.
     bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
-    volts: Annotated[Quantity, positive_in("V")]  #: Full-scale volts, either way.
+    volts: Voltage  #: Full-scale volts, either way.
     filter_order: Annotated[int, Field(ge=0, le=8)]  #: Order of the anti-alias filter; 0 for none.
     filter_corner: Annotated[Quantity, AfterValidator(_BELOW_HALF_RATE.check)]  #: Its -3 dB corner.
     full_scale: FullScale
@@ -68,16 +75,6 @@ class Converter(NamedTuple):
     codes: float  #: 2^(b-1): codes are -codes to codes - 1.
 
 
-class Converters(NamedTuple):
-    """Converters of the five feedback channels, named as in `LegFeedback`."""
-
-    position: Converter
-    velocity: Converter
-    acceleration: Converter
-    cap_pressure: Converter
-    rod_pressure: Converter
-
-
 load_converters = Loader(
     ConverterSettings,
     Path(__file__).with_name("converters.toml"),
@@ -90,8 +87,8 @@ load_converters = Loader(
 `converters.toml` has."""
 
 
-def make_converters(settings: ConverterSettings, frame: float = FRAME) -> Converters:
-    """Derive the converters of all channels for a control frame [s]."""
+def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFeedback:
+    """Derive the `Converter` of each channel for a control frame [s]."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
     if not corner < 0.5 / frame:
         raise InputError(
@@ -104,10 +101,10 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> Conver
         full = getattr(settings.full_scale, name).si
         return Converter(sections, settings.quantise, full / codes, codes)
 
-    return Converters(*(channel(name) for name in Converters._fields))
+    return LegFeedback(*map(channel, LegFeedback._fields))
 
 
-def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedback:
+def converter_state(converters: LegFeedback, feedback: LegFeedback) -> LegFeedback:
     """Filter states (n, s, 2) of converters that have seen the feedback for a long time."""
     return LegFeedback(
         *(

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Quantity, in_si, positive_in
+from cmf_mj.core.quantity import Length, Quantity, Voltage, in_si, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -40,14 +40,14 @@ class Bits(Settings):
 class ServoSettings(Settings):
     """Servo electronics of one leg."""
 
-    switch_position: Annotated[Quantity, positive_in("in", "m")]
+    switch_position: Length
     """Leg extension or retraction from neutral at which a limit switch trips."""
     velocity_clamp: Annotated[Quantity, positive_in("%", "1")]
     """Largest command the safety module passes."""
     rate_limit: Annotated[Quantity, positive_in("%/s", "1/s")]
     """Largest change of the command on the drive card."""
-    dac_range: Annotated[Quantity, positive_in("V")]  #: Full-scale voltage R either way.
-    full_command: Annotated[Quantity, positive_in("V")]  #: Voltage F of full command.
+    dac_range: Voltage  #: Full-scale voltage R either way.
+    full_command: Voltage  #: Voltage F of full command.
     dac_bits: Bits  #: Resolution n of the DAC.
 
 

@@ -63,14 +63,6 @@ def whole_number(value: Any) -> Any:
     return int(value) if isinstance(value, np.integer) else value
 
 
-def check_options(plant: object, options: Mapping[str, Any], allowed: Sequence[str]) -> None:
-    """Refuse what is no plant, and what is no option, by its name."""
-    if not isinstance(plant, Plant):
-        raise InputError(f"plant: {plant!r} is refused; allowed: a Plant, such as Hexapod('gfd')")
-    for name in options:
-        check_name("option", name, allowed)
-
-
 def built_or_named(value: Any) -> Any:
     """A plant by its name, or one that was built."""
     if not (value in PLANTS if isinstance(value, str) else isinstance(value, Plant)):

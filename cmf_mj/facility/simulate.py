@@ -13,14 +13,10 @@ from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
-from cmf_mj.facility.settings import check_options
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
-
-OPTIONS = ("start", "events", "record_every", "command_delay")
-"""Fields of `Run` that are options here."""
 
 
 def simulate(
@@ -69,7 +65,6 @@ def simulate(
     >>> bool(record["gimbal_error"].max() < 1e-5)
     True
     """
-    check_options(plant, options, OPTIONS)
     source = LegDemand(cast("ArrayLike", command)) if legs else command
     guarded: dict[str, Any] = {"protection": protection, "electronics": electronics}
     return Run(plant=plant, law=law, source=source, **options, **guarded).record()
@@ -96,6 +91,5 @@ def drive(plant: Plant, valves: ArrayLike, **options: Any) -> Record:
     >>> bool((record["leg_extension"][-1] > 0.0).all())
     True
     """
-    check_options(plant, options, OPTIONS)
     run = Run(plant=plant, law=None, source=ValveCommands(valves), **{"command_delay": 0} | options)
     return run.record()

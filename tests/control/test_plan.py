@@ -15,7 +15,7 @@ from cmf_mj.control.dcl import DclState, make_dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.inverse import opened
-from cmf_mj.control.plan import actuator_polynomial, response_polynomial
+from cmf_mj.control.plan import response_polynomial
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.unknowns import valve_gains, with_valve_gains
@@ -45,6 +45,14 @@ LEG_PLAN = {
         "approach": 6.0,
     },
 }
+
+
+def actuator_polynomial(plan, frequency):
+    """D, ascending powers of s, of a leg or mode of this undamped frequency [rad/s]."""
+    polynomial = np.array([0.0, 1.0])
+    for corner in (plan.drive_lag, plan.valve_lag):
+        polynomial = np.convolve(polynomial, [1.0, 1.0 / (2.0 * np.pi * corner)])
+    return np.convolve(polynomial, [1.0, plan.leak_rate / frequency**2, 1.0 / frequency**2])
 
 
 def law_of(**changes: object) -> Law:

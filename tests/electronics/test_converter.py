@@ -5,7 +5,6 @@ import pytest
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
-    Converters,
     convert,
     converter_state,
     digitise,
@@ -70,6 +69,6 @@ def test_the_filter_takes_in_place_and_starts_settled() -> None:
     for _ in range(5):
         same = LegFeedback(*(array.copy() for array in analogue))
         digitise(converters, state, same, same)
-        for name, read, true in zip(Converters._fields, same, analogue, strict=True):
+        for name, read, true in zip(LegFeedback._fields, same, analogue, strict=True):
             step = getattr(converters, name).step
             assert np.abs(read - true).max() <= 0.5001 * step
