@@ -83,14 +83,6 @@ def test_braking_from_the_stopping_velocity_ends_on_the_limit(room, acceleration
     assert T * (velocity - acceleration * T * frames).sum() == pytest.approx(room, rel=1e-9)
 
 
-def test_stopping_velocity_tends_to_the_parabola():
-    """sqrt(2 A R) as T goes to 0; the discrete one is below by A T / 2."""
-    for room in (0.01, 0.1, 1.0):
-        exact = np.sqrt(2.0 * 8.0 * room)
-        assert block.stopping_velocity(room, 8.0, T) == pytest.approx(exact - 4.0 * T, rel=1e-4)
-    assert block.stopping_velocity(0.0, 8.0, T) == block.stopping_velocity(-1e-17, 8.0, T) == 0.0
-
-
 def test_demand_beyond_the_range_is_met_on_the_limit_at_rest():
     """Speed out of reach: full acceleration to the middle, then braking: 2 sqrt(L / A) seconds."""
     found = limit_history(channel(velocity=50.0), column(np.r_[0.0, np.full(4000, 5.0)])).position[

@@ -362,12 +362,9 @@ def test_passing_states_are_no_start():
             start(STATES, code, [0.0])
 
 
-def test_settings_are_assumed_and_own_ones_replace_them(tmp_path):
+def test_shipped_settings_are_assumed():
     shipped = load_state_settings()
     assert {getattr(shipped, n).status for n in type(shipped).model_fields} == {"assumed"}
-    path = tmp_path / "slow.toml"
-    path.write_text('speed = {value = 4.0, unit = "in/s", status = "assumed", source = "a test"}')
-    assert make_states(load_state_settings(path)).speed == pytest.approx(0.1016)
 
 
 def test_raise_is_the_minimum_jerk_profile():

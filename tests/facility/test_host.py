@@ -88,25 +88,6 @@ def test_derivatives_of_a_quintic_are_exact() -> None:
     assert np.abs(acceleration[:, 3] - poly.deriv(2)(time)).max() < 1e-6
 
 
-def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> None:
-    errors = []
-    for rate in (20.0, 40.0):
-        time = np.arange(int(8 * rate)) / rate
-        pose = np.tile(np.sin(2.0 * np.pi * time)[:, None], 6)
-        first, second = differentiate(time, pose)
-        inner = (time > 2.0) & (time < 6.0)
-        w = 2.0 * np.pi
-        errors.append(
-            (
-                np.abs(first[inner, 0] - w * np.cos(w * time[inner])).max(),
-                np.abs(second[inner, 0] + w * w * np.sin(w * time[inner])).max(),
-            )
-        )
-    orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
-    assert orders[0] > 4.8
-    assert orders[1] == pytest.approx(4.0, abs=0.3)
-
-
 def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     stream = wave(160, 64.0)
     compiled = make_dcu()

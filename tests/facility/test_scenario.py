@@ -25,7 +25,6 @@ from cmf_mj.facility.scenario import (
 from cmf_mj.facility.settings import change_of
 from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.record.record import Record
-from cmf_mj.signals.composite import FadedSines
 from cmf_mj.signals.signal import tabulated
 
 SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2.0, "fade": 0.2}
@@ -345,11 +344,6 @@ def shortened(full: Run, seconds: float) -> Run:
     fields["events"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.events)
     fields["change"] = tuple(
         c.model_copy(update={"at": None, "frame": round(c.when() * share)}) for c in full.change
-    )
-    # A signal along one axis after the other is 46 minutes long, and its table half a gigabyte.
-    fields["signal"] = tuple(
-        one.model_copy(update={"dofs": one.dofs[:1]}) if isinstance(one, FadedSines) else one
-        for one in full.signal
     )
     if full.operation is not None:
         requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.requests)

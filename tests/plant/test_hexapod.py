@@ -16,6 +16,7 @@ from cmf_mj.core import units
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant import cylinder
+from tests.plant.test_hexapod_cab import odd
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])  # z down
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -93,6 +94,11 @@ def plant(request):
     return Hexapod(request.param)
 
 
+@pytest.fixture(scope="module", params=[*models.CABS, odd()], ids=[*models.CABS, "odd"])
+def any_cab(request):
+    return Hexapod(request.param)
+
+
 @pytest.fixture(scope="module")
 def gfd():
     return Hexapod("gfd")
@@ -113,10 +119,10 @@ def massless(cab):
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_reflected_mass_agrees_with_rigid_body_algebra(plant, pose):
+def test_reflected_mass_agrees_with_rigid_body_algebra(any_cab, pose):
     """1e-5: the spin left out is 1e-6; where the legs cannot spin, at neutral, round-off is left.
     Symmetric, positive definite."""
-    mass, expected = plant.reflected_mass(pose), Rigid(plant, pose).reflected
+    mass, expected = any_cab.reflected_mass(pose), Rigid(any_cab, pose).reflected
     size = np.abs(expected).max()
     assert np.abs(mass - expected).max() < (1e-5 if pose.any() else 1e-8) * size
     np.testing.assert_allclose(mass, mass.T, rtol=0.0, atol=1e-9 * size)
@@ -153,10 +159,10 @@ def test_heave_effective_mass_with_legs_is_larger(gfd):
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_static_leg_forces_balance_the_weights(plant, pose):
+def test_static_leg_forces_balance_the_weights(any_cab, pose):
     """J' f: the vertical parts carry the weight, nothing pushes sideways, no moment is left."""
-    plant.place(pose)
-    rigid, found = Rigid(plant, pose), plant.static_load()
+    any_cab.place(pose)
+    rigid, found = Rigid(any_cab, pose), any_cab.static_load()
     np.testing.assert_allclose(found, rigid.forces, rtol=1e-9, atol=0.0)
     wrench, weight = rigid.jacobian.T @ found, -rigid.wrench[2]
     np.testing.assert_allclose(wrench, rigid.wrench, rtol=0.0, atol=1e-9 * weight)
