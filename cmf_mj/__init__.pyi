@@ -17,7 +17,6 @@ from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
 from .facility.run import Run as Run
 from .facility.scenario import load_scenario as load_scenario
-from .facility.scenario import run_scenario as run_scenario
 from .facility.simulate import drive as drive
 from .facility.simulate import simulate as simulate
 from .machine.cab import Cab as Cab

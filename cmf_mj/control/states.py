@@ -49,10 +49,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.arrays import record_array
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Acceleration, Length, Speed, Time, in_si
+from cmf_mj.core.quantity import Acceleration, Length, Speed, Time
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
@@ -160,7 +160,7 @@ def make_states(
         State.RETURN: settings.return_time,
         State.FAULT: settings.fault_time,
     }
-    return in_si(
+    return compiled_params(
         States,
         settings,
         fade=np.array([fades[state].si if state in fades else 0.0 for state in State]),

@@ -104,7 +104,7 @@ def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Par
 
     Settings are a table of them or an object; a quantity is taken in SI, anything else as it is.
 
-    >>> from cmf_mj.plant.friction import Friction
+    >>> from cmf_mj.plant.cylinder import Friction
     >>> compiled_params(Friction, cmf_mj.load_hydraulics("report"), excess=0.1).presliding
     0.0001016
     """

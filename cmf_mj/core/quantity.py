@@ -15,7 +15,6 @@ from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.core.units import LONGEST
 
 Value = TypeVar("Value")
-Block = TypeVar("Block", bound=tuple[Any, ...])
 
 
 class _Known(Settings, Generic[Value]):
@@ -71,12 +70,6 @@ class Points(_Known[Annotated[tuple[tuple[float, float, float], ...], BeforeVali
     def si(self) -> NDArray[np.float64]:
         """The points in SI, (n, 3)."""
         return units.to_si(self.unit, np.array(self.value))
-
-
-def in_si(block: type[Block], settings: Settings, **derived: Any) -> Block:
-    """Compiled parameters of a block: what is derived, and its other fields from settings in SI."""
-    given = (name for name in block._fields if name not in derived)  # type: ignore[attr-defined]
-    return block(**{name: getattr(settings, name).si for name in given}, **derived)
 
 
 def positive_in(*allowed: str) -> AfterValidator:
@@ -168,4 +161,6 @@ Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
 
 def optional(field: FieldInfo) -> Any:
     """The annotation of a field, its range check included, or None."""
-    return Annotated[field.annotation, *field.metadata] | None
+    checks = tuple(field.metadata)
+    kind: Any = Annotated[(field.annotation, *checks)] if checks else field.annotation
+    return kind | None

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Length, Quantity, Voltage, in_si, positive_in
+from cmf_mj.core.quantity import Length, Quantity, Voltage, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -80,7 +81,9 @@ def make_servo_electronics(
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
     quantum = 2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0
-    return in_si(ServoElectronics, chosen, change=chosen.rate_limit.si * frame, quantum=quantum)
+    return compiled_params(
+        ServoElectronics, chosen, change=chosen.rate_limit.si * frame, quantum=quantum
+    )
 
 
 def start(legs: int = 6) -> ServoState:

@@ -30,10 +30,11 @@ from cmf_mj.plant.cylinder import (
     force,
     holding_pressures,
     make_cylinders,
+    make_frictions,
+    slide,
     throttled,
     volumes,
 )
-from cmf_mj.plant.friction import make_frictions, slide
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Count, validated
 from cmf_mj.core.units import RATE
@@ -320,10 +321,8 @@ def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[
     array([0.041, 0.2  , 0.4  ])
     """
     when = np.asarray(times, dtype=float)
-    points = np.atleast_2d(np.asarray(values, dtype=float))
     _rising(when)
-    if points.shape[0] != when.size or points.ndim != 2 or not np.isfinite(points).all():
-        raise InputError(f"values: must be {when.size} finite rows, one a time")
+    points = shaped("values", values, when.size, None)
     time = np.arange(round(when[-1] * rate) + 1) / rate
     index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
     s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]

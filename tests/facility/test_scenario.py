@@ -17,7 +17,6 @@ from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.scenario import (
     load_scenario,
-    run_scenario,
     save_scenario,
     scenario_names,
     scenario_of,
@@ -123,7 +122,7 @@ def test_impossible_changes_are_refused_before_the_run() -> None:
     with pytest.raises(ValueError, match="leg: 7 of valve_dead is not a leg; allowed: 1 to 6"):
         SignalSession(scenario(change=[{"at": 0.1, "failure": [{"kind": "valve_dead", "leg": 7}]}]))
     with pytest.raises(ValueError, match="duration: is open"):
-        run_scenario(scenario(duration="open"))
+        scenario(duration="open").record()
 
 
 # Demand
@@ -175,7 +174,7 @@ def test_an_endless_sine_is_the_sine_after_its_fade() -> None:
 
 def test_a_plain_scenario_is_the_run_of_simulate() -> None:
     step = {"kind": "step", "dof": "surge", "amplitude": [1.0, "in"], "at": 0.25}
-    record = run_scenario(scenario(signal=[step]))
+    record = scenario(signal=[step]).record()
     command = signals.step("surge", units.INCH, at=0.25, duration=0.5)
     expected = simulate(Hexapod("gfd"), "velocity", command)
     assert set(record.channels) == set(expected.channels)
@@ -231,7 +230,7 @@ def test_each_change_acts(live: SignalSession) -> None:
     done = live.done()
     for number in range(len(done.change) - 1):
         fewer = done.change[:number] + done.change[number + 1 :]
-        other = run_scenario(done.model_copy(update={"change": fewer}))
+        other = done.model_copy(update={"change": fewer}).record()
         frame = done.change[number].when() // 3
         own = live.record()["generalised_position"]
         np.testing.assert_array_equal(own[:frame], other["generalised_position"][:frame])
@@ -241,7 +240,7 @@ def test_each_change_acts(live: SignalSession) -> None:
 def test_a_push_lifts_what_it_pushes() -> None:
     """A force through the centre of mass: m a, before legs and hydraulics answer."""
     push = {"frame": 8, "push": {"body": "cab/cab", "force": [0.0, 0.0, 5.0e4]}}
-    runs = [run_scenario(scenario(signal=[], duration=0.02, change=c)) for c in ([], [push])]
+    runs = [scenario(signal=[], duration=0.02, change=c).record() for c in ([], [push])]
     z = [r["generalised_position"][:, 2] for r in runs]
     rise = z[1] - z[0]
     assert (rise[:9] == 0.0).all()
@@ -259,7 +258,7 @@ def test_an_open_run_keeps_only_the_last_seconds() -> None:
     record = run.record()
     assert record.time.size == 1024 // 4
     assert record.time[0] == 1.25
-    whole = run_scenario(run.done())
+    whole = run.done().record()
     for name in record.channels:
         np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
 
@@ -275,7 +274,7 @@ def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
     run.run(100)
     done = run.done()
     assert [change.law for change in done.change] == ["modal_plan", None, law]
-    same(run.record(), run_scenario(done))
+    same(run.record(), done.record())
 
 
 def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: Path) -> None:
@@ -330,7 +329,7 @@ def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
     record = run.record()
     assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
     assert not any(record.metadata["host_rejections"].values())
-    same(record, run_scenario(run.done()))
+    same(record, run.done().record())
 
 
 # Command line

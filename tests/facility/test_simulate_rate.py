@@ -11,7 +11,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.scenario import run_scenario, scenario_of
+from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
@@ -113,7 +113,7 @@ def test_a_scenario_runs_at_the_rate_of_its_machine(tmp_path: Path) -> None:
         },
         "test",
     )
-    record = run_scenario(scenario)
+    record = scenario.record()
     assert record.rate == 1000.0 and record.time.size == 1000
     time = record.time[:500]
     meant = 0.005 * (1.0 - np.cos(np.pi * time)) * np.sin(4.0 * np.pi * time)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from cmf_mj.plant.friction import Friction, make_frictions, slide
+from cmf_mj.plant.cylinder import Friction, make_frictions, slide
 from cmf_mj.plant.parameters import load_hydraulics
 
 LBF, INCH = 0.45359237 * 9.80665, 0.0254

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, model_validator
 from scipy.signal import bessel
 
 from cmf_mj.control.dcu.motion import POSE
-from cmf_mj.core.arrays import record_array
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import chain
 from cmf_mj.core.quantity import (
@@ -31,7 +31,6 @@ from cmf_mj.core.quantity import (
     Speed,
     Time,
     Wait,
-    in_si,
 )
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME, RATE
@@ -207,7 +206,7 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
         )
     rate = _GAP_TIMES / limits.rejoin_time.si
     poles = bessel(4, 1.0, analog=True, output="zpk", norm="delay")[1] / delay.smoothing.si
-    return in_si(
+    return compiled_params(
         Dcu,
         limits,
         **{name: limits.pair(name) for name in ("pose", "velocity", "acceleration", "overtravel")},
