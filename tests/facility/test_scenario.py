@@ -84,7 +84,6 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
             {"plant": "truck"},
             "plant: 'truck' is refused: input should be 'hexapod' or",
         ),
-        ({"plnt": "hexapod"}, "plnt: is not a known field; allowed: cab, change"),
         ({"law": "fast"}, "law: 'fast' is not one of original"),
         ({"signal": [{"kind": "sin"}]}, "does not match any of the expected tags: 'step'"),
         (
@@ -92,9 +91,6 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
             "'deg' is refused for heave",
         ),
         ({"signal": [SINE | {"amplitude": [1.0, "ft"]}]}, "unit 'ft' is not one of in, m"),
-        ({"signal": [SINE | {"frq": 1.0}]}, "sine.frq: is not a known field; allowed: amplitude"),
-        ({"signal": [SINE | {"frequency": 0.0}]}, "frequency: 0.0 is refused"),
-        ({"gains": {"direct_gain": {"velocit": 1.0}}}, "direct_gain.velocit: is not a known field"),
         ({"gains": {"state_gain": 1.5}}, "state_gain: 1.5 is refused: input should be less than 1"),
         ({"change": [{"law": "velocity"}]}, "change.0: needs `at` in s or `frame`"),
         ({"change": [{"at": 1.0, "frame": 1}]}, "at, frame: both are given"),
@@ -102,12 +98,10 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
         ({"change": [{"at": 1.0, "request": "hold"}]}, "request 'hold' needs [operation]"),
         ({"change": [{"at": 1.0, "failure": [{"kind": "valve_dead"}]}]}, "leg: is missing"),
         ({"plant": "single_legs", "operation": {}}, "operation: is for the hexapod"),
-        ({"duration": 0.0}, "duration: 0.0 is refused: input should be greater than 0"),
         (
             {"outputs": {"record": "../x.parquet"}},
             "must be a plain file name that ends in",
         ),
-        ({"protection": "none.toml"}, "none.toml: cannot be read"),
     ],
 )
 def test_what_is_refused_is_named(table: dict[str, Any], said: str) -> None:
