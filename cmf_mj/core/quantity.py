@@ -161,6 +161,4 @@ Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
 
 def optional(field: FieldInfo) -> Any:
     """The annotation of a field, its range check included, or None."""
-    checks = tuple(field.metadata)
-    kind: Any = Annotated[(field.annotation, *checks)] if checks else field.annotation
-    return kind | None
+    return Annotated[field.annotation, *field.metadata] | None

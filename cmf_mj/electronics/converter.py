@@ -16,7 +16,7 @@ neither bits nor range nor filter; the set `sixteen_bit` is assumed.
 """
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,15 +97,15 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFee
     sections = filters.low_pass(settings.filter_order, corner, 1.0 / frame)
     codes = 2.0 ** (settings.bits - 1)
 
-    def channel(name: str) -> Converter:
+    def channel(name: str) -> Any:
         full = getattr(settings.full_scale, name).si
         return Converter(sections, settings.quantise, full / codes, codes)
 
     return LegFeedback(*map(channel, LegFeedback._fields))
 
 
-def converter_state(converters: LegFeedback, feedback: LegFeedback) -> LegFeedback:
-    """Filter states (n, s, 2) of converters that have seen the feedback for a long time."""
+def converter_state(converters: Any, feedback: LegFeedback) -> LegFeedback:
+    """Filter states (n, s, 2) of `make_converters` that have seen the feedback for a long time."""
     return LegFeedback(
         *(
             filters.settled_filter(converter.low_pass, values)

@@ -14,7 +14,7 @@ Second order in h at t[k], the acceleration one mechanical step old:
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,7 +253,7 @@ def four_normals(keys, frame, group):  # type: ignore[no-untyped-def]
 class Sensors(NamedTuple):
     """Compiled parameters of all sensors."""
 
-    channels: LegFeedback  #: `SensorChannel` of each.
+    channels: Any  #: `LegFeedback` of a `SensorChannel` each.
     gravity: bool  #: Whether the leg accelerometers feel gravity and swing.
     axes: LegAxes
     distance: float  #: d, from an upper gimbal down to the accelerometer [m].
@@ -276,8 +276,9 @@ def make_sensors(
     Each channel has its own noise.
     """
     carrier = load_machine(machine)
+    channels: Any = [make_channel(c, getattr(settings, c), rate, seed) for c in CHANNELS]
     return Sensors(
-        LegFeedback(*(make_channel(c, getattr(settings, c), rate, seed) for c in CHANNELS)),
+        LegFeedback(*channels),
         settings.gravity,
         make_leg_axes(carrier),
         carrier.accelerometer_distance,

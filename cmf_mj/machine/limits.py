@@ -7,7 +7,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, create_model, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core import quantity as kind
 from cmf_mj.core import units
@@ -128,10 +128,13 @@ class MotionLimits(Settings):
         return np.array([axis.acceleration.si for axis in self.axes])
 
 
-StatedLimits = create_model(
-    "StatedLimits",
-    __base__=Settings,
-    leg=(StatedLeg, ...),
-    **{dof: (kind.optional(MotionLimits.model_fields[dof]), None) for dof in DOFS},  # type: ignore[call-overload]
-)
-"""Limits as a machine file gives them; a degree of freedom left out has derived ones."""
+class StatedLimits(Settings):
+    """Limits as a machine file gives them; a degree of freedom left out has derived ones."""
+
+    surge: Translation | None = None
+    sway: Translation | None = None
+    heave: Translation | None = None
+    roll: Rotation | None = None
+    pitch: Rotation | None = None
+    yaw: Rotation | None = None
+    leg: StatedLeg
