@@ -32,7 +32,7 @@ from cmf_mj.core import units
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.facility.operation import Operation, operate
-from cmf_mj.facility.scenario import load_scenario, run_scenario
+from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import hexapod_model
@@ -213,7 +213,7 @@ def model(options: argparse.Namespace) -> None:
     if options.motion is not None:
         shown = load_scenario(options.motion)
         changes = {"cab": options.cab, "duration": options.seconds, "record_every": 8}
-        record = run_scenario(shown.model_copy(update=changes))
+        record = shown.model_copy(update=changes).record()
         film([record], options.out, MOTION, titles=[shown.title])
         return
     if options.excavator:

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.state import make_dcu, resting
-from cmf_mj.control.demand import make_demand
 from cmf_mj.control.limiter import make_leg_limiter, make_pose_limiter
 from cmf_mj.control.states import Request, State, make_states
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.front import Blocks, follow, from_host
 from cmf_mj.facility.host.stream import differentiate
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.machine import load_machine
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ DELAYS, SPEEDS, REQUESTS = 24, 6, 16
 GENES = 9 + DELAYS + SPEEDS + REQUESTS
 DERIVATIVES = ("exact", "spline", "zero", "delayed", "noisy")
 DCU, STATES = make_dcu(), make_states()
-BLOCKS = Blocks(DCU, make_pose_limiter(), make_demand(), STATES, make_leg_limiter())
+BLOCKS = Blocks(DCU, make_pose_limiter(), load_machine().geometry, STATES, make_leg_limiter())
 
 
 class Host(NamedTuple):

@@ -36,7 +36,7 @@ def list_command(
     """List laws, machines, or the numbers of a hydraulic or sensor set with their sources."""
     from cmf_mj.core.quantity import quantity_table
     from cmf_mj.core.result import Field, Result, Table
-    from cmf_mj.electronics.channel import load_sensors
+    from cmf_mj.electronics.sensors import load_sensors
     from cmf_mj.machine.models import machine_names
     from cmf_mj.plant.parameters import hydraulics_of
 

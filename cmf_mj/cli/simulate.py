@@ -70,7 +70,7 @@ def run_command(
     chosen = _changed(cmf_mj.load_scenario(scenario), machine=machine, cab=cab)
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
-        record = cmf_mj.run_scenario(chosen, progress=progress)
+        record = chosen.record(progress=progress)
     with progress_bar("drawing") as progress:
         paths = save_run(record, chosen, folder, progress=progress)
     show(written(paths))
@@ -269,7 +269,7 @@ def video_command(
             base = cmf_mj.load_scenario(name)
             for law in laws or [str(base.law)]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
-                records.append(cmf_mj.run_scenario(one, progress=progress))
+                records.append(one.record(progress=progress))
                 titles.append(one.law if laws else one.title or Path(name).stem)
     if len(traces) == len(records):  # flights, each with six traces of what its pilot felt
         look = look._replace(strip=300)

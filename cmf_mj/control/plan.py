@@ -126,14 +126,6 @@ def response_polynomial(plan: Plan) -> NDArray[np.float64]:
     return polynomial
 
 
-def actuator_polynomial(plan: Plan, frequency: float) -> NDArray[np.float64]:
-    """D, ascending powers of s, of a leg or mode of this undamped frequency [rad/s]."""
-    polynomial = np.array([0.0, 1.0])
-    for corner in (plan.drive_lag, plan.valve_lag):
-        polynomial = np.convolve(polynomial, [1.0, 1.0 / (2.0 * np.pi * corner)])
-    return np.convolve(polynomial, [1.0, plan.leak_rate / frequency**2, 1.0 / frequency**2])
-
-
 def make_plan(
     plan: Plan | None, modes: Modes | None, legs: int, frame: float, machine: Machine
 ) -> CompiledPlan:

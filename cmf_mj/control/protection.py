@@ -28,12 +28,12 @@ from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator
 
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core import quantity
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import Acceleration, Length, Pressure, Quantity, Speed, Time, positive_in
 from cmf_mj.core.settings import Count, Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -71,21 +71,17 @@ class Check(Settings, Generic[Threshold]):
     persistence: Count  #: Frames of 1/2048 s in a row that make a fault.
 
 
-_Length = Check[Annotated[Quantity, positive_in("in", "m")]]
-_Pressure = Check[Annotated[Quantity, positive_in("psi", "Pa")]]
-
-
 class ProtectionSettings(Settings):
     """All conditions."""
 
-    tracking_error: _Length
-    sensor_disagreement: _Length
-    over_pressure: _Pressure
-    under_pressure: _Pressure
-    over_speed: Check[Annotated[Quantity, positive_in("in/s", "m/s")]]
-    over_acceleration: Check[Annotated[Quantity, positive_in("g", "in/s/s", "m/s/s")]]
-    host_watchdog: Check[Annotated[Quantity, positive_in("s")]]
-    frame_watchdog: Check[Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]]
+    tracking_error: Check[Length]
+    sensor_disagreement: Check[Length]
+    over_pressure: Check[Pressure]
+    under_pressure: Check[Pressure]
+    over_speed: Check[Speed]
+    over_acceleration: Check[Acceleration]
+    host_watchdog: Check[Time]
+    frame_watchdog: Check[quantity.Count]
     washout: Annotated[Quantity, positive_in("1/s")]
     """Rate r at which the integrated velocity follows the position; below 1/T."""
 
@@ -158,7 +154,8 @@ def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Prote
 def protection_state(position: NDArray[np.float64]) -> ProtectionState:
     """State of a machine at rest at the leg positions (n,) [m], no fault."""
     counts = np.zeros((len(FAULTS), position.shape[0]), dtype=np.int64)
-    return ProtectionState(counts, np.array(position, dtype=float), one_row(Detection()))
+    detection = record_array(Detection, [Detection()])
+    return ProtectionState(counts, np.array(position, dtype=float), detection)
 
 
 @compiled

@@ -44,15 +44,15 @@ become faults, as does leaving off while a leg has no reading.
 
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, in_si, positive_in
+from cmf_mj.core.quantity import Acceleration, Length, Speed, Time
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
@@ -63,30 +63,25 @@ _ACCELERATION_PEAK = 10.0 / np.sqrt(3.0)
 """Largest s''."""
 
 
-_Time = Annotated[Quantity, positive_in("s")]
-_Length = Annotated[Quantity, positive_in("in", "m")]
-
-
 class StateSettings(Settings):
     """Times, rates and tolerances of the operating states."""
 
-    raise_time: _Time  #: Least fade from the stops to neutral.
-    engage_time: _Time  #: Least fade to the host's demand.
-    hold_time: _Time
+    raise_time: Time  #: Least fade from the stops to neutral.
+    engage_time: Time  #: Least fade to the host's demand.
+    hold_time: Time
     """Least fade to hold; it moves the legs where they would come to rest beyond the stroke."""
-    return_time: _Time  #: Least fade to the stops.
-    fault_time: _Time  #: Least fade to the stops after a fault.
-    stop_time: _Time  #: Least S of a stop, which is S / 2 times its first velocity long.
-    valve_time: _Time  #: Time in which the valve command is faded in or out.
-    speed: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed of a fade.
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest leg acceleration of a fade, and of a stop."""
-    settled_tolerance: _Length
+    return_time: Time  #: Least fade to the stops.
+    fault_time: Time  #: Least fade to the stops after a fault.
+    stop_time: Time  #: Least S of a stop, which is S / 2 times its first velocity long.
+    valve_time: Time  #: Time in which the valve command is faded in or out.
+    speed: Speed  #: Largest leg speed of a fade.
+    acceleration: Acceleration  #: Largest leg acceleration of a fade, and of a stop.
+    settled_tolerance: Length
     """Distance that a leg with closed valves may move and still lies where it lay."""
-    arrival_tolerance: _Length
+    arrival_tolerance: Length
     """Distance from neutral, or above the settled position, within which a leg has followed there;
     below are the mechanical stops."""
-    arrival_timeout: _Time  #: Time after the end of raise or return in which the legs must arrive.
+    arrival_timeout: Time  #: Time after the end of raise or return in which the legs must arrive.
 
 
 load_state_settings = Loader(StateSettings, Path(__file__).with_name("states.toml"))
@@ -165,7 +160,7 @@ def make_states(
         State.RETURN: settings.return_time,
         State.FAULT: settings.fault_time,
     }
-    return in_si(
+    return compiled_params(
         States,
         settings,
         fade=np.array([fades[state].si if state in fades else 0.0 for state in State]),
@@ -185,7 +180,7 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     if code == State.OFF:
         at[:] = -states.travel
     gain = 0.0 if code == State.OFF else 1.0
-    phase = one_row(Phase(int(code), valve=gain, gain=gain))
+    phase = record_array(Phase, [Phase(int(code), valve=gain, gain=gain)])
     return OperatingState(phase, np.zeros((3, at.size)), hold=at, host=at.copy())
 
 

@@ -93,15 +93,6 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     return view
 
 
-def one_row(values: NamedTuple) -> np.recarray[Any, Any]:
-    """One record with the fields, their types and values of a named tuple, (1,).
-
-    Compiled functions write to it, and take one array apart where each field would be one.
-    """
-    fields = [(name, type(value)) for name, value in values._asdict().items()]
-    return np.array([tuple(values)], dtype=fields).view(np.recarray)
-
-
 def copied(block: Block) -> Block:
     """A named tuple of arrays, and of such tuples, with arrays of its own."""
     parts = (copied(part) if isinstance(part, tuple) else part.copy() for part in block)
@@ -113,7 +104,7 @@ def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Par
 
     Settings are a table of them or an object; a quantity is taken in SI, anything else as it is.
 
-    >>> from cmf_mj.plant.friction import Friction
+    >>> from cmf_mj.plant.cylinder import Friction
     >>> compiled_params(Friction, cmf_mj.load_hydraulics("report"), excess=0.1).presliding
     0.0001016
     """
@@ -123,13 +114,14 @@ def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Par
 
 
 def record_array(kind: type[NamedTuple], rows: Iterable[Any]) -> np.recarray:
-    """Rows, each a `kind` or a list of them, as one array with the fields of `kind`.
+    """Rows, each a `kind` or a list of them, as one array with the fields and types of `kind`.
 
     Compiled functions take every array of an argument apart into its seven words, so that forty
-    arrays cost more to hand over than to use; one record array a kind costs one.
-    `record_array(Cylinder, cylinders)[2]` reads like one `Cylinder`, and `.cap_area` is an array.
+    arrays cost more to hand over than to use; one record array a kind costs one, and they write to
+    it. `record_array(Cylinder, cylinders)[2]` reads like one `Cylinder`, and `.cap_area` is an
+    array.
     """
-    dtype = np.dtype([(name, np.float64) for name in kind._fields])
+    dtype = np.dtype([(name, kind.__annotations__[name]) for name in kind._fields])
     values = [[*map(tuple, row)] if isinstance(row, list) else tuple(row) for row in rows]
     return np.array(values, dtype=dtype).view(np.recarray)
 

@@ -15,7 +15,6 @@ from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.core.units import LONGEST
 
 Value = TypeVar("Value")
-Block = TypeVar("Block", bound=tuple[Any, ...])
 
 
 class _Known(Settings, Generic[Value]):
@@ -71,12 +70,6 @@ class Points(_Known[Annotated[tuple[tuple[float, float, float], ...], BeforeVali
     def si(self) -> NDArray[np.float64]:
         """The points in SI, (n, 3)."""
         return units.to_si(self.unit, np.array(self.value))
-
-
-def in_si(block: type[Block], settings: Settings, **derived: Any) -> Block:
-    """Compiled parameters of a block: what is derived, and its other fields from settings in SI."""
-    given = (name for name in block._fields if name not in derived)  # type: ignore[attr-defined]
-    return block(**{name: getattr(settings, name).si for name in given}, **derived)
 
 
 def positive_in(*allowed: str) -> AfterValidator:
@@ -140,7 +133,15 @@ Corner = Annotated[Quantity, AfterValidator(Kind(("Hz", "rad/s")).check)]
 LegSpeed = Annotated[Quantity, AfterValidator(Kind(("in/s/%", "m/s/%", "mm/s/%")).check)]
 Speed = Annotated[Quantity, AfterValidator(Kind(("in/s", "m/s", "mm/s")).check)]
 Rate = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
+Acceleration = Annotated[
+    Quantity, AfterValidator(Kind(("g", "m/s^2", "in/s^2", "m/s/s", "in/s/s")).check)
+]
+Angle = Annotated[Quantity, AfterValidator(Kind(("deg", "rad")).check)]
+AngularSpeed = Annotated[Quantity, AfterValidator(Kind(("deg/s", "rad/s")).check)]
+AngularAcceleration = Annotated[Quantity, AfterValidator(Kind(("deg/s^2", "rad/s^2")).check)]
 Time = Annotated[Quantity, AfterValidator(Kind(("s",)).check)]
+Wait = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
+Voltage = Annotated[Quantity, AfterValidator(Kind(("V",)).check)]
 Force = Annotated[Quantity, AfterValidator(Kind(_FORCE, zero=True).check)]
 Viscous = Annotated[Quantity, AfterValidator(Kind(("lbf s/in", "N s/m"), zero=True).check)]
 Volume = Annotated[Quantity, AfterValidator(Kind(_VOLUME).check)]

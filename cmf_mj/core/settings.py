@@ -1,6 +1,5 @@
 """Reading settings files: TOML in, validated immutable models out, one clear error if not."""
 
-import hashlib
 import json
 import os
 import re
@@ -146,28 +145,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is not valid TOML: {reason(error)}") from error
 
 
-_SEAL = "# cmf_mj sha256 "
 _LEVELS, _SHOWN, _FAULTS = 16, 200, 10
 """Levels of tables allowed in a file; characters of a refused value, and faults, that errors show.
 """
 
 
-def sealed(text: str) -> str:
-    """A TOML text below a comment with its SHA-256, so that `parsed_toml` notices a change."""
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    return f"{_SEAL}{digest}: who edits what follows deletes this line\n{text}"
-
-
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
-    """The tables of a TOML text, called `where` in errors; a sealed one is as it was written."""
-    text = text.removeprefix("\ufeff").replace("\r\n", "\n")
-    if text.startswith(_SEAL) and text != sealed(text.partition("\n")[2]):
-        raise InputError(
-            f"{where}: is damaged or edited: it does not hold what the SHA-256 in its first line "
-            "says; if the change is meant, delete that line"
-        )
+    """The tables of a TOML text, called `where` in errors."""
     try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(text.removeprefix("\ufeff"))
     except RecursionError:
         raise _too_deep(where) from None
     except ValueError as error:  # also a number with more digits than Python reads

@@ -25,16 +25,22 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Seed, Settings, name_or
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics import servo_electronics as servo
-from cmf_mj.electronics.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.converter import (
-    Converters,
     ConverterSettings,
     converter_state,
     digitise,
     load_converters,
     make_converters,
 )
-from cmf_mj.electronics.sensors import Sensors, SensorState, make_sensors, sense, sensor_state
+from cmf_mj.electronics.sensors import (
+    Sensors,
+    SensorSettings,
+    SensorState,
+    load_sensors,
+    make_sensors,
+    sense,
+    sensor_state,
+)
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import MachineOrGimbals
@@ -87,7 +93,7 @@ class Electronics(NamedTuple):
     active: bool  #: Whether they act; readings and commands pass as they are otherwise.
     sensors: Sensors
     sensor_state: SensorState
-    converters: Converters
+    converters: LegFeedback  #: `Converter` of each channel.
     converter_state: LegFeedback  #: Filter states (n, s, 2).
     axes_state: LegAxesState  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]
@@ -96,8 +102,6 @@ class Electronics(NamedTuple):
     servo: ServoElectronics
     servo_state: ServoState
     reading: LegFeedback  #: What the sensors put out.
-    counts: NDArray[np.float64]  #: At the DAC, (n,).
-    volts: NDArray[np.float64]  #: At the DAC [V], (n,).
 
 
 @cache
@@ -137,8 +141,6 @@ def make_electronics(
         servo=servo.make_servo_electronics(parts.servo, frame),
         servo_state=servo.start(legs),
         reading=reading,
-        counts=np.zeros(legs),
-        volts=np.zeros(legs),
     )
 
 
@@ -226,16 +228,7 @@ def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-
     """
     if not electronics.active:
         return False
-    return servo.step(
-        electronics.servo,
-        electronics.servo_state,
-        raised,
-        command,
-        position,
-        electronics.counts,
-        electronics.volts,
-        command,
-    )
+    return servo.step(electronics.servo, electronics.servo_state, raised, command, position)
 
 
 @inlined

@@ -9,14 +9,14 @@ H runs at the frame rate by the bilinear transform, pre-warped to its corner
 (`cmf_mj.core.filters`).
 
 Aliasing. The simulation has no contents above half the frame rate f_s = 2048 Hz, so nothing folds
-in it. On the machine a tone at f appears at |f - f_s round(f / f_s)|, damped to |H(f)|: `aliased`.
+in it. On the machine a tone at f appears at |f - f_s round(f / f_s)|, damped to |H(f)|.
 
 Everything is off in the set `off`, the default: readings pass bit for bit. The facility published
 neither bits nor range nor filter; the set `sixteen_bit` is assumed.
 """
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,15 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import (
+    Acceleration,
+    Kind,
+    Length,
+    Pressure,
+    Quantity,
+    Speed,
+    Voltage,
+)
 from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.core.units import FRAME
 
@@ -34,17 +42,16 @@ CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
 
 _BELOW_HALF_RATE = Kind(("Hz", "rad/s"), below=np.pi / FRAME)
-_Pressure = Annotated[Quantity, positive_in("psi", "Pa")]
 
 
 class FullScale(Settings):
     """Reading of each channel at full-scale volts."""
 
-    position: Annotated[Quantity, positive_in("in", "m")]
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]
-    acceleration: Annotated[Quantity, positive_in("g", "in/s/s", "m/s/s")]
-    cap_pressure: _Pressure
-    rod_pressure: _Pressure
+    position: Length
+    velocity: Speed
+    acceleration: Acceleration
+    cap_pressure: Pressure
+    rod_pressure: Pressure
 
 
 class ConverterSettings(Settings):
@@ -53,7 +60,7 @@ class ConverterSettings(Settings):
     name: Name  #: Name of the set.
     quantise: bool  #: Whether range and resolution act.
     bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
-    volts: Annotated[Quantity, positive_in("V")]  #: Full-scale volts, either way.
+    volts: Voltage  #: Full-scale volts, either way.
     filter_order: Annotated[int, Field(ge=0, le=8)]  #: Order of the anti-alias filter; 0 for none.
     filter_corner: Annotated[Quantity, AfterValidator(_BELOW_HALF_RATE.check)]  #: Its -3 dB corner.
     full_scale: FullScale
@@ -68,16 +75,6 @@ class Converter(NamedTuple):
     codes: float  #: 2^(b-1): codes are -codes to codes - 1.
 
 
-class Converters(NamedTuple):
-    """Converters of the five feedback channels, named as in `LegFeedback`."""
-
-    position: Converter
-    velocity: Converter
-    acceleration: Converter
-    cap_pressure: Converter
-    rod_pressure: Converter
-
-
 load_converters = Loader(
     ConverterSettings,
     Path(__file__).with_name("converters.toml"),
@@ -90,8 +87,8 @@ load_converters = Loader(
 `converters.toml` has."""
 
 
-def make_converters(settings: ConverterSettings, frame: float = FRAME) -> Converters:
-    """Derive the converters of all channels for a control frame [s]."""
+def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFeedback:
+    """Derive the `Converter` of each channel for a control frame [s]."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
     if not corner < 0.5 / frame:
         raise InputError(
@@ -100,15 +97,15 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> Conver
     sections = filters.low_pass(settings.filter_order, corner, 1.0 / frame)
     codes = 2.0 ** (settings.bits - 1)
 
-    def channel(name: str) -> Converter:
+    def channel(name: str) -> Any:
         full = getattr(settings.full_scale, name).si
         return Converter(sections, settings.quantise, full / codes, codes)
 
-    return Converters(*(channel(name) for name in Converters._fields))
+    return LegFeedback(*map(channel, LegFeedback._fields))
 
 
-def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedback:
-    """Filter states (n, s, 2) of converters that have seen the feedback for a long time."""
+def converter_state(converters: Any, feedback: LegFeedback) -> LegFeedback:
+    """Filter states (n, s, 2) of `make_converters` that have seen the feedback for a long time."""
     return LegFeedback(
         *(
             filters.settled_filter(converter.low_pass, values)
@@ -136,20 +133,6 @@ def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-d
     """All channels of all legs, one frame; both are a `LegFeedback` and may be the same."""
     for channel in range(5):
         convert(converters[channel], state[channel], analogue[channel], digital[channel])
-
-
-def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float]:
-    """Frequency [Hz] at which a tone of the analogue signal appears in the samples, and its gain.
-
-    |H(f)| = 1 / sqrt(1 + (f / corner)^(2 order)), the analogue Butterworth filter.
-    """
-    if not frequency >= 0.0:
-        raise InputError(f"frequency: {frequency} Hz must be at least 0")
-    rate = 1.0 / FRAME
-    ratio = frequency / (settings.filter_corner.si / (2.0 * np.pi))
-    order = settings.filter_order
-    gain = 1.0 / np.sqrt(1.0 + ratio ** (2 * order)) if order else 1.0
-    return float(abs(frequency - rate * np.round(frequency / rate))), float(gain)
 
 
 @compiled

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Quantity, in_si, positive_in
+from cmf_mj.core.quantity import Length, Quantity, Voltage, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -40,14 +41,14 @@ class Bits(Settings):
 class ServoSettings(Settings):
     """Servo electronics of one leg."""
 
-    switch_position: Annotated[Quantity, positive_in("in", "m")]
+    switch_position: Length
     """Leg extension or retraction from neutral at which a limit switch trips."""
     velocity_clamp: Annotated[Quantity, positive_in("%", "1")]
     """Largest command the safety module passes."""
     rate_limit: Annotated[Quantity, positive_in("%/s", "1/s")]
     """Largest change of the command on the drive card."""
-    dac_range: Annotated[Quantity, positive_in("V")]  #: Full-scale voltage R either way.
-    full_command: Annotated[Quantity, positive_in("V")]  #: Voltage F of full command.
+    dac_range: Voltage  #: Full-scale voltage R either way.
+    full_command: Voltage  #: Voltage F of full command.
     dac_bits: Bits  #: Resolution n of the DAC.
 
 
@@ -80,7 +81,9 @@ def make_servo_electronics(
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
     quantum = 2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0
-    return in_si(ServoElectronics, chosen, change=chosen.rate_limit.si * frame, quantum=quantum)
+    return compiled_params(
+        ServoElectronics, chosen, change=chosen.rate_limit.si * frame, quantum=quantum
+    )
 
 
 def start(legs: int = 6) -> ServoState:
@@ -112,15 +115,12 @@ def convert(electronics, command):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def step(  # type: ignore[no-untyped-def]
-    electronics, state, raised, command, position, counts, volts, valve
-):
-    """Turn the control law's commands (n,), fractions, into those of the valves, one frame.
+def step(electronics, state, raised, command, position):  # type: ignore[no-untyped-def]
+    """Turn the law's commands (n,), fractions, into those of the valves in place, one frame.
 
     The lower switches are watched if `raised`: in hold and engaged, not on the stops, in raise,
-    return and fault. A leg extension (n,) [m] that is no number trips the switches watched. Counts
-    and volts of the DAC (n,) are overwritten. Returned is whether a switch has tripped, now or
-    earlier.
+    return and fault. A leg extension (n,) [m] that is no number trips the switches watched.
+    Returned is whether a switch has tripped, now or earlier.
     """
     end = electronics.switch_position
     tripped = False
@@ -131,11 +131,11 @@ def step(  # type: ignore[no-untyped-def]
             state.tripped[leg, 1] = True
         tripped |= state.tripped[leg, 0] | state.tripped[leg, 1]
     for leg in range(command.shape[0]):
-        counts[leg], volts[leg] = convert(electronics, command[leg])
-        target = 0.0 if tripped else volts[leg] / electronics.full_command
+        _, volts = convert(electronics, command[leg])
+        target = 0.0 if tripped else volts / electronics.full_command
         target = min(max(target, -electronics.velocity_clamp), electronics.velocity_clamp)
         before, change = state.command[leg], electronics.change
         # A bound at a time, so that an unlimited command passes to the bit.
         state.command[leg] = min(max(target, before - change), before + change)
-        valve[leg] = state.command[leg]
+        command[leg] = state.command[leg]
     return tripped

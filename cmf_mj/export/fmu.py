@@ -278,11 +278,11 @@ def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     run = frozen.run.but(duration=duration, operation=None, source=LegDemand(rows))
     if not frozen.chain:
         return run.but(source=LegDemand(rows) if run.law else ValveCommands(rows)).record()
-    block = demand.make_demand(frozen.plant.machine)
+    geometry = frozen.plant.machine.geometry
     motion, legs = np.zeros((2, 3, 6))
     table = np.empty((rows.shape[0], 6))
     for frame, pose in enumerate(rows[:, :6]):
         motion[0] = pose
-        demand.step(block, motion, legs)
+        demand.step(geometry, motion, legs)
         table[frame] = legs[0]
     return run.but(source=LegDemand(table), start=np.zeros(6)).record()

@@ -150,8 +150,8 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     return blocks, "\n".join(["/* One machine, as exported. */", *text, ""])
 
 
-_DEMAND = ("blocks.demand.geometry.upper", "blocks.states.fade")
-"""First of the demand block, and what follows it."""
+_DEMAND = ("blocks.geometry.upper", "blocks.states.fade")
+"""First of the geometry, and what follows it."""
 
 
 def defines(prefix: str, numbers: Mapping[str, object]) -> list[str]:

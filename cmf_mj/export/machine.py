@@ -27,6 +27,7 @@ from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, run
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
 from cmf_mj.facility.settings import HostChain
+from cmf_mj.machine.geometry import Geometry
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.plant.native import saved
@@ -122,14 +123,14 @@ def frames(parts, first, last):  # type: ignore[no-untyped-def]
 class PoseParts(NamedTuple):
     """What the leg demand of a pose is computed with, as it follows in the table."""
 
-    blocks: demand.Demand
+    geometry: Geometry
     motion: NDArray[np.float64]
     legs: NDArray[np.float64]
 
 
 def legs_of_pose(parts, first, last):  # type: ignore[no-untyped-def]
     """Write the leg demand of a motion; compiled where it is used."""
-    demand.step(parts.blocks, parts.motion, parts.legs)
+    demand.step(parts.geometry, parts.motion, parts.legs)
 
 
 class Frozen(NamedTuple):
@@ -164,7 +165,7 @@ class Frozen(NamedTuple):
         source = self.parts.controller.source
         made = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
         if self.chain:
-            posed = PoseParts(source.blocks.demand, source.motion, source.legs)
+            posed = PoseParts(source.blocks.geometry, source.motion, source.legs)
             made["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(posed))
         return made
 

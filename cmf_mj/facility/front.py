@@ -17,8 +17,12 @@ from cmf_mj.control.dcu.play import Arrivals, feed, strayed
 from cmf_mj.control.dcu.state import Dcu, DcuState, make_dcu, resting
 from cmf_mj.control.protection import FaultCode
 from cmf_mj.control.states import Request, State
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.facility.host.handover import Ring, collect, make_log, make_ring
+from cmf_mj.machine.geometry import Geometry
+from cmf_mj.machine.machine import geometry_of
+from cmf_mj.machine.models import CMF
 
 
 class Blocks(NamedTuple):
@@ -26,16 +30,20 @@ class Blocks(NamedTuple):
 
     dcu: Dcu
     pose_limits: limiter.Limiter
-    demand: demand.Demand
+    geometry: Geometry
     states: states.States
     leg_limits: limiter.Limiter
 
 
-PROGRESS = np.dtype(
-    [(n, np.int64) for n in ("arrival", "collected", "request", "state", "cleared", "found")]
-)
-"""Next arrival, arrivals collected, request in force, operating state, whether a fault has just
-been left, the code of a fault that was found here."""
+class Progress(NamedTuple):
+    """Where the source is."""
+
+    arrival: int = 0  #: Next arrival.
+    collected: int = 0  #: Arrivals collected.
+    request: int = Request.NONE.value  #: Request in force.
+    state: int = State.OFF.value  #: Operating state.
+    cleared: int = 0  #: Whether a fault has just been left.
+    found: int = FaultCode.NONE.value  #: Code of a fault that was found here.
 
 
 class Source(NamedTuple):
@@ -57,7 +65,7 @@ class Source(NamedTuple):
     ring: Ring  #: Hand-over from the receiving thread.
     request_frame: NDArray[np.int64]  #: Control frames of the operator's requests, (m,).
     request: NDArray[np.int64]  #: What is requested, `states.Request`, (m,).
-    progress: np.recarray[Any, Any]  #: One row of `PROGRESS`.
+    progress: np.recarray[Any, Any]  #: `Progress`, (1,).
     motion: NDArray[np.float64]  #: Platform demand within its limits and its derivatives, (3, 6).
     legs: NDArray[np.float64]  #: Leg demand and its derivatives, (3, 6).
     reference: NDArray[np.float64]  #: Leg reference and its derivatives, (3, 6).
@@ -96,8 +104,6 @@ def from_host(
     reference = np.zeros((3, 6))
     at_rest = begin in (State.OFF, State.SETTLED)
     reference[0] = -blocks.states.travel if at_rest else operating.hold
-    progress = np.zeros(1, dtype=PROGRESS).view(np.recarray)
-    progress.request, progress.state = int(Request.NONE), int(begin)
     return Source(
         hosted=True,
         table=_fixed(reference[:1].copy()),
@@ -112,7 +118,7 @@ def from_host(
         ring=ring or make_ring(2),
         request_frame=np.array([frame for frame, _ in requests], dtype=np.int64),
         request=np.array([int(code) for _, code in requests], dtype=np.int64),
-        progress=progress,
+        progress=record_array(Progress, [Progress(state=int(begin))]),
         motion=np.zeros((3, 6)),
         legs=np.zeros((3, 6)),
         reference=reference,
@@ -125,7 +131,7 @@ def _at_rest() -> Source:
     blocks = Blocks(
         make_dcu(),
         limiter.make_pose_limiter(),
-        demand.make_demand(),
+        geometry_of(CMF),
         states.make_states(),
         limiter.make_leg_limiter(),
     )
@@ -151,7 +157,7 @@ def _follow(source, frame, position, fault, tripped, reference):  # type: ignore
     motion, legs, out = source.motion, source.legs, source.reference
     play.step(blocks.dcu, source.dcu_state, motion)
     limiter.step(blocks.pose_limits, source.pose_state, motion)
-    demand.step(blocks.demand, motion, legs)
+    demand.step(blocks.geometry, motion, legs)
     progress.state = states.step(blocks.states, source.operating, request, legs, position, out)
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1

@@ -28,6 +28,7 @@ from cmf_mj.control.protection import (
     protect,
     reset,
 )
+from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors import true_acceleration, true_velocity
@@ -91,9 +92,15 @@ class Recorder(NamedTuple):
     """Record, (rows, columns); overwritten from the start after its last row."""
 
 
-PROGRESS = np.dtype([(n, np.int64) for n in ("event", "tripped", "code", "leg", "frame")])
-"""Next event on the time line; whether a limit switch has tripped; code, leg and frame of the last
-fault that was reset."""
+class Progress(NamedTuple):
+    """Where the loop is."""
+
+    event: int = 0  #: Next event on the time line.
+    tripped: int = 0  #: Whether a limit switch has tripped.
+    stopped: int = 0  #: Whether there is an emergency stop.
+    code: int = 0  #: Of the last fault that was reset.
+    leg: int = 0  #: Of the same.
+    frame: int = 0  #: Of the same.
 
 
 class Memory(NamedTuple):
@@ -110,7 +117,7 @@ class Memory(NamedTuple):
     command: NDArray[np.float64]
     """Commands on their way to the valves, newest first, (delay + 1, n)."""
     closure: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
-    progress: np.recarray[Any, Any]  #: One row of `PROGRESS`.
+    progress: np.recarray[Any, Any]  #: `Progress`, (1,).
 
 
 def make_memory(dynamics: Dynamics, delay: int) -> Memory:
@@ -135,7 +142,7 @@ def make_memory(dynamics: Dynamics, delay: int) -> Memory:
         extension.copy(),
         np.zeros((delay + 1, legs)),
         np.zeros(1),
-        np.zeros(1, dtype=PROGRESS).view(np.recarray),
+        record_array(Progress, [Progress()]),
     )
 
 
@@ -169,7 +176,8 @@ def _warned(warnings):  # type: ignore[no-untyped-def]
 @compiled
 def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
-    strike(timeline, progress.event, faults, position)
+    if strike(timeline, progress.event, faults, position):
+        progress.stopped = 1
     progress.event += 1
     for body in bodies:
         payload[body, 2] = -faults.plant[0].overload / bodies.shape[0]
@@ -189,7 +197,8 @@ def _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed)
         memory.mean_before[leg] = memory.mean[leg]
         memory.mean[leg] = (extension[leg] - before[leg]) / hydraulics.step
     if started:
-        if not advance(hydraulics, state, faults, oldest, before, extension):
+        stopped = memory.progress[0].stopped != 0
+        if not advance(hydraulics, state, faults, oldest, before, extension, stopped):
             return False
     loads(hydraulics.cylinder, state.pressure, state.friction, memory.load)
     return True
@@ -216,7 +225,7 @@ def _sense(dynamics, controller, memory, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _reset(electronics, guard, progress, plant_faults, integral, position):  # type: ignore[no-untyped-def]
+def _reset(electronics, guard, progress, integral, position):  # type: ignore[no-untyped-def]
     """Forget a fault the operator has reset, after noting it; the supply is open again.
 
     The error integral starts again: it has wound up while the valves could not answer.
@@ -227,21 +236,20 @@ def _reset(electronics, guard, progress, plant_faults, integral, position):  # t
     reset(guard, position)
     release(electronics)
     integral[:] = 0.0
-    progress.tripped = 0
-    plant_faults.stopped = 0.0
+    progress.tripped, progress.stopped = 0, 0
 
 
 @inlined
-def _decide(controller, plant_faults, memory, frame):  # type: ignore[no-untyped-def]
+def _decide(controller, memory, frame):  # type: ignore[no-untyped-def]
     """Let the source give its reference; returns the gain on the valve command."""
     source, guard = controller.source, controller.guard
     progress, position = memory.progress[0], memory.feedback.position
-    tripped = progress.tripped != 0 or plant_faults.stopped != 0.0
+    tripped = progress.tripped != 0 or progress.stopped != 0
     gain = follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
     latch(guard, found(source), frame)
     if cleared(source):
         integral = controller.state.error.integral
-        _reset(controller.electronics, guard, progress, plant_faults, integral, position)
+        _reset(controller.electronics, guard, progress, integral, position)
     return gain
 
 
@@ -269,18 +277,18 @@ def _stops(protection, guard, frame, reference, feedback, supply, age, closed): 
 
 
 @inlined
-def _deliver(controller, memory, plant_faults, supply, frame):  # type: ignore[no-untyped-def]
+def _deliver(controller, memory, supply, frame):  # type: ignore[no-untyped-def]
     """Pass the command on through the servo electronics, and stop where the protection says so."""
-    electronics, source = controller.electronics, controller.source
+    electronics, source, progress = controller.electronics, controller.source, memory.progress[0]
     if deliver(electronics, watched(source), memory.truth.position, memory.command[0]):
-        memory.progress[0].tripped = 1
-    if controller.guarded and plant_faults.stopped == 0.0:
+        progress.tripped = 1
+    if controller.guarded and progress.stopped == 0:
         feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
         target = controller.dcl.workspace.limited if closed else feedback.position
         protection, guard, age = controller.protection, controller.guard, host_age(source)
         pressure = supply[SUPPLY_PRESSURE]
         if _stops(protection, guard, frame, target, feedback, pressure, age, closed):
-            plant_faults.stopped = 1.0
+            progress.stopped = 1
 
 
 @inlined
@@ -346,7 +354,6 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
     """
     mechanics, hydraulics, state = dynamics.mechanics, dynamics.hydraulics, dynamics.state
     faults, load, oldest = dynamics.faults, memory.load, memory.command[controller.delay]
-    plant_faults = faults.plant[0]
     for frame in range(first, last):
         begin(controller.pace, frame)
         recorded = frame % recorder.every == 0
@@ -356,9 +363,9 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
                 return frame, SOLUTION, 0
             if inner == 0:
                 _sense(dynamics, controller, memory, frame)
-                gain = _decide(controller, plant_faults, memory, frame)
+                gain = _decide(controller, memory, frame)
                 _command(controller, memory, gain)
-                _deliver(controller, memory, plant_faults, state.supply, frame)
+                _deliver(controller, memory, state.supply, frame)
                 bound, leg = _bounds(hydraulics, state.pressure, memory.extension)
                 if bound >= 0:
                     return frame, bound, leg

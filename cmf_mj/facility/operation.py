@@ -26,16 +26,12 @@ from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import dcu_of, starting_pose
-from cmf_mj.facility.simulate import check_options
+from cmf_mj.facility.settings import HostChain, dcu_of, starting_pose
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-CHAIN = ("begin", "requests", "dcu", "limits", "states", "demand")
-"""Fields of `HostChain` that are options here."""
-
-OPTIONS = (*CHAIN, "events", "electronics", "protection", "record_every", "command_delay")
-"""All options, the others those of `Run`."""
+CHAIN = {"requests", *HostChain.model_fields}
+"""Options that are those of the chain."""
 
 
 class Timing(NamedTuple):
@@ -97,7 +93,7 @@ def operate(
         seconds: length of the run.
         progress: called with the seconds run, about once a second.
         **options: fields of `Run`: `begin`, an operating state, and the operator's `requests`;
-            `events`; `dcu`, `limits`, `states` and leg `demand`; `electronics`, by default noisy,
+            `events`; `dcu`, `limits` and `states`; `electronics`, by default noisy,
             and `protection`, by default on, None for ideal and none; `record_every`;
             `command_delay`.
     """
@@ -163,11 +159,10 @@ def _hosted(
     options: Mapping[str, Any],
 ) -> Run:
     """A run on a host's frames, by default with noisy electronics and the protection."""
-    check_options(plant, options, OPTIONS)
     if not 0.0 < seconds <= LONGEST:
         raise InputError(f"seconds: {seconds} is refused; allowed: above 0, up to {LONGEST:g}")
-    chain = {name: value for name, value in options.items() if name in CHAIN}
-    others = {name: value for name, value in options.items() if name not in CHAIN}
+    chain = {name: options[name] for name in options if name in CHAIN}
+    others = {name: options[name] for name in options if name not in CHAIN}
     usual: dict[str, Any] = {"electronics": {}, "protection": "default", "duration": seconds}
     usual["operation"] = {"begin": "engaged", "requests": ()} | chain
     run = Run(plant=plant, law=law, source=frames, **usual | others)

@@ -9,7 +9,7 @@ compute the same numbers in the same arrays: the same bits.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -234,16 +234,24 @@ class Run(Arguments):
         how: Any = {"frames": frames, "context": context, "keep": keep, "pace": pace}
         return Session(plant, law, source, start, settings, **how)
 
-    def record(self) -> Record:
+    def record(self, *, progress: Callable[[int, int], None] | None = None) -> Record:
         """All signals from beginning to end.
 
-        Raises `InputError`, an argument out of range, named, and `OutOfBounds`: the state left its
-        physical bounds; leg, time and value are named.
+        Args:
+            progress: called with the control frames run and those in all, about twice a second of
+                the run.
+
+        Raises:
+            InputError: an argument out of range, named; an `open` duration.
+            OutOfBounds: the state left its physical bounds; leg, time and value are named.
         """
         if self.duration == "open":
             raise InputError("duration: is open; a run to the end needs one in s")
-        session = self.session()
-        session.run()
+        session, part = self.session(), None if progress is None else BLOCK
+        while session.frame < session.frames:
+            session.run(part)
+            if progress is not None:
+                progress(session.frame, session.frames)
         return session.record()
 
     def _built(self) -> Plant:

@@ -1,6 +1,6 @@
 """Scenarios, runs as files: the shipped ones by their names, and others, read and written."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +8,9 @@ import tomlkit
 
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import read_toml, sealed, validated
-from cmf_mj.facility.run import Run, SignalSession
-from cmf_mj.facility.signal import BLOCK
+from cmf_mj.core.settings import read_toml, validated
+from cmf_mj.facility.run import Run
 from cmf_mj.machine import models
-from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import plain
 
 
@@ -59,35 +57,8 @@ def save_scenario(scenario: Run, path: str | Path) -> Path:
 
 
 def scenario_toml(scenario: Run) -> str:
-    """A scenario as TOML text below its checksum, defaults left out."""
-    return sealed(tomlkit.dumps(scenario.table()))
-
-
-def run_scenario(scenario: Run, *, progress: Callable[[int, int], None] | None = None) -> Record:
-    """Run a scenario from beginning to end.
-
-    Args:
-        scenario: with a duration.
-        progress: called with the control frames run and those in all, about twice a second of the
-            run.
-
-    Raises:
-        InputError: an argument out of range, named; an `open` duration.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
-
-    >>> scenario = cmf_mj.load_scenario("heave_sine").model_copy(update={"duration": 0.1})
-    >>> cmf_mj.run_scenario(scenario).time.size
-    205
-    """
-    frames = scenario.frames
-    if frames is None:
-        raise InputError("duration: is open; a run to the end needs one in s")
-    session = SignalSession(scenario)
-    while session.frame < frames:
-        session.run(BLOCK)
-        if progress is not None:
-            progress(session.frame, frames)
-    return session.record()
+    """A scenario as TOML text, defaults left out."""
+    return tomlkit.dumps(scenario.table())
 
 
 _FILES = (

@@ -10,12 +10,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, model_validator
-from pydantic.json_schema import SkipJsonSchema
 
 from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
@@ -53,13 +51,6 @@ _RESTING = 0.05
 def _named(value: Any) -> Any:
     """A state or request by its name."""
     return value.name.lower() if isinstance(value, State | Request) else value
-
-
-def _compiled(value: Any) -> Any:
-    """A leg demand that was made."""
-    if not isinstance(value, Demand | None):
-        raise InputError("input should be what `make_demand` gives")
-    return value
 
 
 def listed(value: Any) -> Any:
@@ -172,8 +163,6 @@ class HostChain(Settings):
     """Limits of platform and legs; default Table 2-1 with the assumed rates."""
     states: Annotated[str | Path | StateSettings, name_or(StateSettings)] | None = None
     """Times of the operating states."""
-    demand: Annotated[SkipJsonSchema[Any], AfterValidator(_compiled)] = Field(None, exclude=True)
-    """Compiled leg demand, with body flexibility or without; default rigid. In no file."""
 
     def check(self, plant: str | Plant, machine: Machine) -> None:
         """Refuse what cannot be loaded, or another plant than the hexapod."""
@@ -202,7 +191,7 @@ class HostChain(Settings):
         blocks = Blocks(
             make_dcu(dcu_of(machine, self.dcu), frame),
             limiter.make_pose_limiter(limits, frame),
-            self.demand or make_demand(machine),
+            machine.geometry,
             states.make_states(operating, machine),
             limiter.make_leg_limiter(limits, frame=frame),
         )

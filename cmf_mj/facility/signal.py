@@ -109,7 +109,6 @@ Signal = Annotated[
     | FadedMultisine
     | composite.SevenSines
     | composite.SteppedSines
-    | composite.FadedSines
     | composite.AccelerationStep
     | composite.Waypoints
     | HostFile

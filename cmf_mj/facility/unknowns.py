@@ -46,7 +46,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, read_toml, user_file, validated
-from cmf_mj.electronics.channel import CHANNELS, SensorSettings
+from cmf_mj.electronics.sensors import CHANNELS, SensorSettings
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.parameters import (
@@ -80,8 +80,7 @@ _PATH = re.compile(
     r"|legs\.mass|payload\.density"
     rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
     rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
-    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6])"
-    r"|electronics\.(leg_\w+|cap_pressure|rod_pressure)\.gain_errors\.\*"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6*])"
 )
 
 

@@ -70,8 +70,7 @@ class Cab(RigidBody):
     @property
     def station(self) -> NDArray[np.float64]:
         """Where the crew feels the motion, from the platform's centroid, z down [m], (3,)."""
-        place: NDArray[np.float64] = self.machine.cabs[self.base].station.si
-        return place * FLIP if self.machine.upward > 0.0 else place
+        return self.machine.cabs[self.base].station.si * FLIP
 
     @property
     def known_as(self) -> "Cab":
@@ -191,11 +190,10 @@ def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, A
 def _own(machine: Machine, name: str) -> Cab:
     """One of a machine's cabs, z up."""
     design, platform, legs = machine.cabs[name], machine.platform, machine.legs
-    bodies = [body if machine.upward > 0.0 else body.turned() for body in (design, platform)]
-    table = {field: getattr(bodies[0], field) for field in RigidBody.model_fields} | {
+    table = {field: getattr(design, field) for field in RigidBody.model_fields} | {
         "name": name,
         "base": name,
-        "platform": bodies[1],
+        "platform": platform,
         "legs": Legs(cylinder_mass=legs.cylinder_mass, rod_mass=legs.rod_mass),
         "machine": machine,
     }
@@ -245,10 +243,6 @@ def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
 
 
 def _on(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a recorded cab, and of its nominal one, on their machine.
-
-    Older records call that one "taken_for".
-    """
-    own = {name: value for name, value in table.items() if name not in ("nominal", "taken_for")}
-    other = table.get("nominal") or table.get("taken_for")
-    return {**own, "nominal": _on(machine, other) if other else None, "machine": machine}
+    """The table of a recorded cab, and of its nominal one, on their machine."""
+    other = table.get("nominal")
+    return {**table, "nominal": _on(machine, other) if other else None, "machine": machine}

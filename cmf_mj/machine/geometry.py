@@ -141,10 +141,10 @@ class Gimbals(Settings):
             raise InputError(f"upper: is missing; {_WAY}")
         return self
 
-    def in_report_axes(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Upper and lower gimbals, z down [m], (6, 3) each; `turn` are the file's axes in it."""
+    def in_report_axes(self) -> tuple[NDArray[np.float64], ...]:
+        """Upper and lower gimbals, z down [m], (6, 3) each."""
         if self.upper is not None and self.lower is not None:
-            return self.upper.si * turn, self.lower.si * turn
+            return self.upper.si * FLIP, self.lower.si * FLIP
         upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
             getattr(self, name).si for name in _CIRCLES
         )

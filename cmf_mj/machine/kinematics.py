@@ -77,16 +77,6 @@ def turned(turn, arm):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def turned_back(turn, x, y, z):  # type: ignore[no-untyped-def]
-    """The transpose of T times a vector, three numbers."""
-    return (
-        turn[0] * x + turn[3] * y + turn[6] * z,
-        turn[1] * x + turn[4] * y + turn[7] * z,
-        turn[2] * x + turn[5] * y + turn[8] * z,
-    )
-
-
-@compiled
 def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
     """Write T of Eq 2.2, (3, 3)."""
     rows = turn_of(roll, pitch, yaw)

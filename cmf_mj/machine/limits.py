@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.core import quantity as kind
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import Kind, Quantity
 from cmf_mj.core.settings import Settings
 from cmf_mj.machine.geometry import DOFS
 
@@ -61,37 +62,31 @@ class Axis(Settings, Generic[Span, Speed, Acceleration]):
         return self
 
 
-_Speed = Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]
-_Acceleration = Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-
-Translation = Axis[Annotated[Range, _range_in("in", "m", "mm")], _Speed, _Acceleration]
+Translation = Axis[Annotated[Range, _range_in("in", "m", "mm")], kind.Speed, kind.Acceleration]
 """Limits of surge, sway or heave."""
 
 Rotation = Axis[
-    Annotated[Range, _range_in("deg", "rad")],
-    Annotated[Quantity, positive_in("deg/s", "rad/s")],
-    Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")],
+    Annotated[Range, _range_in("deg", "rad")], kind.AngularSpeed, kind.AngularAcceleration
 ]
 """Limits of roll, pitch or yaw."""
 
 
-_Position = Annotated[Quantity, positive_in("in", "m", "mm")]
 _Rejoin = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
 
 
 class StatedLeg(Settings):
     """Limits of one leg as a machine file gives them."""
 
-    velocity: _Speed  #: Largest leg speed either way.
-    acceleration: _Acceleration  #: Largest leg acceleration either way.
-    position: _Position | None = None  #: Default the working stroke.
+    velocity: kind.Speed  #: Largest leg speed either way.
+    acceleration: kind.Acceleration  #: Largest leg acceleration either way.
+    position: kind.Length | None = None  #: Default the working stroke.
     rejoin: _Rejoin | None = None  #: Default half.
 
 
 class Leg(StatedLeg):
     """Limits of one leg, and how a limited motion returns to its demand."""
 
-    position: _Position  #: Largest extension and retraction from neutral.
+    position: kind.Length  #: Largest extension and retraction from neutral.
     rejoin: _Rejoin
     """Share of the acceleration, of legs and degrees of freedom, spent on closing in."""
 

@@ -2,8 +2,6 @@
 
     name = "mine"
     title = "a motion base of six legs"
-    axes = "z up"                       # of all coordinates here: "z up", x forward and y left, or
-                                        # "z down", x forward and y right, as poses have it
     hydraulics = "hardware"             # a set of the CMF, or a table of what differs from one
     law = "velocity"                    # by default; a name or a TOML file
 
@@ -17,14 +15,15 @@
 
 A machine whose drawn model exists names it as `mjcf`, and so does a cab: geometry, masses and
 inertia are then those of the model, which owns them, and the tables have only what it cannot say.
-Origin of all coordinates is the platform's centroid at neutral, in the plane of the upper gimbals.
+Coordinates count from the platform's centroid at neutral, in the plane of the upper gimbals, x
+forward, y left, **z up**.
 Files that a machine names lie beside it.
 """
 
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -34,7 +33,7 @@ from cmf_mj.core.quantity import Area, Kind, Length, Quantity
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
 from cmf_mj.core.units import FASTEST_RATE, HERTZ, INCH, RATE, SLOWEST_RATE
 from cmf_mj.machine import models
-from cmf_mj.machine.geometry import FLIP, LENGTHS, Geometry, Gimbals, make_geometry
+from cmf_mj.machine.geometry import LENGTHS, Geometry, Gimbals, make_geometry
 from cmf_mj.machine.limits import StatedLimits
 from cmf_mj.machine.models import Legs, Mass, Place, RigidBody
 
@@ -118,7 +117,6 @@ class Machine(Settings):
 
     name: Name  #: Name of the machine.
     title: str = Field(min_length=1)  #: What it is, in a line.
-    axes: Literal["z up", "z down"]  #: Of all coordinates of the file.
     mjcf: str | None = None  #: Drawn model that owns geometry and inertia; default generated.
     hydraulics: str | Mapping[str, Any]
     """Hydraulic set by default: one of the CMF's, or a table of what differs from its `base`."""
@@ -132,7 +130,7 @@ class Machine(Settings):
     limits: StatedLimits  #: Of platform and legs; see `load_motion_limits`.
     single_leg: SingleLeg = SingleLeg()  #: Design point of a leg alone.
     floor: _Height | None = None
-    """Height of the floor, z as in `axes`; default a tenth of the height below the gimbals."""
+    """Height of the floor; default a tenth of the height below the gimbals."""
     force_area: Area | None = None
     """Area that turns pressures into force in the control law (Eq 3.7); default the rod's side."""
 
@@ -147,7 +145,7 @@ class Machine(Settings):
             raise InputError(
                 f"gimbals: lower gimbals reach {-shape.lower[:, 2].min():g} m, upper ones "
                 f"{-shape.upper[:, 2].max():g} m in height; allowed: all lower ones below all "
-                f"upper ones; axes are {self.axes!r}"
+                "upper ones; z is up"
             )
         shortest = float(shape.neutral.min())
         if shortest - half.si <= 2.0 * half.si:
@@ -173,17 +171,17 @@ class Machine(Settings):
         return self
 
     def check_place(self, part: str, body: RigidBody) -> None:
-        """Refuse a `body`, the table `part`, below the floor: its axes may be upside down.
+        """Refuse a `body`, the table `part`, below the floor: its axes may be z down.
 
         Or farther off than a leg is long: its unit may be another.
         """
         field = f"{part}.centre_of_mass" if part else "centre_of_mass"
-        height = float(body.centre_of_mass.si[2]) * self.upward
+        height = float(body.centre_of_mass.si[2])
         far, most = float(np.linalg.norm(body.centre_of_mass.si)), self.geometry.neutral.max()
         if height < self.floor_height:
             raise InputError(
                 f"{field}: is {height:g} m above the upper gimbals, below the floor; allowed: at "
-                f"least {self.floor_height:g} m, {'z is up' if self.upward > 0 else 'z is down'}"
+                f"least {self.floor_height:g} m, z is up"
             )
         if far > most:
             raise InputError(
@@ -192,14 +190,9 @@ class Machine(Settings):
             )
 
     @property
-    def upward(self) -> float:
-        """Sign of a height in the file's axes."""
-        return 1.0 if self.axes == "z up" else -1.0
-
-    @property
     def geometry(self) -> Geometry:
         """Gimbals and neutral lengths, z down."""
-        return _geometry(self.gimbals, self.axes)
+        return _geometry(self.gimbals)
 
     @property
     def rate(self) -> int:
@@ -256,7 +249,7 @@ class Machine(Settings):
     def floor_height(self) -> float:
         """Height of the floor over the platform's centroid at neutral [m], z up."""
         if self.floor is not None:
-            return self.upward * self.floor.si
+            return self.floor.si
         return -1.1 * float(self.geometry.lower[:, 2].max())
 
     @property
@@ -270,8 +263,8 @@ class Machine(Settings):
 
 
 @lru_cache
-def _geometry(gimbals: Gimbals, axes: str) -> Geometry:
-    return make_geometry(*gimbals.in_report_axes(FLIP if axes == "z up" else np.ones(3)))
+def _geometry(gimbals: Gimbals) -> Geometry:
+    return make_geometry(*gimbals.in_report_axes())
 
 
 def _conditioning(shape: Geometry) -> float:

@@ -184,16 +184,6 @@ class RigidBody(Settings):
     centre_of_mass: Place  #: Of the part, x forward, y left, z up from the platform's centroid.
     inertia: Inertia  #: About the part's centre of mass: Ixx, Iyy, Izz and Ixy, Ixz, Iyz or none.
 
-    def turned(self) -> "RigidBody":
-        """The body with x forward, y right, z down turned to x forward, y left, z up, or back."""
-        x, y, z = self.centre_of_mass.value
-        inertia = self.inertia.value
-        if len(inertia) > len(self.centre_of_mass.value):
-            inertia = (*inertia[:3], -inertia[3], -inertia[4], inertia[5])
-        place = self.centre_of_mass.model_copy(update={"value": (x, -y, -z)})
-        moments = self.inertia.model_copy(update={"value": inertia})
-        return self.model_copy(update={"centre_of_mass": place, "inertia": moments})
-
     @property
     def tensor(self) -> NDArray[np.float64]:
         """Inertia about the centre of mass [kg m^2], (3, 3)."""

@@ -116,11 +116,10 @@ def default_event(
 class PlantFaults(NamedTuple):
     """What has failed of the supply and on the platform; all 0 when nothing has."""
 
-    pump_lost: float  #: Whether the pump has stopped.
-    accumulators_lost: float  #: How many are shut off.
-    burst_area: float  #: Hole in the supply manifold [m^2].
-    stopped: float  #: Whether there is an emergency stop.
-    overload: float  #: Weight more on the platform [N].
+    pump_lost: float = 0.0  #: Whether the pump has stopped.
+    accumulators_lost: float = 0.0  #: How many are shut off.
+    burst_area: float = 0.0  #: Hole in the supply manifold [m^2].
+    overload: float = 0.0  #: Weight more on the platform [N].
 
 
 STUCK, OFFSET, OPEN_CIRCUIT = 1.0, 2.0, 3.0
@@ -141,7 +140,7 @@ class Faults(NamedTuple):
 def no_faults(actuators: int) -> Faults:
     """Everything works."""
     return Faults(
-        record_array(PlantFaults, [(0.0,) * 5]),
+        record_array(PlantFaults, [PlantFaults()]),
         np.zeros((actuators, 2)),
         np.zeros((actuators, 2)),
         np.zeros(actuators),
@@ -179,7 +178,10 @@ _IS: Any = _Numbers(*range(len(KINDS)))
 
 @compiled
 def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
-    """Write one event into the faults; `position` (n,) is what the sensors read now [m]."""
+    """Write one event into the faults; whether it is an emergency stop, which the controller makes.
+
+    `position` (n,) is what the sensors read now [m].
+    """
     kind, leg, size = timeline.kind[number], timeline.leg[number], timeline.size[number]
     plant = faults.plant[0]
     if kind == _IS.pump_lost:
@@ -190,8 +192,6 @@ def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
         plant.burst_area += size
     elif kind == _IS.overload:
         plant.overload += size
-    elif kind == _IS.emergency_stop:
-        plant.stopped = 1.0
     elif kind == _IS.valve_hard_over or kind == _IS.valve_jammed or kind == _IS.valve_dead:
         for index in range(2):
             if timeline.valve[number] < 0 or timeline.valve[number] == index:
@@ -206,6 +206,7 @@ def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
     elif kind == _IS.sensor_open:
         faults.sensor[leg] = OPEN_CIRCUIT
         faults.reading[leg] = size
+    return kind == _IS.emergency_stop
 
 
 @compiled

@@ -30,10 +30,11 @@ from cmf_mj.plant.cylinder import (
     force,
     holding_pressures,
     make_cylinders,
+    make_frictions,
+    slide,
     throttled,
     volumes,
 )
-from cmf_mj.plant.friction import make_frictions, slide
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
@@ -219,11 +220,11 @@ def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignor
 
 
 @inlined
-def advance(hydraulics, state, faults, command, before, after):  # type: ignore[no-untyped-def]
+def advance(hydraulics, state, faults, command, before, after, stopped=False):  # type: ignore[no-untyped-def]
     """Advance all actuators and the supply by one mechanical step; whether both stages converged.
 
     Command fractions (n,) are held over the step, from the extensions (n,) [m] before to those
-    after.
+    after. If `stopped`, in an emergency stop, the supply closes and the settle valves open.
     """
     step, supply, stage = hydraulics.step, hydraulics.supply, state.stage
     network, energy = state.supply, state.energy
@@ -237,7 +238,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     manifolds.bank = max(supply.accumulators - failed.accumulators_lost, 0.0)
     manifolds.burst = supply.jet * failed.burst_area
     travel = supply.isolation_rate * step
-    closing = travel if failed.stopped > 0.0 else -travel
+    closing = travel if stopped else -travel
     network[ISOLATION] = min(max(network[ISOLATION] + closing, 0.0), 1.0)
     manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.core.arrays import copied, frozen_json
+from cmf_mj.core.arrays import copied, frozen_json, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.core.units import FRAME
@@ -109,12 +109,8 @@ class Plant:
         mujoco.mj_forward(model, self.data)
         if neutral is None:
             neutral = self.data.actuator_length[self._motors]
-        self.neutral = np.array(neutral, dtype=float)
+        self.neutral = shaped("neutral", neutral, self.legs)
         """Lengths of the motors with the cylinders at half stroke [m], (n,)."""
-        if self.neutral.shape != (self.legs,) or not np.isfinite(self.neutral).all():
-            raise InputError(
-                f"neutral: {neutral!r} must be {self.legs} finite lengths, one a motor"
-            )
         self.check()
 
     def __repr__(self) -> str:
@@ -226,9 +222,7 @@ class Plant:
         Newton's method from `qpos0`, in steps of at most 0.1 m so as to stay on its branch; what
         the cylinders do not determine moves least. Leaves the mechanics there.
         """
-        target = np.asarray(extensions, dtype=float)
-        if target.shape != (self.legs,):
-            raise InputError(f"extensions: has shape {target.shape}; allowed: ({self.legs},)")
+        target = shaped("extensions", extensions, self.legs)
         half = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(~(np.abs(target) <= half)):
             raise InputError(

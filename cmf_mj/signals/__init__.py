@@ -2,7 +2,6 @@
 
 from cmf_mj.signals.composite import (
     acceleration_step,
-    faded_sines,
     orthogonal_multisines,
     seven_sines,
     stepped_sines,
@@ -17,7 +16,6 @@ __all__ = [
     "check_not_negative",
     "check_positive",
     "chirp",
-    "faded_sines",
     "multisine",
     "noise",
     "orthogonal_multisines",

@@ -27,7 +27,7 @@ from cmf_mj.analysis.measures import Measures, crosstalk, joined, measure_record
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.channel import load_sensors
+from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS

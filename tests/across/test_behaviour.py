@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cmf_mj.facility.scenario import run_scenario, scenario_of
+from cmf_mj.facility.scenario import scenario_of
 
 SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "compare_behaviour.py"))
 REFERENCES = Path(__file__).parents[1] / "references"
@@ -23,7 +23,7 @@ TOLERANCE = 1e-3
 
 @pytest.mark.parametrize("case", CASES)
 def test_regression_of_key_values(case: str) -> None:
-    record = run_scenario(scenario_of(CASES[case], case))
+    record = scenario_of(CASES[case], case).record()
     values = SCRIPT["key_values"](record.channels)
     for name, value in VALUES[case].items():
         size = VALUES[case][name.removesuffix("_last")]

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel
 from pydantic.fields import FieldInfo
 
 import cmf_mj
+from cmf_mj import signals
 from cmf_mj.control.dcu.state import DcuSettings, load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
@@ -17,11 +18,12 @@ from cmf_mj.control.states import StateSettings, load_state_settings
 from cmf_mj.core.quantity import Kind
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.core.units import from_si
-from cmf_mj.electronics.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.converter import ConverterSettings, load_converters
+from cmf_mj.electronics.sensors import SensorSettings, load_sensors
 from cmf_mj.electronics.servo_electronics import ServoSettings, load_servo_settings
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.models import RigidBody
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.calibration.trial import CalibrationStudy, load_calibration
@@ -31,6 +33,18 @@ from cmf_mj.studies.settings import StudySettings, load_study
 
 MODEL = {"natural_frequency": 4.0, "damping_ratio": 0.7}
 ADAPTATION = dict.fromkeys(("rate", "slope", "corner", "level", "lowest", "highest"), 1.0)
+
+SIGNALS = (
+    signals.step("heave", 0.1).signal,
+    signals.pulse("heave", 0.1).signal,
+    signals.sine("heave", 0.1, frequency=1.0, rest=1.0).signal,
+    signals.chirp("heave", 0.1).signal,
+    signals.noise("heave", 0.1, seed=1).signal,
+    signals.multisine("heave", 0.1, fade=1.0, seed=1).signal,
+    signals.seven_sines("heave", 0.1, number=1).signal,
+    signals.orthogonal_multisines({"heave": 0.1}).signal,
+    signals.acceleration_step("heave", 1.0, 0.5).signal,
+)
 
 SETTINGS: list[tuple[type[Settings], Any]] = [
     (Law, cmf_mj.load_law("velocity")),
@@ -49,6 +63,8 @@ SETTINGS: list[tuple[type[Settings], Any]] = [
     (PosteriorSettings, load_posterior("rotation").settings),
     (CalibrationStudy, load_calibration("hardware")),
     (LedgerEntry, load_ledger()[0]),
+    (RigidBody, load_machine().platform),
+    *((type(one), one) for one in SIGNALS),
 ]
 
 

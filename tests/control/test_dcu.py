@@ -12,7 +12,6 @@ from scipy.interpolate import BPoly
 from cmf_mj.analysis.metrics import correlation_delay, harmonics
 from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
-from cmf_mj.core.settings import Settings
 
 Array = NDArray[np.float64]
 RATE = 2048
@@ -105,32 +104,6 @@ def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
     assert np.abs(error).max(axis=(0, 2)) == pytest.approx(np.zeros(3), abs=1e-11)
     assert state.events.tolist() == [(stream.time.size, 0, 0, 1, 0)]
     assert not state.rejected.any()
-
-
-def test_uniform_motion_is_reproduced_by_every_degree_of_freedom() -> None:
-    speed = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.02])
-
-    def motion(time: Array) -> Array:
-        values = np.zeros((time.size, 3, 6))
-        values[:, 0], values[:, 1] = np.outer(time, speed), speed
-        return values
-
-    stream = arrivals(motion, 64.0, 2.0)
-    demand = upsample(DCU, resting(DCU), stream, 4100)
-    error = (demand - expected(motion, stream, 4100))[SETTLED]
-    assert np.abs(error).max() < 1e-10
-
-
-@pytest.mark.parametrize("frequency", [1.0, 3.7])
-def test_a_sine_at_80_hz_has_the_error_of_the_quintic(frequency: float) -> None:
-    """f^(6) (h / 2)^6 / 720 in the middle of the intervals, an odd number of half frames."""
-    rate, amplitude = 64.0, 0.02  # 32 control frames an interval: the middle is one of them
-    motion = sine(amplitude, frequency)
-    stream = arrivals(motion, rate, 3.0)
-    demand = upsample(DCU, resting(DCU), stream, 6000)
-    error = (demand - expected(motion, stream, 6000))[2800:6000, 0, 2]
-    bound = amplitude * (2.0 * np.pi * frequency) ** 6 * (0.5 / rate) ** 6 / 720.0
-    assert np.abs(error).max() == pytest.approx(bound, rel=0.02, abs=2e-16)
 
 
 def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
@@ -445,16 +418,9 @@ def test_the_pose_ends_within_its_bound() -> None:
     assert_smooth(demand)
 
 
-def test_same_frames_same_bits() -> None:
-    stream = drop(arrivals(sine(0.05, 2.0), 75.0, 2.0), 20, 40, 41, 42, 43)
-    runs = [upsample(DCU, resting(DCU), stream, 4000).tobytes() for _ in range(2)]
-    assert runs[0] == runs[1]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[delay]\ntransmission = 3", "delay.transmission"),
         (
             '[delay]\ntransmission = { value = 2.5, unit = "1", status = "assumed", source = "x" }',
             "whole number of control frames",
@@ -463,7 +429,6 @@ def test_same_frames_same_bits() -> None:
             '[delay]\nhost_interval = { value = 0.3, unit = "s", status = "stated", source = "x" }',
             "timeout: 0.25 s must exceed",
         ),
-        ("[law]\nx = 1", "law: is not a known field; allowed: dcu, delay"),
     ],
 )
 def test_a_bad_settings_file_is_refused_by_field(text: str, message: str, tmp_path: Path) -> None:
@@ -471,19 +436,6 @@ def test_a_bad_settings_file_is_refused_by_field(text: str, message: str, tmp_pa
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         load_dcu(path)
-
-
-def test_a_settings_file_changes_what_it_names(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        '[delay]\ntransmission = { value = 0.0, unit = "1", status = "assumed", source = "bench" }'
-    )
-    mine = load_dcu(path)
-    assert mine.delay.transmission.value == 0.0
-    assert mine.dcu == SETTINGS.dcu
-    assert isinstance(mine, Settings)
-    with pytest.raises(ValueError, match="not one of default nor"):
-        load_dcu("fast")
 
 
 def test_bad_arguments_are_refused_by_name() -> None:

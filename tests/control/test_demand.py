@@ -5,20 +5,19 @@ import pytest
 
 from cmf_mj import Hexapod, legs_to_pose, pose_to_legs
 from cmf_mj.control import demand as block
-from cmf_mj.machine.geometry import make_geometry
 from cmf_mj.machine.kinematics import about, leg_jacobian
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.machine import load_machine
 
-GRAVITY = np.array([0.0, 0.0, 9.80665])
+GEOMETRY = load_machine().geometry
 RNG = np.random.default_rng(7)
 SIZE = np.array([0.8, 0.8, 0.6, 0.4, 0.4, 0.5])
 MOTIONS = RNG.uniform(-1.0, 1.0, (40, 3, 6)) * np.array([SIZE, 2.0 * SIZE, 8.0 * SIZE])
 
 
-def frame(parameters, pose, velocity, acceleration):
+def frame(geometry, pose, velocity, acceleration):
     out = np.full((3, 6), np.nan)
-    block.step(parameters, np.array([pose, velocity, acceleration]), out)
+    block.step(geometry, np.array([pose, velocity, acceleration]), out)
     return out
 
 
@@ -34,7 +33,7 @@ def turn(roll, pitch, yaw):
 
 def lengths(upper, pose):
     """Pin-to-pin lengths (6,), analytic in a complex pose."""
-    lines = pose[:3] + upper @ turn(*pose[3:]).T - load_machine().geometry.lower
+    lines = pose[:3] + upper @ turn(*pose[3:]).T - GEOMETRY.lower
     return np.sqrt((lines * lines).sum(axis=1))
 
 
@@ -42,8 +41,8 @@ def lengths(upper, pose):
 def test_velocity_is_the_complex_step_of_the_length(motion):
     """Im l(x + i h v) / h with h = 1e-30 has no truncation and no cancellation."""
     pose, velocity, acceleration = motion
-    found = frame(block.make_demand(), *motion)
-    upper, neutral = load_machine().geometry.upper, load_machine().geometry.neutral
+    found = frame(GEOMETRY, *motion)
+    upper, neutral = GEOMETRY.upper, GEOMETRY.neutral
     np.testing.assert_allclose(found[0], lengths(upper, pose) - neutral, rtol=0, atol=1e-14)
     first = lengths(upper, pose + 1e-30j * velocity).imag / 1e-30
     np.testing.assert_allclose(found[1], first, rtol=0, atol=1e-13)
@@ -55,7 +54,7 @@ def test_acceleration_is_the_complex_step_of_the_velocity(motion):
     with one Richardson step. Truncation of the order h^4 l^(6) / 30, below 1e-9; round-off 1e-12 /
     h."""
     pose, velocity, acceleration = motion
-    upper = load_machine().geometry.upper
+    upper = GEOMETRY.upper
 
     def rate(t):
         x, v = pose + velocity * t + acceleration * t * t / 2, velocity + acceleration * t
@@ -65,69 +64,17 @@ def test_acceleration_is_the_complex_step_of_the_velocity(motion):
         return (rate(h) - rate(-h)) / (2 * h)
 
     second = (4 * central(5e-4) - central(1e-3)) / 3
-    np.testing.assert_allclose(frame(block.make_demand(), *motion)[2], second, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(frame(GEOMETRY, *motion)[2], second, rtol=0, atol=2e-8)
 
 
 def test_frame_and_history_agree():
     """Two derivations of the same motion: round-off of 10^2 m/s^2."""
-    found = np.array([frame(block.make_demand(), *motion) for motion in MOTIONS])
+    found = np.array([frame(GEOMETRY, *motion) for motion in MOTIONS])
     poses = np.ascontiguousarray(MOTIONS[:, 0])
     history = pose_motion_to_legs(poses, MOTIONS[:, 1], MOTIONS[:, 2])
     np.testing.assert_allclose(found[:, 0], pose_to_legs(poses), rtol=0, atol=1e-14)
     np.testing.assert_allclose(found[:, 1], history.velocity, rtol=0, atol=1e-13)
     np.testing.assert_allclose(found[:, 2], history.acceleration, rtol=1e-12, atol=1e-12)
-
-
-def test_constant_deflection_is_a_platform_with_other_gimbals():
-    deflection = RNG.uniform(-0.01, 0.01, (6, 3))
-    bent = make_geometry(load_machine().geometry.upper + deflection, load_machine().geometry.lower)
-    demand = block.make_demand(deflection=deflection)
-    for motion in MOTIONS[:10]:
-        found, other = frame(demand, *motion), frame(block.make_demand(bent), *motion)
-        other[0] += bent.neutral - load_machine().geometry.neutral
-        np.testing.assert_allclose(found, other, rtol=1e-13, atol=1e-13)
-
-
-def test_compliance_displaces_the_gimbals_by_the_specific_force():
-    """Any motion: gimbals at A + C T'(a - g), positions analytic, rates of the frozen platform."""
-    compliance = RNG.uniform(-1e-3, 1e-3, (6, 3, 3))
-    demand = block.make_demand(compliance=compliance)
-    for pose, velocity, acceleration in MOTIONS[:10]:
-        force = turn(*pose[3:]).T @ (acceleration[:3] - GRAVITY)
-        deflection = compliance @ force
-        found = frame(demand, pose, velocity, acceleration)
-        wanted = (
-            lengths(load_machine().geometry.upper + deflection, pose)
-            - load_machine().geometry.neutral
-        )
-        np.testing.assert_allclose(found[0], wanted, rtol=0, atol=1e-14)
-        frozen = frame(block.make_demand(deflection=deflection), pose, velocity, acceleration)
-        np.testing.assert_allclose(found, frozen, rtol=1e-12, atol=1e-12)
-
-
-def test_a_platform_that_sags_at_rest_asks_for_the_axial_part_of_its_sag():
-    """1 mm per g straight down (z) at every gimbal, level, at rest: a thrust of 1 g upwards bends
-    the gimbals up by 1 mm, and each leg is longer by 1 mm times 0.8323, its axial direction cosine
-    (second order: 1 mm^2 / 8 m)."""
-    compliance = np.zeros((6, 3, 3))
-    compliance[:, 2, 2] = 1e-3 / GRAVITY[2]
-    found = frame(block.make_demand(compliance=compliance), *np.zeros((3, 6)))
-    np.testing.assert_allclose(found[0], 0.8323e-3, rtol=3e-4)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"deflection": np.zeros((6, 2))}, r"deflection: shape is \(6, 2\); allowed: \(6, 3\)"),
-        (
-            {"compliance": np.full((6, 3, 3), np.inf)},
-            r"compliance.*: inf is not a finite number",
-        ),
-    ],
-)
-def test_refused_parameters_are_named(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        block.make_demand(**arguments)
 
 
 # Degrees of freedom about the static centre of mass
@@ -141,8 +88,8 @@ def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
     """Positions are |A - r + T'(c - B)| of Eq 2.1, c from where the centroid is at neutral. Rates
     are those of the centroid's motion p = c - T r, differentiated by complex steps."""
     pose, velocity, acceleration = motion
-    found = frame(block.make_demand(about(CENTRE)), *motion)
-    upper, lower, neutral = load_machine().geometry
+    found = frame(about(CENTRE), *motion)
+    upper, lower, neutral = GEOMETRY
     matrix, centre = turn(*pose[3:]), CENTRE + pose[:3]
     lines = upper - CENTRE + (centre - lower) @ matrix
     np.testing.assert_allclose(found[0], np.linalg.norm(lines, axis=1) - neutral, atol=1e-14)
@@ -154,7 +101,7 @@ def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
 
     rates = [centroid(h, 1e-30j).imag / 1e-30 for h in (-1e-4, 0.0, 1e-4)]
     moved = centroid(0.0), rates[1], (rates[2] - rates[0]) / 2e-4
-    other = frame(block.make_demand(), *moved)
+    other = frame(GEOMETRY, *moved)
     np.testing.assert_allclose(found[:2], other[:2], rtol=0, atol=1e-13)
     np.testing.assert_allclose(found[2], other[2], rtol=0, atol=1e-5)  # h^2 of the difference
 
@@ -178,8 +125,8 @@ def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
         return np.abs((jacobian.T @ plant.reflected_mass() @ jacobian)[:3, 3:]).max()
 
     payload = plant.model.body_subtreemass[body]
-    assert coupling(load_machine().geometry) > 0.3 * payload  # kg m: the centre is that far above
-    assert coupling(about(centre)) < 0.1 * coupling(load_machine().geometry)
+    assert coupling(GEOMETRY) > 0.3 * payload  # kg m: the centre is that far above
+    assert coupling(about(centre)) < 0.1 * coupling(GEOMETRY)
 
 
 def test_a_point_must_be_three_numbers():

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from cmf_mj import law_names, load_law
-from cmf_mj.control.law import SIGNALS, Law
+from cmf_mj import InputError, law_names, load_law
+from cmf_mj.control.law import SIGNALS
 
 NAMES = (
     "original",
@@ -162,72 +161,16 @@ def test_a_law_of_ones_own(tmp_path: Path) -> None:
     assert load_law(law) is law
 
 
-def test_left_out_settings_take_the_report_s_values(tmp_path: Path) -> None:
-    text = '[short]\ntitle = "Short"\ndirect_gain = { reference = 1.0 }\n'
-    law, shipped = load_law(write(tmp_path, text)), load_law("velocity")
-    for field in ("derivative_pole", "integrator_limit", "integrator_trigger"):
-        assert getattr(law, field) == getattr(shipped, field)
-    assert law.accelerometer_pole == shipped.accelerometer_pole
-    assert (law.state_gain, law.output_gain) == (0.0, 0.0)
-
-
 def test_one_law_of_several_is_chosen_by_name(tmp_path: Path) -> None:
     path = write(tmp_path, OWN + OWN.replace("mine", "other").replace("-2.0", "-3.0"))
     assert load_law(f"{path}:other").output_gain == -3.0
     assert load_law(f"{path}:mine").output_gain == -2.0
 
 
-def test_a_loaded_law_cannot_be_changed() -> None:
-    law = load_law("velocity")
-    with pytest.raises(ValidationError, match="frozen"):
-        law.state_gain = 0.5
-    with pytest.raises(ValidationError, match="frozen"):
-        law.direct_gain.position = 0.0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "parts"),
-    [
-        # A signal that does not exist: the message lists those that do.
-        ("velocity = 0.25", "jerk = 0.25", ["mine", "input_gain.jerk", "allowed", *SIGNALS]),
-        ("direct_gain = {", "direct = {", ["direct_gain", "is missing", "direct:", "allowed"]),
-        ("direct_gain = { reference = 30, position = -30.0 }", "", ["direct_gain", "is missing"]),
-        ('title = "My law"\n', "", ["title", "is missing"]),
-        (
-            "derivative_pole = 60",
-            "derivative_pole = 4096",
-            ["derivative_pole", "4096", "below twice the control rate, 4096 rad/s"],
-        ),
-        ("gain = 0.1\n", "gain = [1]\n", ["accelerometer_gain", "[1]", "number"]),
-        ("input_gain = { velocity = 0.25 }", "input_gain = 3", ["input_gain", "3"]),
-    ],
-)
-def test_a_wrong_law_is_refused_naming_field_and_value(
-    tmp_path: Path, old: str, new: str, parts: list[str]
-) -> None:
-    assert OWN.count(old) == 1
-    path = write(tmp_path, OWN.replace(old, new))
-    with pytest.raises(ValueError) as caught:
+def test_a_derivative_filter_that_is_unstable_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, OWN.replace("derivative_pole = 60", "derivative_pole = 4096"))
+    with pytest.raises(InputError, match="mine.toml.*derivative_pole: 4096 .* twice the control"):
         load_law(path)
-    assert not isinstance(caught.value, ValidationError)
-    for part in (path.name, *parts):
-        assert part in str(caught.value)
-
-
-def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ValueError) as caught:
-        load_law(write(tmp_path, OWN + "gain = 3.0\n"))
-    known = {name for name, field in Law.model_fields.items() if not field.exclude} - {"name"}
-    for part in ("mine: gain", "not a known field", *known):
-        assert part in str(caught.value)
-
-
-def test_every_fault_is_listed(tmp_path: Path) -> None:
-    text = OWN.replace("0.25", '"a"').replace("state_gain = 0.5", "state_gain = 2.0")
-    with pytest.raises(ValueError) as caught:
-        load_law(write(tmp_path, text))
-    assert "input_gain.velocity" in str(caught.value)
-    assert "state_gain" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -245,18 +188,6 @@ def test_a_file_that_is_no_law_is_refused(tmp_path: Path, text: str, parts: list
         load_law(path)
     for part in (path.name, *parts):
         assert part in str(caught.value)
-
-
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "binary.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match=r"binary\.toml: is not valid TOML"):
-        load_law(path)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"absent\.toml: cannot be read: No such file"):
-        load_law(tmp_path / "absent.toml")
 
 
 def test_several_laws_without_a_choice_are_refused(tmp_path: Path) -> None:

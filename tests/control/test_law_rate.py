@@ -5,8 +5,7 @@ import pytest
 
 from cmf_mj import law_names, load_law
 from cmf_mj.control import states
-from cmf_mj.control.compensator import compensate, make_compensator
-from cmf_mj.control.dcl import make_dcl
+from cmf_mj.control.dcl import compensate, make_compensator, make_dcl
 from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.feedback import filter_acceleration

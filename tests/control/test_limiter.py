@@ -83,14 +83,6 @@ def test_braking_from_the_stopping_velocity_ends_on_the_limit(room, acceleration
     assert T * (velocity - acceleration * T * frames).sum() == pytest.approx(room, rel=1e-9)
 
 
-def test_stopping_velocity_tends_to_the_parabola():
-    """sqrt(2 A R) as T goes to 0; the discrete one is below by A T / 2."""
-    for room in (0.01, 0.1, 1.0):
-        exact = np.sqrt(2.0 * 8.0 * room)
-        assert block.stopping_velocity(room, 8.0, T) == pytest.approx(exact - 4.0 * T, rel=1e-4)
-    assert block.stopping_velocity(0.0, 8.0, T) == block.stopping_velocity(-1e-17, 8.0, T) == 0.0
-
-
 def test_demand_beyond_the_range_is_met_on_the_limit_at_rest():
     """Speed out of reach: full acceleration to the middle, then braking: 2 sqrt(L / A) seconds."""
     found = limit_history(channel(velocity=50.0), column(np.r_[0.0, np.full(4000, 5.0)])).position[
@@ -311,15 +303,3 @@ def test_leg_and_pose_limiters_take_the_shipped_limits():
     np.testing.assert_allclose(legs.acceleration, 0.8 * G)
     np.testing.assert_allclose(pose.low[:3] / 0.0254, [-55, -55, -41])
     np.testing.assert_allclose(np.degrees(pose.high[3:]), [28, 28, 38])
-
-
-@pytest.mark.parametrize(
-    ("demand", "velocity", "message"),
-    [
-        (np.zeros((3, 2)), None, r"demand: shape is \(3, 2\); it must be \(frames, 1\)"),
-        (np.zeros((3, 1)), np.zeros((2, 1)), r"velocity: shape is \(2, 1\); demand has \(3, 1\)"),
-    ],
-)
-def test_refused_histories_are_named(demand, velocity, message):
-    with pytest.raises(ValueError, match=message):
-        limit_history(channel(), demand, velocity)

@@ -14,11 +14,12 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
+from cmf_mj.machine.machine import load_machine
 
 T = 1.0 / 2048.0
 POSE = limiter.make_pose_limiter()
 LEGS = limiter.make_leg_limiter()
-DEMAND = demand.make_demand()
+GEOMETRY = load_machine().geometry
 STATES = states.make_states()
 
 
@@ -54,7 +55,7 @@ def run(code, requests, pose, velocity=None, acceleration=None, together=False):
         legs = np.full(6, -WORKING_STROKE)
     out, codes = np.zeros((3, frames, 6)), np.zeros(frames, int)
     _run(
-        POSE, pose_state, DEMAND, STATES, states.start(STATES, code, legs), LEGS,
+        POSE, pose_state, GEOMETRY, STATES, states.start(STATES, code, legs), LEGS,
         limiter.start(LEGS, legs), together, np.asarray(requests, int), pose, *rates, out, codes,
     )  # fmt: skip
     return out, codes
@@ -109,7 +110,7 @@ def test_an_admissible_host_reaches_the_legs_unchanged():
     out, codes = run(State.ENGAGED, np.zeros(6144), pose, velocity, acceleration)
     expected, legs = np.zeros((3, 6144, 6)), np.zeros((3, 6))
     for k in range(6144):
-        demand.step(DEMAND, np.array([pose[k], velocity[k], acceleration[k]]), legs)
+        demand.step(GEOMETRY, np.array([pose[k], velocity[k], acceleration[k]]), legs)
         expected[:, k] = legs
     assert np.abs(expected[1]).max() > 0.5 * LEGS.velocity[0]
     np.testing.assert_array_equal(out, expected)

@@ -19,8 +19,7 @@ from cmf_mj.control.protection import (
     protection_state,
     reset,
 )
-from cmf_mj.electronics.channel import load_sensors
-from cmf_mj.electronics.sensors import make_sensors, sense_history
+from cmf_mj.electronics.sensors import load_sensors, make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters import fitting
@@ -94,22 +93,6 @@ def test_a_velocity_sensor_with_an_offset() -> None:
     quiet = Machine()
     quiet.feedback.velocity[1] = 0.499 * INCH
     assert quiet.found(40000) is None
-
-
-def test_a_position_sensor_that_freezes_while_the_leg_moves() -> None:
-    """The integrated velocity runs away as with an offset of the leg's speed."""
-    machine, speed, freeze = Machine(), 0.2, 100
-    for frame in range(400):
-        moving = speed * frame * FRAME
-        machine.feedback.velocity[:] = speed
-        machine.feedback.position[:] = moving
-        machine.reference[:] = moving
-        machine.feedback.position[0] = min(moving, speed * freeze * FRAME)
-        machine.step()
-    share = 1.0 - 2.0 * 0.25 * INCH / speed
-    later = int(np.floor(np.log(share) / np.log(1.0 - 2.0 * FRAME))) + 1
-    expected = ("sensor_disagreement", 1, last("sensor_disagreement", freeze + later))
-    assert latched(machine.state) == expected
 
 
 @pytest.mark.parametrize(
@@ -258,7 +241,7 @@ def test_conditions_can_be_switched_off(name: str) -> None:
 def noisy(record: Record) -> Record:
     """The record with readings of noisy sensors, gravity and all, for the feedback."""
     truth = LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
-    reading, _ = sense_history(make_sensors(load_sensors("noisy"), 2048.0, 6), truth)
+    reading = sense_history(make_sensors(load_sensors("noisy"), 2048.0, 6), truth)
     channels = dict(record.channels) | dict(zip(FEEDBACK.values(), reading, strict=True))
     return Record(record.time, channels, record.units, record.metadata)
 
@@ -303,20 +286,6 @@ def test_the_documented_table_is_the_default() -> None:
         unit = "" if check.threshold.unit == "1" else f" {check.threshold.unit}"
         assert size == f"{check.threshold.value:g}{unit}"
         assert frames == check.persistence
-
-
-def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    quantity = '{{ value = {}, unit = "{}", status = "assumed", source = "mine" }}'
-    file.write_text(f"[over_speed]\npersistence = 2\nthreshold = {quantity.format(10.0, 'in/s')}\n")
-    mine = load_protection(file)
-    assert mine.over_speed.threshold.value == 10.0
-    assert mine.over_pressure == SETTINGS.over_pressure
-    file.write_text("[over_heat]\npersistence = 1")
-    with pytest.raises(ValueError, match="over_heat: is not a known field"):
-        load_protection(file)
-    with pytest.raises(ValueError, match="not one of default nor"):
-        load_protection("strict")
 
 
 @pytest.mark.parametrize("rate", [512.0, 2048.0, 4096.0])

@@ -198,15 +198,6 @@ def test_the_factor_finds_the_speed_of_the_leg(share: float) -> None:
     assert far[ADAPTIVE.name] < 0.2 * far[FIXED.name]
 
 
-def test_without_a_rate_the_law_is_the_fixed_one_bit_for_bit() -> None:
-    assert SETTINGS is not None
-    still = with_model(ADAPTIVE, adaptation=SETTINGS.model_copy(update={"rate": 0.0}))
-    reference, feedback = histories(2, 400, 1e-4)
-    outputs = [run(law, reference, feedback)[0] for law in (FIXED, still, ADAPTIVE)]
-    assert outputs[0].tobytes() == outputs[1].tobytes()
-    assert outputs[0].tobytes() != outputs[2].tobytes()
-
-
 def test_nothing_drifts_at_rest_and_the_leak_forgets() -> None:
     """Noise on every sensor and a demand at rest: d is 0 to the bit, and one of 0.3 fades as
     exp(-leak t)."""
@@ -272,3 +263,12 @@ def test_the_heavy_pair_of_the_hexapod_settles(dof: str) -> None:
     assert metrics.residual < 0.01
     assert np.abs(record["valve_command"][:100]).max() < 1e-6
     assert abs(metrics.steady_state_error) < 0.002
+
+
+def test_without_a_rate_the_law_is_the_fixed_one_bit_for_bit() -> None:
+    assert SETTINGS is not None
+    still = with_model(ADAPTIVE, adaptation=SETTINGS.model_copy(update={"rate": 0.0}))
+    reference, feedback = histories(2, 400, 1e-4)
+    outputs = [run(law, reference, feedback)[0] for law in (FIXED, still, ADAPTIVE)]
+    assert outputs[0].tobytes() == outputs[1].tobytes()
+    assert outputs[0].tobytes() != outputs[2].tobytes()

@@ -140,16 +140,6 @@ def test_engaged_is_the_host_to_the_bit_after_its_fade():
     np.testing.assert_array_equal(out[0, 0], [0.5, 0.2, -0.3])
 
 
-def test_raise_is_the_minimum_jerk_profile():
-    """-h (1 - s(t / 12 s)), s = 10 x^3 - 15 x^4 + 6 x^5; peaks 1.875 h / D and 5.7735 h / D^2."""
-    out, _, _ = run(at(State.SETTLED), [Request.RAISE] * (13 * 2048))
-    x = np.clip(TIME[: 13 * 2048] / 12.0, 0.0, 1.0)
-    wanted = -WORKING_STROKE * (1.0 - 10 * x**3 + 15 * x**4 - 6 * x**5)
-    np.testing.assert_allclose(out[0], np.tile(wanted[:, None], LEGS), rtol=0, atol=1e-14)
-    assert out[1].max() == pytest.approx(1.875 * WORKING_STROKE / 12.0, rel=1e-6)
-    assert out[2].max() == pytest.approx(10 / np.sqrt(3) * WORKING_STROKE / 144.0, rel=1e-6)
-
-
 def test_long_fades_keep_speed_and_acceleration():
     """From the top: 6 s would take 0.6 m/s; 8 in/s stretch it to 17.6 s, for all legs alike."""
     machine = start(STATES, State.HOLD, [WORKING_STROKE, 0.0, -0.9])
@@ -372,9 +362,16 @@ def test_passing_states_are_no_start():
             start(STATES, code, [0.0])
 
 
-def test_settings_are_assumed_and_own_ones_replace_them(tmp_path):
+def test_shipped_settings_are_assumed():
     shipped = load_state_settings()
     assert {getattr(shipped, n).status for n in type(shipped).model_fields} == {"assumed"}
-    path = tmp_path / "slow.toml"
-    path.write_text('speed = {value = 4.0, unit = "in/s", status = "assumed", source = "a test"}')
-    assert make_states(load_state_settings(path)).speed == pytest.approx(0.1016)
+
+
+def test_raise_is_the_minimum_jerk_profile():
+    """-h (1 - s(t / 12 s)), s = 10 x^3 - 15 x^4 + 6 x^5; peaks 1.875 h / D and 5.7735 h / D^2."""
+    out, _, _ = run(at(State.SETTLED), [Request.RAISE] * (13 * 2048))
+    x = np.clip(TIME[: 13 * 2048] / 12.0, 0.0, 1.0)
+    wanted = -WORKING_STROKE * (1.0 - 10 * x**3 + 15 * x**4 - 6 * x**5)
+    np.testing.assert_allclose(out[0], np.tile(wanted[:, None], LEGS), rtol=0, atol=1e-14)
+    assert out[1].max() == pytest.approx(1.875 * WORKING_STROKE / 12.0, rel=1e-6)
+    assert out[2].max() == pytest.approx(10 / np.sqrt(3) * WORKING_STROKE / 144.0, rel=1e-6)

@@ -142,14 +142,3 @@ def test_a_refused_value_is_not_shown_at_any_length(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         validated(Part, {"length": "x" * 10**6, "width": 1.0}, "my.toml")
     assert len(str(raised.value)) < 600
-
-
-def test_a_loader_of_sets_takes_its_default_a_name_or_a_file(sets: Path, tmp_path: Path) -> None:
-    load = Loader(Ranked, sets, what="sets", names=NAMES, default="heavy")
-    assert (load().name, load().depth, load("light").depth) == ("heavy", 2, 1)
-    file = tmp_path / "mine.toml"
-    file.write_text('base = "light"\n[own]\ndepth = 7\n')
-    assert (load(file).name, load(str(file)).depth) == ("own", 7)
-    assert load(load(file)) == load(file)
-    with pytest.raises(ValueError, match="sets: 'odd' is not one of light, heavy nor a .toml"):
-        load("odd")

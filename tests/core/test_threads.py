@@ -24,10 +24,6 @@ def test_results_stand_in_the_order_of_the_cases() -> None:
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
-def test_no_cases_give_no_results() -> None:
-    assert on_threads(str, []) == []
-
-
 def test_an_error_of_a_case_comes_through() -> None:
     with pytest.raises(ZeroDivisionError):
         on_threads(lambda case: 1 / case, [1, 0], jobs=1)

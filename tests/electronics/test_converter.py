@@ -1,16 +1,10 @@
-"""Analogue inputs: codes against an independent count, aliasing against an oversampled tone."""
-
-from pathlib import Path
+"""Analogue inputs: codes against an independent count, noise of quantisation."""
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
-    CONVERTER_SETS,
-    Converters,
-    aliased,
     convert,
     converter_state,
     digitise,
@@ -19,7 +13,6 @@ from cmf_mj.electronics.converter import (
 )
 
 INCH = 0.0254
-RATE = 2048
 
 
 def feedback(seed: int = 0) -> LegFeedback:
@@ -76,59 +69,6 @@ def test_the_filter_takes_in_place_and_starts_settled() -> None:
     for _ in range(5):
         same = LegFeedback(*(array.copy() for array in analogue))
         digitise(converters, state, same, same)
-        for name, read, true in zip(Converters._fields, same, analogue, strict=True):
+        for name, read, true in zip(LegFeedback._fields, same, analogue, strict=True):
             step = getattr(converters, name).step
             assert np.abs(read - true).max() <= 0.5001 * step
-
-
-@pytest.mark.parametrize("frequency", [300.0, 1100.0, 1948.0, 2048.0 + 77.0, 4000.0])
-def test_a_tone_beyond_the_rate_appears_where_and_as_large_as_said(frequency: float) -> None:
-    """Oracle: the analogue filter's state space, integrated exactly on 64 times the rate.
-
-    `lsim` joins the input's samples by lines, which leave sinc^2 of a tone.
-    """
-    settings = load_converters("sixteen_bit")
-    fine = 64 * RATE
-    time = np.arange(2 * fine) / fine
-    analogue = signal.butter(2, 2 * np.pi * 500.0, analog=True, output="ba")
-    _, output, _ = signal.lsim(analogue, np.cos(2 * np.pi * frequency * time), time)
-    sampled = output[fine::64]  # the second second, settled
-    spectrum = np.abs(np.fft.rfft(sampled)) * 2.0 / sampled.size
-    appears, gain = aliased(frequency, settings)
-    assert int(np.argmax(spectrum)) == round(appears)
-    lines = np.sinc(frequency / fine) ** 2
-    assert spectrum.max() == pytest.approx(gain * lines, rel=1e-4)
-
-
-def test_without_a_filter_aliases_are_full_size() -> None:
-    assert aliased(2000.0, load_converters("off")) == (48.0, 1.0)
-    with pytest.raises(ValueError, match="frequency: -1"):
-        aliased(-1.0, load_converters())
-
-
-def mine(*changes: tuple[str, str]) -> str:
-    text = load_converters.shipped.read_text()
-    common = text.split("[common]\n")[1].split("[off]")[0]
-    for old, new in changes:
-        assert old in common
-        common = common.replace(old, new)
-    body, scale = common.split("[common.full_scale]\n")
-    return f"[card]\nquantise = true\nfilter_order = 1\n{body}\n[card.full_scale]\n{scale}"
-
-
-def test_a_card_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "card.toml"
-    file.write_text(mine(("bits = 16", "bits = 12")))
-    settings = load_converters(file)
-    assert (settings.name, settings.bits) == ("card", 12)
-    assert load_converters(settings) is settings
-    assert set(CONVERTER_SETS) == {"off", "sixteen_bit"}
-
-
-def test_unknown_sets_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="is not one of off, sixteen_bit"):
-        load_converters("eight_bit")
-    empty = tmp_path / "two.toml"
-    empty.write_text("[a]\n[b]\n")
-    with pytest.raises(ValueError, match="exactly one"):
-        load_converters(empty)

@@ -8,7 +8,7 @@ from scipy import signal, stats
 
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.electronics.channel import (
+from cmf_mj.electronics.sensors import (
     CHANNELS,
     ChannelSettings,
     SensorSettings,
@@ -16,9 +16,10 @@ from cmf_mj.electronics.channel import (
     four_normals,
     key_schedule,
     load_sensors,
+    make_sensors,
+    sense_history,
     stream_key,
 )
-from cmf_mj.electronics.sensors import make_sensors, sense, sense_history, sensor_state
 
 RATE = 2048.0
 GRAVITY = 9.80665
@@ -73,10 +74,9 @@ def test_ideal_readings_are_the_truth_bit_for_bit() -> None:
     rng = np.random.default_rng(1)
     truth = LegFeedback(*(rng.normal(size=(50, 4)) for _ in LegFeedback._fields))
     truth.position[3, 0] = -0.0
-    reading, platform = sense_history(make_sensors(load_sensors("ideal"), RATE, 9), truth)
+    reading = sense_history(make_sensors(load_sensors("ideal"), RATE, 9), truth)
     for mine, true in zip(reading, truth, strict=True):
         assert mine.tobytes() == true.tobytes()
-    assert np.array_equal(platform, np.tile([0, 0, 0, 0, 0, GRAVITY], (50, 1)))
 
 
 def test_same_seed_same_bits_and_channels_do_not_touch_one_another() -> None:
@@ -84,7 +84,7 @@ def test_same_seed_same_bits_and_channels_do_not_touch_one_another() -> None:
     noisy = load_sensors("noisy")
 
     def readings(settings: SensorSettings, seed: int) -> LegFeedback:
-        return sense_history(make_sensors(settings, RATE, seed), truth)[0]
+        return sense_history(make_sensors(settings, RATE, seed), truth)
 
     first, again, other = readings(noisy, 4), readings(noisy, 4), readings(noisy, 5)
     quiet = noisy.model_copy(update={"leg_position": ChannelSettings()})
@@ -102,14 +102,14 @@ def test_same_seed_same_bits_and_channels_do_not_touch_one_another() -> None:
 
 def test_more_legs_leave_the_noise_of_the_others() -> None:
     sensors = make_sensors(only("leg_velocity", noise_density=number(1.0, "m/s/rtHz")), RATE, 2)
-    three, six = (sense_history(sensors, still(20, legs))[0].velocity for legs in (3, 6))
+    three, six = (sense_history(sensors, still(20, legs)).velocity for legs in (3, 6))
     assert np.array_equal(three, six[:, :3])
 
 
 def test_noise_has_the_stated_density() -> None:
     density = 0.02
     sensors = make_sensors(only("leg_position", noise_density=number(density, "m/rtHz")), RATE, 1)
-    noise = sense_history(sensors, still(65536))[0].position
+    noise = sense_history(sensors, still(65536)).position
     count = noise.size
     expected = density * np.sqrt(RATE / 2)
     assert noise.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * count))
@@ -131,7 +131,7 @@ def test_bias_resolution_and_range() -> None:
     )
     truth = still(5)
     truth.position[:, 0] = [0.0, 0.1, 0.104, 3.0, -3.0]
-    reading = sense_history(sensors, truth)[0].position[:, 0]
+    reading = sense_history(sensors, truth).position[:, 0]
     np.testing.assert_allclose(reading, [0.01, 0.11, 0.12, 0.4, -0.5], rtol=1e-12)
 
 
@@ -141,21 +141,10 @@ def test_the_bandwidth_is_a_first_order_lag() -> None:
     time = np.arange(4096) / RATE
     truth = still(4096)
     truth.velocity[:] = np.cos(2 * np.pi * corner * time)[:, None]
-    reading = sense_history(sensors, truth)[0].velocity[2048:, 2]
+    reading = sense_history(sensors, truth).velocity[2048:, 2]
     turn = np.exp(-2j * np.pi * corner * time[2048:])
     found = 2.0 * np.mean(reading * turn)
     assert found == pytest.approx(1.0 / (1.0 + 1.0j), abs=1e-6)
-
-
-def test_the_platforms_sensors_read_with_their_own_noise() -> None:
-    sensors = make_sensors(load_sensors("noisy"), RATE, 1)
-    _, platform = sense_history(sensors, still(20000))
-    gyro, accelerometer = platform[:, :3], platform[:, 3:]
-    rms = np.radians(0.005) * np.sqrt(RATE / 2)
-    np.testing.assert_allclose(gyro.std(axis=0), rms, rtol=0.03)
-    np.testing.assert_allclose(gyro.mean(axis=0), np.radians(0.02), atol=4 * rms / np.sqrt(20000))
-    level = np.array([0.0, 0.0, 1.0]) + 0.002
-    np.testing.assert_allclose(accelerometer.mean(axis=0) / GRAVITY, level, atol=1e-4)
 
 
 def test_leg_accelerometers_read_what_mujocos_sensors_on_the_rods_read() -> None:
@@ -165,7 +154,7 @@ def test_leg_accelerometers_read_what_mujocos_sensors_on_the_rods_read() -> None
     names = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
     truth = LegFeedback(*(record[name] for name in names))
     feeling = load_sensors("ideal").model_copy(update={"gravity": True})
-    reading = sense_history(make_sensors(feeling, RATE), truth)[0].acceleration
+    reading = sense_history(make_sensors(feeling, RATE), truth).acceleration
     rods = record["rod_accelerometer"]
     assert np.ptp(rods, axis=0).min() > 2.0
     later = slice(8, None)  # MuJoCo's first frames close the gimbals
@@ -176,20 +165,9 @@ def test_leg_accelerometers_read_what_mujocos_sensors_on_the_rods_read() -> None
 
 def test_noisy_legs_at_rest_read_what_the_hardware_read() -> None:
     sensors = make_sensors(load_sensors("noisy"), RATE, 3)
-    reading = sense_history(sensors, still(20000, cap_pressure=600 * PSI))[0].acceleration
+    reading = sense_history(sensors, still(20000, cap_pressure=600 * PSI)).acceleration
     assert reading.mean() / GRAVITY == pytest.approx(0.86, abs=1e-3)
     assert reading.std(axis=0).mean() / GRAVITY == pytest.approx(0.04, rel=0.02)
-
-
-def test_sense_takes_the_dcls_feedback_and_leaves_the_truth_alone() -> None:
-    sensors = make_sensors(load_sensors("noisy"), RATE, 1)
-    truth = LegFeedback(*(np.full(6, value) for value in (0.1, 0.2, 0.3, 4e6, 4e6)))
-    reading = LegFeedback(*(np.zeros(6) for _ in range(5)))
-    state = sensor_state(sensors, LegFeedback(*truth))
-    before = [array.copy() for array in truth]
-    sense(sensors, state, 0, truth, reading)
-    assert all(np.array_equal(a, b) for a, b in zip(before, truth, strict=True))
-    assert all(np.ptp(array) > 0.0 for array in reading)
 
 
 def test_every_number_of_the_noisy_set_says_where_it_comes_from() -> None:
@@ -207,24 +185,9 @@ def own(base: str, channel: str, field: str, value: float, unit: str) -> str:
     return f'base = "{base}"\n[quiet.{channel}]\n{field} = {{ {quantity} }}\n'
 
 
-def test_a_set_of_ones_own_changes_only_what_it_names(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(own("noisy", "leg_acceleration", "noise_density", 1e-4, "g/rtHz"))
-    mine, noisy = load_sensors(file), load_sensors("noisy")
-    assert mine.name == "quiet"
-    assert mine.leg_acceleration.noise_density.value == 1e-4
-    assert mine.leg_acceleration.bias == noisy.leg_acceleration.bias
-    assert mine.leg_velocity == noisy.leg_velocity
-    assert load_sensors(mine) is mine
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[a]\ngravity = true", "base: None"),
-        ('base = "ideal"', "exactly one"),
-        ('base = "ideal"\n[a]\nname = "b"', "leave it out"),
-        ('base = "ideal"\n[a]\nleg_speed = 1', "leg_speed: is not a known field"),
         (
             own("ideal", "leg_position", "bias", 1.0, "psi"),
             r"leg_position: bias: unit 'psi' must be one of in, m",
@@ -243,8 +206,6 @@ def test_refused_sets_name_the_field(text: str, message: str, tmp_path: Path) ->
 
 
 def test_other_refusals() -> None:
-    with pytest.raises(ValueError, match="is not one of ideal, noisy"):
-        load_sensors("loud")
     with pytest.raises(ValueError, match="seed: -1"):
         make_sensors(load_sensors("noisy"), RATE, -1)
     with pytest.raises(ValueError, match="corner: 500 Hz must be"):

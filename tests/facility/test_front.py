@@ -12,7 +12,6 @@ from shared import WORKING_STROKE
 
 from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.state import make_dcu
-from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.front import Blocks, Source, follow, from_host
@@ -25,12 +24,13 @@ from cmf_mj.facility.host.udp import (
     decode_frame,
     encode_frame,
 )
+from cmf_mj.machine.machine import load_machine
 from tests.control.test_dcu_streams import KINDS, stream
 
 T = 1.0 / 2048.0
 DCU = make_dcu()
 POSE, LEGS = limiter.make_pose_limiter(), limiter.make_leg_limiter()
-DEMAND, STATES = make_demand(), states.make_states()
+GEOMETRY, STATES = load_machine().geometry, states.make_states()
 GARBAGE = ("bit", "cut", "long", "noise", "empty")
 
 
@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
 def build(begin: State, requests: list[tuple[int, Request]]) -> Source:
     legs = np.full(6, -WORKING_STROKE if begin in (State.OFF, State.SETTLED) else 0.0)
     return from_host(
-        Blocks(DCU, POSE, DEMAND, STATES, LEGS),
+        Blocks(DCU, POSE, GEOMETRY, STATES, LEGS),
         make_log(4096),
         requests,
         begin,

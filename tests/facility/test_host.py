@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dcu_bounds import output_bounds
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 from typer.testing import CliRunner
@@ -88,25 +88,6 @@ def test_derivatives_of_a_quintic_are_exact() -> None:
     assert np.abs(acceleration[:, 3] - poly.deriv(2)(time)).max() < 1e-6
 
 
-def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> None:
-    errors = []
-    for rate in (20.0, 40.0):
-        time = np.arange(int(8 * rate)) / rate
-        pose = np.tile(np.sin(2.0 * np.pi * time)[:, None], 6)
-        first, second = differentiate(time, pose)
-        inner = (time > 2.0) & (time < 6.0)
-        w = 2.0 * np.pi
-        errors.append(
-            (
-                np.abs(first[inner, 0] - w * np.cos(w * time[inner])).max(),
-                np.abs(second[inner, 0] + w * w * np.sin(w * time[inner])).max(),
-            )
-        )
-    orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
-    assert orders[0] > 4.8
-    assert orders[1] == pytest.approx(4.0, abs=0.3)
-
-
 def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     stream = wave(160, 64.0)
     compiled = make_dcu()
@@ -153,8 +134,8 @@ def test_a_gap_that_memory_cannot_hold_is_refused() -> None:
     [
         ({"pose": np.zeros((10, 5))}, r"pose: shape is \(10, 5\)"),
         ({"time": np.zeros(10)}, "time: frame 1: 0.0 is refused"),
-        ({"time": np.full(10, np.nan)}, "time: frame 0: nan"),
-        ({"pose": np.full((10, 6), np.inf)}, "pose: frame 0"),
+        ({"time": np.full(10, np.nan)}, r"time\[0\]: nan is not"),
+        ({"pose": np.full((10, 6), np.inf)}, r"pose\[0, 0\]: inf is not"),
         ({"velocity": np.zeros((10, 6))}, "give both or neither"),
         (
             {"velocity": np.zeros((9, 6)), "acceleration": np.zeros((10, 6))},
@@ -244,13 +225,6 @@ def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> No
 # Datagrams
 
 
-def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
-    number, none = np.arange(0), np.zeros((0, 3, 6))
-    session = HostSession(Arrivals(number, number, number / 80.0, none), 900)
-    again = HostSession.load(session.save(tmp_path / "session.parquet"))
-    assert again.arrivals.values.shape == none.shape and again.frames == 900
-
-
 def test_a_datagram_is_laid_out_as_documented() -> None:
     """Against the struct module: another reading of the same table."""
     sent = frame()
@@ -317,14 +291,6 @@ def test_any_flipped_bit_is_noticed(bit: int) -> None:
     data[bit // 8] ^= 1 << bit % 8
     with pytest.raises(DatagramError):
         decode_frame(bytes(data))
-
-
-@settings(max_examples=200)
-@example(data=b"CMFH" + bytes(168))
-@given(data=st.binary(max_size=400) | st.binary(min_size=SIZE, max_size=SIZE))
-def test_garbage_is_refused(data: bytes) -> None:
-    with pytest.raises(DatagramError):
-        decode_frame(data)
 
 
 def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
@@ -680,3 +646,10 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
         assert np.isfinite(demand).all()
         assert (np.abs(demand) <= bounds).all()
     assert state.counts["accepted"] + int(state.rejected.sum()) + refused == len(datagrams)
+
+
+def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
+    number, none = np.arange(0), np.zeros((0, 3, 6))
+    session = HostSession(Arrivals(number, number, number / 80.0, none), 900)
+    again = HostSession.load(session.save(tmp_path / "session.parquet"))
+    assert again.arrivals.values.shape == none.shape and again.frames == 900

@@ -335,25 +335,6 @@ def test_in_real_time_every_command_is_answered(swift: StateSettings) -> None:
     assert [a.state for a in answers if a.state != POWER_UP][-1] == STANDBY
 
 
-@pytest.mark.slow
-def test_three_minutes_of_positions_none_lost() -> None:
-    """10 800 commands over UDP, with the shipped times: raised, engaged, ridden, parked."""
-
-    def host(ask: Ask, *_: Any) -> list[Answer | None]:
-        until(ask, IDLE, command(DOF_MODE))
-        until(ask, ENGAGED, command(ENGAGE))
-        ridden = [ask(data) for data in heave(10_800)]
-        until(ask, IDLE, command(PARK))
-        return ridden
-
-    ridden, base, done = over_udp(host, 220.0, record_every=2048)
-    assert base.counts["positions"] == len(ridden) == 10_800
-    assert {a.state for a in ridden} == {ENGAGED} and not any(a.faults for a in ridden)
-    assert base.counts["late"] == sum(base.refused.values()) == done.counts["missing"] == 0
-    assert done.counts["accepted"] == int(base.ring.written[0])
-    assert sum(done.rejections.values()) == sum(done.unused.values()) == 0
-
-
 def test_moog_is_in_the_command_and_its_page_says_the_words() -> None:
     page = Path("docs/how_to/moog.md").read_text()
     for word in (NEW_POSITION, INHIBIT, RESET, DOF_MODE, LENGTH_MODE, START, ENGAGE, PARK, DISABLE):

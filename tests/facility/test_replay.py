@@ -62,17 +62,6 @@ def test_a_run_that_starts_away_from_its_demand_and_from_neutral() -> None:
     assert replay(record, "velocity_integral").identical
 
 
-def test_a_saved_record_comes_back_with_the_law_it_carries(run: Record, tmp_path: Path) -> None:
-    loaded = Record.load(run.save(tmp_path / "run.parquet"))
-    assert replay(loaded).identical
-
-
-def test_another_law_is_not_identical(run: Record) -> None:
-    replayed = replay(run, "acceleration_opposing")
-    assert not replayed.identical
-    assert replayed.difference > 1e-3
-
-
 def test_a_recorders_file_comes_back_within_a_ten_thousandth(tmp_path: Path) -> None:
     """128 Hz and six decimals of an inch; most of the output is the velocity law's."""
     record = simulate(Hexapod(), "velocity", signals.sine("heave", 0.33 * INCH, 1.2, cycles=4.0))

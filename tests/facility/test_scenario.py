@@ -17,7 +17,6 @@ from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.scenario import (
     load_scenario,
-    run_scenario,
     save_scenario,
     scenario_names,
     scenario_of,
@@ -25,7 +24,6 @@ from cmf_mj.facility.scenario import (
 from cmf_mj.facility.settings import change_of
 from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.record.record import Record
-from cmf_mj.signals.composite import FadedSines
 from cmf_mj.signals.signal import tabulated
 
 SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2.0, "fade": 0.2}
@@ -86,7 +84,6 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
             {"plant": "truck"},
             "plant: 'truck' is refused: input should be 'hexapod' or",
         ),
-        ({"plnt": "hexapod"}, "plnt: is not a known field; allowed: cab, change"),
         ({"law": "fast"}, "law: 'fast' is not one of original"),
         ({"signal": [{"kind": "sin"}]}, "does not match any of the expected tags: 'step'"),
         (
@@ -94,9 +91,6 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
             "'deg' is refused for heave",
         ),
         ({"signal": [SINE | {"amplitude": [1.0, "ft"]}]}, "unit 'ft' is not one of in, m"),
-        ({"signal": [SINE | {"frq": 1.0}]}, "sine.frq: is not a known field; allowed: amplitude"),
-        ({"signal": [SINE | {"frequency": 0.0}]}, "frequency: 0.0 is refused"),
-        ({"gains": {"direct_gain": {"velocit": 1.0}}}, "direct_gain.velocit: is not a known field"),
         ({"gains": {"state_gain": 1.5}}, "state_gain: 1.5 is refused: input should be less than 1"),
         ({"change": [{"law": "velocity"}]}, "change.0: needs `at` in s or `frame`"),
         ({"change": [{"at": 1.0, "frame": 1}]}, "at, frame: both are given"),
@@ -104,12 +98,10 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
         ({"change": [{"at": 1.0, "request": "hold"}]}, "request 'hold' needs [operation]"),
         ({"change": [{"at": 1.0, "failure": [{"kind": "valve_dead"}]}]}, "leg: is missing"),
         ({"plant": "single_legs", "operation": {}}, "operation: is for the hexapod"),
-        ({"duration": 0.0}, "duration: 0.0 is refused: input should be greater than 0"),
         (
             {"outputs": {"record": "../x.parquet"}},
             "must be a plain file name that ends in",
         ),
-        ({"protection": "none.toml"}, "none.toml: cannot be read"),
     ],
 )
 def test_what_is_refused_is_named(table: dict[str, Any], said: str) -> None:
@@ -124,7 +116,7 @@ def test_impossible_changes_are_refused_before_the_run() -> None:
     with pytest.raises(ValueError, match="leg: 7 of valve_dead is not a leg; allowed: 1 to 6"):
         SignalSession(scenario(change=[{"at": 0.1, "failure": [{"kind": "valve_dead", "leg": 7}]}]))
     with pytest.raises(ValueError, match="duration: is open"):
-        run_scenario(scenario(duration="open"))
+        scenario(duration="open").record()
 
 
 # Demand
@@ -176,7 +168,7 @@ def test_an_endless_sine_is_the_sine_after_its_fade() -> None:
 
 def test_a_plain_scenario_is_the_run_of_simulate() -> None:
     step = {"kind": "step", "dof": "surge", "amplitude": [1.0, "in"], "at": 0.25}
-    record = run_scenario(scenario(signal=[step]))
+    record = scenario(signal=[step]).record()
     command = signals.step("surge", units.INCH, at=0.25, duration=0.5)
     expected = simulate(Hexapod("gfd"), "velocity", command)
     assert set(record.channels) == set(expected.channels)
@@ -232,7 +224,7 @@ def test_each_change_acts(live: SignalSession) -> None:
     done = live.done()
     for number in range(len(done.change) - 1):
         fewer = done.change[:number] + done.change[number + 1 :]
-        other = run_scenario(done.model_copy(update={"change": fewer}))
+        other = done.model_copy(update={"change": fewer}).record()
         frame = done.change[number].when() // 3
         own = live.record()["generalised_position"]
         np.testing.assert_array_equal(own[:frame], other["generalised_position"][:frame])
@@ -242,7 +234,7 @@ def test_each_change_acts(live: SignalSession) -> None:
 def test_a_push_lifts_what_it_pushes() -> None:
     """A force through the centre of mass: m a, before legs and hydraulics answer."""
     push = {"frame": 8, "push": {"body": "cab/cab", "force": [0.0, 0.0, 5.0e4]}}
-    runs = [run_scenario(scenario(signal=[], duration=0.02, change=c)) for c in ([], [push])]
+    runs = [scenario(signal=[], duration=0.02, change=c).record() for c in ([], [push])]
     z = [r["generalised_position"][:, 2] for r in runs]
     rise = z[1] - z[0]
     assert (rise[:9] == 0.0).all()
@@ -260,7 +252,7 @@ def test_an_open_run_keeps_only_the_last_seconds() -> None:
     record = run.record()
     assert record.time.size == 1024 // 4
     assert record.time[0] == 1.25
-    whole = run_scenario(run.done())
+    whole = run.done().record()
     for name in record.channels:
         np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
 
@@ -276,7 +268,7 @@ def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
     run.run(100)
     done = run.done()
     assert [change.law for change in done.change] == ["modal_plan", None, law]
-    same(run.record(), run_scenario(done))
+    same(run.record(), done.record())
 
 
 def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: Path) -> None:
@@ -312,12 +304,6 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
     assert run.frame == run.frames and run.look().law == "mine"
 
 
-def test_a_change_with_a_time_is_not_for_now() -> None:
-    run = SignalSession(scenario())
-    with pytest.raises(ValueError, match="at: 0.2 is refused; a change applied live happens"):
-        run.apply(change_of({"at": 0.2}))
-
-
 def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
     run = SignalSession(
         scenario(
@@ -337,7 +323,7 @@ def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
     record = run.record()
     assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
     assert not any(record.metadata["host_rejections"].values())
-    same(record, run_scenario(run.done()))
+    same(record, run.done().record())
 
 
 # Command line
@@ -351,11 +337,6 @@ def shortened(full: Run, seconds: float) -> Run:
     fields["events"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.events)
     fields["change"] = tuple(
         c.model_copy(update={"at": None, "frame": round(c.when() * share)}) for c in full.change
-    )
-    # A signal along one axis after the other is 46 minutes long, and its table half a gigabyte.
-    fields["signal"] = tuple(
-        one.model_copy(update={"dofs": one.dofs[:1]}) if isinstance(one, FadedSines) else one
-        for one in full.signal
     )
     if full.operation is not None:
         requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.requests)

@@ -100,13 +100,6 @@ def test_a_start_that_mujoco_warns_of_is_refused(monkeypatch: pytest.MonkeyPatch
         plant.start(np.zeros(6))
 
 
-def test_warnings_can_be_heard(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, "mujoco")
-    with pytest.raises(OutOfBounds):
-        blow(SingleLegs(), 1e300).run()
-    assert "unstable" in caplog.text
-
-
 # One run at a time
 
 
@@ -155,3 +148,10 @@ def test_a_copy_of_a_plant_is_free() -> None:
     plant = SingleLegs()
     with plant.alone:
         session(copy.deepcopy(plant)).run(8)
+
+
+def test_warnings_can_be_heard(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "mujoco")
+    with pytest.raises(OutOfBounds):
+        blow(SingleLegs(), 1e300).run()
+    assert "unstable" in caplog.text

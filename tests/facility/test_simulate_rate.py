@@ -11,8 +11,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.scenario import run_scenario, scenario_of
-from cmf_mj.facility.simulate import simulate_many
+from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
@@ -69,16 +68,6 @@ def test_a_record_knows_its_rate() -> None:
     assert record.signal.rate == 5000
 
 
-def test_many_runs_are_those_of_single_ones() -> None:
-    poses = np.zeros((2, 300, 6))
-    poses[:, 100:, 2] = np.array([[0.002], [0.004]])
-    plant = Hexapod(machine=machine(1000))
-    runs = simulate_many(plant, "velocity", poses)
-    single = simulate(plant, "velocity", Command.from_pose(poses[1], 1000))
-    assert runs.time.tobytes() == single.time.tobytes()
-    assert runs["leg_extension"][1].tobytes() == single["leg_extension"].tobytes()
-
-
 def test_poses_of_another_rate_are_refused() -> None:
     plant = Hexapod(machine=machine(1000))
     with pytest.raises(InputError, match="2048 a second; the machine takes 1000 a second"):
@@ -124,7 +113,7 @@ def test_a_scenario_runs_at_the_rate_of_its_machine(tmp_path: Path) -> None:
         },
         "test",
     )
-    record = run_scenario(scenario)
+    record = scenario.record()
     assert record.rate == 1000.0 and record.time.size == 1000
     time = record.time[:500]
     meant = 0.005 * (1.0 - np.cos(np.pi * time)) * np.sin(4.0 * np.pi * time)

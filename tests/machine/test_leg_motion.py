@@ -1,7 +1,6 @@
 """Velocities and accelerations between platform and legs, against differences of the positions."""
 
 import numpy as np
-import pytest
 
 from cmf_mj import pose_to_legs
 from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
@@ -51,8 +50,3 @@ def test_a_turning_platform_accelerates_its_legs_at_constant_rate() -> None:
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     found = pose_motion_to_legs(0.1 * turn, turn, still)
     assert np.abs(found.acceleration).min() > 0.1
-
-
-def test_shapes_that_differ_are_named() -> None:
-    with pytest.raises(ValueError, match=r"acceleration: shape is \(3, 6\); pose has \(2, 6\)"):
-        pose_motion_to_legs(np.zeros((2, 6)), np.zeros((2, 6)), np.zeros((3, 6)))

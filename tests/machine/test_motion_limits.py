@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from shared import WORKING_STROKE
 
-from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.parameters import load_hydraulics
@@ -24,10 +22,6 @@ def test_table_2_1():
     np.testing.assert_allclose(limits.operational / SCALE, operational, rtol=1e-14)
     assert all(axis.operational.status == "stated" for axis in limits.axes)
     assert "degrees are meant" in limits.yaw.operational.source
-
-
-def test_leg_travel_is_the_working_stroke_to_the_bit():
-    assert load_motion_limits().leg.position.si == WORKING_STROKE
 
 
 def test_assumed_rates_are_within_what_legs_and_hydraulics_can_do():
@@ -77,8 +71,3 @@ def test_refused_entries_are_named(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as raised:
         load_motion_limits(path)
     assert str(path) in str(raised.value)
-
-
-def test_pose_order():
-    limits = load_motion_limits()
-    assert [getattr(limits, dof) for dof in DOFS] == list(limits.axes)

@@ -41,12 +41,6 @@ def stall_range(cylinder: Cylinder, tank: float) -> tuple[float, float]:
     )
 
 
-def test_volumes_at_neutral_are_area_times_half_stroke(cylinder: Cylinder) -> None:
-    cap, rod = volumes(cylinder, 0.0)
-    assert cap == pytest.approx(cylinder.cap_area * units.to_si("in", 38.0), rel=1e-14)
-    assert rod == pytest.approx(cylinder.rod_area * units.to_si("in", 38.0), rel=1e-14)
-
-
 def test_volume_slopes_are_the_areas(cylinder: Cylinder) -> None:
     """dV_cap/dx = A_cap, dV_rod/dx = -A_rod off the ends. 1e-10: round-off over 1 mm."""
     for extension in (-0.9, -0.2, 0.0, 0.7, 0.9):

@@ -82,12 +82,6 @@ def test_one_valve_gives_the_speed_of_two_in_tandem() -> None:
     assert speeds[1] == pytest.approx(speeds[0], rel=1e-9)
 
 
-def test_a_count_other_than_one_or_two_is_refused() -> None:
-    for field in ("rods", "valves"):
-        with pytest.raises(cmf_mj.InputError, match=f"{field}: 3 is refused: must be 1 or 2"):
-            changed(**{field: 3.0})
-
-
 def test_a_sealed_cylinder_holds_a_shut_leg_and_a_hydrostatic_one_lets_it_creep() -> None:
     """The bearing's leak B p_rod lets the loaded leg with a shut valve sink; a seal's friction
     above the change of load keeps it."""

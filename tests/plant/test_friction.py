@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from cmf_mj.plant.friction import Friction, make_frictions, slide
+from cmf_mj.plant.cylinder import Friction, make_frictions, slide
 from cmf_mj.plant.parameters import load_hydraulics
 
 LBF, INCH = 0.45359237 * 9.80665, 0.0254
@@ -85,11 +85,6 @@ def test_the_result_does_not_depend_on_the_step() -> None:
         bristle, force = slide(CONTACT, bristle, 4e-3, 2e-5)
     assert bristle == pytest.approx(whole[0], abs=1e-12 * CONTACT.presliding * 1e3)
     assert force == pytest.approx(whole[1], rel=1e-9)
-
-
-def test_without_friction_nothing_resists() -> None:
-    contact = make_frictions(load_hydraulics("hardware"), ["leg"])[0]
-    assert slide(contact, 0.0, 0.5, 1e-3) == (0.0, 0.0)
 
 
 def test_numbers_come_from_the_set() -> None:

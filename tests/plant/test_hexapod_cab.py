@@ -5,12 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab, recorded_cab
-from cmf_mj.machine.geometry import FLIP
-from cmf_mj.machine.kinematics import pose_jacobian
-from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod, hexapod_model, hexapod_spec
 
 LIGHT = 1e-6
@@ -46,15 +42,6 @@ def odd() -> Cab:
         platform={"mass": 5000.0, "centre_of_mass": (0.0, 0.0, 0.0)},
         leg_mass=1.3,
     )
-
-
-def at_centroid(cab: Cab) -> NDArray[np.float64]:
-    """Mass matrix (6, 6) of platform and cab about the centroid, report axes (x, -y, -z)."""
-    mass, centre, inertia = cab.payload
-    x, y, z = centre * FLIP
-    arm = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turned = np.diag(FLIP) @ inertia @ np.diag(FLIP)
-    return np.block([[mass * np.eye(3), -mass * arm], [mass * arm, turned - mass * arm @ arm]])
 
 
 @pytest.mark.parametrize("name", models.CABS)
@@ -103,40 +90,6 @@ def test_a_model_that_was_edited_leaves_the_next_one_alone() -> None:
     hexapod_model("gfd").body_mass[:] = 1.0
     Hexapod(compact(9e3))
     assert bytes_of(hexapod_model("gfd")) == before
-
-
-def test_reflected_mass_is_that_of_the_payload_through_the_jacobian() -> None:
-    """M_leg = J^-T M J^-1 with legs of nearly no mass, products of inertia and all."""
-    cab = odd().changed("odd", leg_mass=LIGHT)
-    turn = np.linalg.inv(pose_jacobian(np.zeros(6)))
-    expected = turn.T @ at_centroid(cab) @ turn
-    found = Hexapod(cab).reflected_mass()
-    assert found == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-
-
-def test_static_leg_loads_carry_the_weight() -> None:
-    """Vertical parts of the six leg forces sum to the weight, their moments to its moment."""
-    cab = odd().changed("odd", leg_mass=LIGHT)
-    plant = Hexapod(cab)
-    plant.start()
-    forces = pose_jacobian(np.zeros(6)).T @ plant.static_load()
-    mass, centre, _ = cab.payload
-    weight = mass * units.STANDARD_GRAVITY
-    x, y, _ = centre * FLIP
-    # The legs push up, -z; gravity at (x, y) pulls down with the moments (y, -x) W.
-    expected = [0.0, 0.0, -weight, -y * weight, x * weight, 0.0]
-    assert forces == pytest.approx(expected, abs=1e-4 * weight)
-
-
-def test_heave_frequency_by_formula() -> None:
-    """w^2 = sum_i k_i (dl_i/dz)^2 / m for a payload whose centre is on the axis of symmetry."""
-    cab = compact(10e3, size=2.0)
-    plant = Hexapod(cab, "hardware")
-    springs = stiffness(plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6))
-    along = pose_jacobian(np.zeros(6))[:, 2]
-    modes = plant.hydraulic_modes()
-    heave = int(np.argmax(modes.share[2]))
-    assert modes.frequency[heave] == pytest.approx(np.sqrt(springs @ along**2 / 10e3), rel=1e-3)
 
 
 def test_the_plant_says_which_cab_it_carries() -> None:

@@ -126,28 +126,6 @@ def test_advance_follows_radau_through_reversing_commands() -> None:
     np.testing.assert_allclose(found[:, CAP:], exact[:, CAP:], rtol=0, atol=1e-4 * supply)
 
 
-def test_legs_on_a_constant_supply_do_not_know_each_other() -> None:
-    """Advancing five legs together or one by one gives the same: 1e-12, round-off, for the
-    iteration ends for all legs together."""
-    p = changed("lossy", supply="constant")
-    rng = np.random.default_rng(5)
-    rows = np.column_stack([rng.uniform(-1, 1, (5, 2)), rng.uniform(1e6, 9e6, (5, 2))])
-    command, before = rng.uniform(-1, 1, 5), rng.uniform(-0.8, 0.8, 5)
-    after = before + rng.uniform(-1e-3, 1e-3, 5)
-    hydraulics = machine(p, legs=5)
-    together = state_of(p, hydraulics, rows, before)
-    assert advance(hydraulics, together, no_faults(5), command, before, after)
-    found = rows_of(together)
-    for leg in range(5):
-        one = slice(leg, leg + 1)
-        single = machine(p)
-        alone = state_of(p, single, rows[one], before[one])
-        assert advance(single, alone, no_faults(1), command[one], before[one], after[one])
-        np.testing.assert_allclose(rows_of(alone)[0], found[leg], rtol=1e-12)
-        np.testing.assert_allclose(alone.content[0], together.content[leg], rtol=1e-14)
-        assert alone.friction[0] == together.friction[leg]
-
-
 # -- limits ---------------------------------------------------------------------------------------
 
 
@@ -344,3 +322,25 @@ def test_parameters_of_an_actuator_that_is_not_there_are_refused() -> None:
     assert make_hydraulics(p, ["leg_1", "boom"], FRAME).cylinder.leakage[1] == pytest.approx(
         make_hydraulics(p, ["leg_1", "boom"], FRAME).cylinder.leakage[0] / 5
     )
+
+
+def test_legs_on_a_constant_supply_do_not_know_each_other() -> None:
+    """Advancing five legs together or one by one gives the same: 1e-12, round-off, for the
+    iteration ends for all legs together."""
+    p = changed("lossy", supply="constant")
+    rng = np.random.default_rng(5)
+    rows = np.column_stack([rng.uniform(-1, 1, (5, 2)), rng.uniform(1e6, 9e6, (5, 2))])
+    command, before = rng.uniform(-1, 1, 5), rng.uniform(-0.8, 0.8, 5)
+    after = before + rng.uniform(-1e-3, 1e-3, 5)
+    hydraulics = machine(p, legs=5)
+    together = state_of(p, hydraulics, rows, before)
+    assert advance(hydraulics, together, no_faults(5), command, before, after)
+    found = rows_of(together)
+    for leg in range(5):
+        one = slice(leg, leg + 1)
+        single = machine(p)
+        alone = state_of(p, single, rows[one], before[one])
+        assert advance(single, alone, no_faults(1), command[one], before[one], after[one])
+        np.testing.assert_allclose(rows_of(alone)[0], found[leg], rtol=1e-12)
+        np.testing.assert_allclose(alone.content[0], together.content[leg], rtol=1e-14)
+        assert alone.friction[0] == together.friction[leg]

@@ -19,7 +19,7 @@ from hydraulic_equations import (
 from scipy import optimize
 
 from cmf_mj.core import units
-from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics, piston_leakage
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 
 
 def poles_of_equations(parameters: HydraulicParameters) -> np.ndarray:
@@ -121,16 +121,3 @@ def test_total_oil_is_a_neutral_mode(report_poles: np.ndarray) -> None:
     """Leakage moves oil between the chambers and loses none: a leg in force balance with equal
     pressures stays wherever it is. 1e-3 1/s: round-off of the differences."""
     assert abs(nearest(report_poles, 0.0)) < 1e-3
-
-
-def test_a_changed_copy_of_a_set_derives_anew() -> None:
-    """Leakage is computed from the set it belongs to, also where pydantic's `model_copy` made it
-    after it was read once."""
-    p = load_hydraulics("hardware")
-    assert piston_leakage(p.quantities()) > 0.0
-    copy = p.model_copy(
-        update={
-            "leak_rate": p.leak_rate.model_copy(update={"value": 0.0}),
-        }
-    )
-    assert piston_leakage(copy.quantities()) == 0.0

@@ -17,7 +17,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import State
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.channel import SensorSettings
+from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate
@@ -65,7 +65,6 @@ def random_machine(generator: np.random.Generator) -> Machine:
     heavy = 1000.0 * size**3
     table = load_machine("lab").model_dump() | {
         "name": "drawn",
-        "axes": "z up",
         "gimbals": {
             "upper_radius": stated(size, "m"),
             "upper_spacing": stated(generator.uniform(5.0, 30.0), "deg"),

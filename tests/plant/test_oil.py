@@ -5,7 +5,7 @@ import pytest
 from hydraulic_equations import ATMOSPHERE, changed, content_ratio, slope
 from scipy import integrate
 
-from cmf_mj.plant.oil import Oil, density, enthalpy, least_pressure, make_oil, stored
+from cmf_mj.plant.oil import density, enthalpy, least_pressure, make_oil, stored
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 
 PRESSURES = [-1.01e5, -9e4, -3e4, -10.0, 0.0, 5e3, 1e5, 3e6, 1e7, 4e7]
@@ -26,13 +26,6 @@ def test_density_slope_is_the_derivative(name: str, pressure: float) -> None:
     step = min(1e-3 * (pressure + ATMOSPHERE), 0.2 * abs(pressure))
     found = slope(lambda at: density(oil, at)[0], pressure, step)
     assert density(oil, pressure)[1] == pytest.approx(found, rel=1e-5)
-
-
-def test_liquid_has_a_constant_bulk_modulus() -> None:
-    """r = exp(p / beta) to third order: (p / beta)^3 / 6."""
-    oil = make_oil(load_hydraulics("hardware"))
-    for z in (1e-3, 1e-2, 0.06):
-        assert density(oil, z * oil.bulk_modulus)[0] == pytest.approx(np.exp(z), rel=z**3 / 5)
 
 
 def test_entrained_gas_softens_oil_at_low_pressure_only() -> None:
@@ -105,9 +98,3 @@ def test_stored_energy_is_the_work_of_filling(name: str, pressure: float) -> Non
     simple = volume * pressure**2 / (2 * oil.bulk_modulus)
     if name == "hardware":
         assert stored(oil, content, pressure, volume) == pytest.approx(simple, rel=3e-2)
-
-
-def test_oil_takes_its_numbers_from_the_set() -> None:
-    p = load_hydraulics("lossy")
-    expected = Oil(p.bulk_modulus.si, 1 / p.bulk_modulus.si, 0.005, 1.4, 1e-6 * ATMOSPHERE)
-    assert make_oil(p) == pytest.approx(expected, rel=1e-14)

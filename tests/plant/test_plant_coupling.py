@@ -55,29 +55,6 @@ def test_gimbals_stay_closed(dof: str, cuts: int) -> None:
     assert 0.0 < error.max() < 10e-6
 
 
-@pytest.mark.parametrize("plant", sorted(PLANTS))
-def test_a_run_repeats_bit_for_bit(plant: str) -> None:
-    """On a fresh plant and on the same plant run twice."""
-    command = signals.multisine("pitch", 0.01, period=0.5, periods=2, start=2.0, seed=3)
-    used = PLANTS[plant]()
-    runs = [simulate(p, "velocity", command) for p in (used, used, PLANTS[plant]())]
-    for name in runs[0].channels:
-        np.testing.assert_array_equal(runs[0][name], runs[1][name], err_msg=name)
-        np.testing.assert_array_equal(runs[0][name], runs[2][name], err_msg=name)
-    assert np.ptp(runs[0]["leg_position"]) > 1e-3
-
-
-def test_recording_less_often_keeps_the_rows() -> None:
-    """`record_every` only leaves rows out: the others are the same bits."""
-    command = signals.step("heave", -0.0254, at=0.1, duration=0.5)
-    full = simulate(SingleLegs(), "velocity", command)
-    sparse = simulate(SingleLegs(), "velocity", command, record_every=3)
-    assert sparse.rate == pytest.approx(full.rate / 3, rel=1e-15)
-    for name in full.channels:
-        np.testing.assert_array_equal(sparse[name], full[name][::3], err_msg=name)
-    np.testing.assert_allclose(sparse.time, full.time[::3], rtol=1e-15)
-
-
 def test_momentum_of_a_leg_is_the_impulse_of_its_force() -> None:
     """m d2x/dt2 = F - W with the recorded force and positions: MuJoCo's step is a leapfrog, whose
     second difference is the force at the middle sample. 1e-6 N of 3.2e4 N: round-off, 3266 kg

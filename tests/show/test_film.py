@@ -16,7 +16,6 @@ from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.errors import MissingExtraError
 from cmf_mj.facility import scenario
-from cmf_mj.facility.scenario import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import stage
 from cmf_mj.show.film import FilmSettings, film
@@ -33,12 +32,12 @@ def quick(**fields: Any) -> scenario.Run:
 
 @pytest.fixture(scope="module")
 def record() -> Record:
-    return run_scenario(quick())
+    return quick().record()
 
 
 @pytest.fixture(scope="module")
 def single() -> Record:
-    return run_scenario(quick(plant="single_legs", record_every=7))
+    return quick(plant="single_legs", record_every=7).record()
 
 
 # Films

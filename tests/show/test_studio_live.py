@@ -24,7 +24,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
 from cmf_mj.facility.run import Run
-from cmf_mj.facility.scenario import run_scenario, scenario_of, scenario_toml
+from cmf_mj.facility.scenario import scenario_of, scenario_toml
 from cmf_mj.facility.settings import change_of
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import desk
@@ -193,7 +193,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     session.close()
     assert not session._thread.is_alive() and not screen.errors
     assert len(scenario.change) == 5
-    again = run_scenario(scenario)
+    again = scenario.record()
     assert set(again.channels) == set(record.channels)
     for name, values in record.channels.items():
         assert np.array_equal(again[name][: values.shape[0]], values), name

@@ -17,7 +17,7 @@ import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
-from cmf_mj.facility.scenario import load_scenario, run_scenario
+from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.studio import desk, live
 from cmf_mj.show.studio.server import Page as StudioPage
@@ -240,7 +240,7 @@ def test_exported_session_runs_again_bit_for_bit(tab: Tab, tmp_path: Path) -> No
     path = tmp_path / "session.toml"
     download.value.save_as(path)
     record = tab.behind.live.record().result()
-    again = run_scenario(load_scenario(path))
+    again = load_scenario(path).record()
     assert again.time.size == record.time.size > 128
     for name, values in record.channels.items():
         assert np.array_equal(again[name], values), name

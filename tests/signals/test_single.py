@@ -4,18 +4,13 @@ Oracles: section 2.5 of the report for the chirp (0.01 to 10 Hz in 100 s, linear
 for the multisine.
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from cmf_mj import signals
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import validated
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command
 
 AMPLITUDE = 0.33 * 0.0254
@@ -57,15 +52,6 @@ def test_starts_and_ends_at_rest(kind):
     speed = np.abs(np.diff(heave(EXCITATIONS[kind]()))) * RATE / AMPLITUDE
     assert speed[0] < 1e-4 and speed[-1] < 1e-4
     assert speed.max() > 1.0
-
-
-@pytest.mark.parametrize("kind", EXCITATIONS)
-def test_amplitude_scales_the_history(kind):
-    described = dict(EXCITATIONS[kind]().description)
-    described.pop("kind")
-    described["amplitude"] = -2.0 * AMPLITUDE
-    doubled = getattr(signals, kind)(**described)
-    np.testing.assert_allclose(doubled.pose, -2.0 * EXCITATIONS[kind]().pose, rtol=0.0, atol=1e-15)
 
 
 # Step and sine
@@ -117,13 +103,6 @@ def test_chirp_defaults_are_the_report_s():
     assert not heave(command)[: 2 * RATE].any() and not heave(command)[-2 * RATE :].any()
 
 
-@pytest.mark.parametrize("duration", [100.0, 20.0, 10.0])
-def test_chirp_is_continuous(duration):
-    """No sample steps further than the highest frequency allows: 2 pi stop amplitude / 2048."""
-    command = signals.chirp("heave", AMPLITUDE, stop=10.0, duration=duration)
-    assert np.abs(np.diff(heave(command))).max() <= 2.0 * np.pi * 10.0 * AMPLITUDE / RATE
-
-
 # Multisine
 
 
@@ -149,11 +128,6 @@ def test_multisine_repeats_whole_periods():
     assert (periods == periods[0]).all()
 
 
-def test_multisine_runs_on_smoothly_from_period_to_period():
-    command = signals.multisine("heave", AMPLITUDE, period=2.0, periods=2, stop=5.0)
-    assert np.abs(np.diff(heave(command))).max() < 2.0 * np.pi * 5.0 * AMPLITUDE / RATE
-
-
 def test_other_seed_other_phases_same_lines():
     one, two = (signals.multisine("heave", AMPLITUDE, period=2.0, seed=s) for s in (1, 2))
     assert np.abs(heave(one) - heave(two)).max() > 0.1 * AMPLITUDE
@@ -163,16 +137,6 @@ def test_other_seed_other_phases_same_lines():
 
 
 # Command
-
-
-def test_command_is_immutable():
-    command = signals.step("heave", AMPLITUDE)
-    with pytest.raises(ValueError, match="read-only"):
-        command.pose[0, 0] = 1.0
-    with pytest.raises(ValidationError, match="frozen"):
-        command.signal.amplitude = 1.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        command.seed = 1
 
 
 def test_command_from_an_array_is_a_copy():
@@ -204,46 +168,16 @@ def test_command_of_a_wrong_shape_is_refused(shape):
             {"width": 12.5},
             "width: 12.5 s after 1.0 s must be within the 13.0 s",
         ),
-        ("noise", {"scale": "loud"}, "scale: 'loud' is refused: input should be 'peak' or 'rms'"),
         ("noise", {"fade": 60.0}, "fade: 60.0 s must be at most half the duration of 100.0 s"),
         ("noise", {"start": 2.0, "stop": 1.0}, "stop: no multiple of 0.01 Hz lies in 2.0 to 1.0"),
         ("multisine", {"period": 0.3001}, "period: 0.3001 s must be a whole number of frames"),
         ("multisine", {"start": 0.11, "stop": 0.14}, "stop: no odd multiple of 0.05 Hz lies in"),
-        (
-            "multisine",
-            {"spectrum": "pink"},
-            "spectrum: 'pink' is refused: input should be",
-        ),
         ("multisine", {"fade": 30.0}, "fade: 30.0 s must be at most the period of 20.0 s"),
     ],
 )
 def test_argument_out_of_range_is_named(kind, arguments, message):
     with pytest.raises(ValueError, match=message):
         getattr(signals, kind)("heave", AMPLITUDE, **arguments)
-
-
-@pytest.mark.parametrize("signal", composite._BY_NAME.values())
-def test_numbers_beyond_their_bounds_are_refused_by_name(signal):
-    """From the schema: what lies beyond each bound, and what is no finite number."""
-    beyond = {"gt": 0, "ge": -1, "lt": 0, "le": 1}
-    checked = 0
-    for name, field in signal.model_fields.items():
-        values = [
-            getattr(rule, bound) + step
-            for rule in field.metadata
-            for bound, step in beyond.items()
-            if hasattr(rule, bound)
-        ]
-        for value in values + [np.nan, np.inf] * (field.annotation is float):
-            with pytest.raises(InputError, match=f"{name}: {value} is refused"):
-                validated(signal, {name: value}, "")
-            checked += 1
-    assert checked >= 2
-
-
-def test_unknown_degree_of_freedom_lists_the_six():
-    with pytest.raises(ValueError, match="dof: 'up' is refused: input should be 'surge', 'sway', "):
-        signals.step("up", AMPLITUDE)
 
 
 @pytest.mark.parametrize("rate", [200, 1000, 5000, 10_000])

@@ -18,7 +18,6 @@ from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.cli.common import app
-from cmf_mj.control.plan import actuator_polynomial
 from cmf_mj.core.files import write_table
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
@@ -31,6 +30,7 @@ from cmf_mj.studies.capacity import (
     manoeuvre,
     pressure_margin,
 )
+from tests.control.test_plan import actuator_polynomial
 
 INCH = 0.0254
 PSI = 0.45359237 * 9.80665 / INCH**2

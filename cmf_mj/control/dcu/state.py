@@ -17,10 +17,21 @@ from pydantic import AfterValidator, model_validator
 from scipy.signal import bessel
 
 from cmf_mj.control.dcu.motion import POSE
-from cmf_mj.core.arrays import one_row
+from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import chain
-from cmf_mj.core.quantity import Kind, Quantity, in_si, positive_in
+from cmf_mj.core.quantity import (
+    Acceleration,
+    Angle,
+    AngularAcceleration,
+    AngularSpeed,
+    Kind,
+    Length,
+    Quantity,
+    Speed,
+    Time,
+    Wait,
+)
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME, RATE
 
@@ -32,27 +43,19 @@ def _whole(quantity: Quantity) -> Quantity:
     return quantity
 
 
-_Time = Annotated[Quantity, positive_in("s")]
-_Wait = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
 _Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=0.9).check)]
 _Frames = Annotated[Quantity, AfterValidator(_whole)]
-_Length = Annotated[Quantity, positive_in("in", "m")]
-_Speed = Annotated[Quantity, positive_in("in/s", "m/s")]
-_Acceleration = Annotated[Quantity, positive_in("g", "in/s^2", "m/s^2")]
-_Angle = Annotated[Quantity, positive_in("deg", "rad")]
-_AngularSpeed = Annotated[Quantity, positive_in("deg/s", "rad/s")]
-_AngularAcceleration = Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
 
 
 class DelayBreakdown(Settings):
     """Where the time from a host's stamp to the leg demand goes; `total` adds it up."""
 
-    host_interval: _Time
+    host_interval: Time
     """Longest interval of the host for which the total holds: a frame waits for its successor.
     A host whose mean interval is longer waits for that instead."""
-    interpolation_hold: _Wait
+    interpolation_hold: Wait
     """Wait beyond the interval: what a frame may be late, or lost, without a trace."""
-    smoothing: _Time
+    smoothing: Time
     """Delay of the filter of poses whose derivatives are left aside, in place of the hold."""
     transmission: _Frames  #: Transport from the host to the DCU, whole control frames.
     dcl_frame: _Frames  #: From the DCU to the leg demand of the DCL, whole control frames.
@@ -88,29 +91,29 @@ class DelayBreakdown(Settings):
 class DcuLimits(Settings):
     """What a frame may hold, how gaps are closed and how silence ends; see `dcu.toml`."""
 
-    pose_translation: _Length  #: Largest surge, sway and heave of a frame.
-    pose_rotation: _Angle  #: Largest roll, pitch and yaw of a frame.
-    velocity_translation: _Speed  #: Largest translational velocity of a frame and between frames.
-    velocity_rotation: _AngularSpeed
+    pose_translation: Length  #: Largest surge, sway and heave of a frame.
+    pose_rotation: Angle  #: Largest roll, pitch and yaw of a frame.
+    velocity_translation: Speed  #: Largest translational velocity of a frame and between frames.
+    velocity_rotation: AngularSpeed
     """Largest rate of an Euler angle of a frame and between frames."""
-    acceleration_translation: _Acceleration
+    acceleration_translation: Acceleration
     """Largest translational acceleration of a frame and between frames."""
-    acceleration_rotation: _AngularAcceleration
+    acceleration_rotation: AngularAcceleration
     """Largest second derivative of an Euler angle of a frame and between frames."""
-    overtravel_translation: _Length  #: How far the demand may go beyond `pose_translation`.
-    overtravel_rotation: _Angle  #: How far the demand may go beyond `pose_rotation`.
-    rejoin_velocity_translation: _Speed  #: Speed at which a gap of position is closed.
-    rejoin_velocity_rotation: _AngularSpeed  #: Speed at which a gap of angle is closed.
-    rejoin_time: _Time  #: Time in which a gap closes to 6 % of what it was: 6 / w.
-    minimum_interval: _Time  #: Least difference of host times between accepted frames.
-    timeout: _Time
+    overtravel_translation: Length  #: How far the demand may go beyond `pose_translation`.
+    overtravel_rotation: Angle  #: How far the demand may go beyond `pose_rotation`.
+    rejoin_velocity_translation: Speed  #: Speed at which a gap of position is closed.
+    rejoin_velocity_rotation: AngularSpeed  #: Speed at which a gap of angle is closed.
+    rejoin_time: Time  #: Time in which a gap closes to 6 % of what it was: 6 / w.
+    minimum_interval: Time  #: Least difference of host times between accepted frames.
+    timeout: Time
     """Silence after which the stream is stale; longest gap between accepted frames; how long
     frame after frame may be late, or far ahead, before the play clock is set again."""
-    stop_time: _Time  #: Time in which the velocity of an interrupted demand comes to rest.
-    acceleration_fade: _Time  #: Time in which the acceleration of an interrupted demand has faded.
-    clock_tolerance: _Wait  #: Mean lateness of the host that is left alone.
+    stop_time: Time  #: Time in which the velocity of an interrupted demand comes to rest.
+    acceleration_fade: Time  #: Time in which the acceleration of an interrupted demand has faded.
+    clock_tolerance: Wait  #: Mean lateness of the host that is left alone.
     clock_rate: _Share  #: Most by which the play clock runs fast or slow, at most 0.9.
-    clock_time: _Time  #: Time constant Tc with which the play clock follows the host's.
+    clock_time: Time  #: Time constant Tc with which the play clock follows the host's.
 
     @model_validator(mode="after")
     def _consistent(self) -> "DcuLimits":
@@ -203,7 +206,7 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
         )
     rate = _GAP_TIMES / limits.rejoin_time.si
     poles = bessel(4, 1.0, analog=True, output="zpk", norm="delay")[1] / delay.smoothing.si
-    return in_si(
+    return compiled_params(
         Dcu,
         limits,
         **{name: limits.pair(name) for name in ("pose", "velocity", "acceleration", "overtravel")},
@@ -345,8 +348,8 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
-        clocks=one_row(Clocks(interval=dcu.host_interval)),
-        events=one_row(Events()),
+        clocks=record_array(Clocks, [Clocks(interval=dcu.host_interval)]),
+        events=record_array(Events, [Events()]),
         time=np.zeros(CAPACITY),
         frame=np.zeros((CAPACITY, 3, 6)),
         apart=np.zeros(CAPACITY, dtype=np.int64),

@@ -284,7 +284,7 @@ class MoogBase:
         home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
         bits = {
             Discrete.AMPLIFIER_ENABLE: source.operating.phase[0].gain > 0.0,
-            Discrete.DRIVE_BUS: session.dynamics.faults.plant[0].stopped == 0.0,
+            Discrete.DRIVE_BUS: memory.progress[0].stopped == 0,
             Discrete.LIMIT_SWITCH: tripped,
             Discrete.AT_HOME: home,
         }

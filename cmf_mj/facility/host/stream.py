@@ -14,6 +14,7 @@ from scipy.interpolate import BPoly, make_interp_spline
 
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core import units
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS, dof_unit
@@ -85,25 +86,19 @@ def make_stream(
     Without velocity and acceleration (N, 6) both are made, by `spline` or `zero`. Sequence numbers
     (N,) rise; default 0, 1, 2 ...
     """
-    stamps, poses = np.array(time, dtype=float), np.array(pose, dtype=float)
+    stamps = shaped("time", time, None)
     count = stamps.size
-    if stamps.ndim != 1 or count < 1 or poses.shape != (count, len(DOFS)):
-        raise InputError(
-            f"pose: shape is {poses.shape}, time has {stamps.shape}; allowed: (N, 6) and (N,)"
-        )
-    _refuse(~np.isfinite(stamps), "time", stamps, "a finite number")
+    if not count:
+        raise InputError("time: has no frames; give at least one")
+    poses = shaped("pose", pose, count, len(DOFS))
     _refuse(np.diff(stamps, prepend=-np.inf) <= 0.0, "time", stamps, "above the frame before")
-    _refuse(~np.isfinite(poses).all(axis=1), "pose", poses, "finite numbers")
     if (velocity is None) != (acceleration is None):
         raise InputError("velocity, acceleration: give both or neither")
     if velocity is None or acceleration is None:
         first, second = differentiate(stamps, poses, derivatives)
     else:
-        first, second = np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
-    for name, values in (("velocity", first), ("acceleration", second)):
-        if values.shape != poses.shape:
-            raise InputError(f"{name}: shape is {values.shape}; allowed: {poses.shape}")
-        _refuse(~np.isfinite(values).all(axis=1), name, values, "finite numbers")
+        first = shaped("velocity", velocity, *poses.shape)
+        second = shaped("acceleration", acceleration, *poses.shape)
     numbers = np.arange(count) if sequence is None else np.array(sequence)
     if numbers.shape != (count,) or numbers.dtype.kind != "i":
         raise InputError(f"sequence: {numbers.dtype} {numbers.shape}; allowed: integers ({count},)")

@@ -50,7 +50,7 @@ def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: 
     """Run the law against a sampled linear plant (A, B, C), one frame of delay."""
     a, b, c = plant
     legs, command = demand.shape[0], dcl.workspace.command
-    x, counts, volts = np.zeros(a.shape[0]), np.zeros(legs), np.zeros(legs)
+    x = np.zeros(a.shape[0])
     for frame in range(legs_out.shape[0]):
         y = c @ x
         for leg in range(legs):
@@ -62,7 +62,7 @@ def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: 
         legs_out[frame] = feedback.position
         x = a @ x + b @ command
         blocks.step(dcl, state, demand, feedback)
-        servo.step(drive, driven, True, command, feedback.position, counts, volts, command)
+        servo.step(drive, driven, True, command, feedback.position)
 
 
 class LinearCab(NamedTuple):

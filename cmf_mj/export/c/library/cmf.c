@@ -308,8 +308,8 @@ int cmf_set_pose(cmf_machine *m, const double pose[6]) {
   memset(motion, 0, 18 * 8);
   memcpy(motion, pose, 6 * 8);
   memcpy(numbers(m, AT_controller_source_poses), pose, 6 * 8);
-  int64_t slots[CMF_DEMAND_SLOTS + 10]; /* the block, motion, legs */
-  memcpy(slots, m->slots + AT_controller_source_blocks_demand_geometry_upper, 8 * CMF_DEMAND_SLOTS);
+  int64_t slots[CMF_DEMAND_SLOTS + 10]; /* geometry, motion, legs */
+  memcpy(slots, m->slots + AT_controller_source_blocks_geometry_upper, 8 * CMF_DEMAND_SLOTS);
   memcpy(slots + CMF_DEMAND_SLOTS, m->slots + AT_controller_source_motion, 5 * 8);
   memcpy(slots + CMF_DEMAND_SLOTS + 5, m->slots + AT_controller_source_legs, 5 * 8);
   cmf_demand(&result, &fault, (int64_t)(intptr_t)slots, 0, 0);
