@@ -74,7 +74,7 @@ COPIES = {
     },
     **{
         f"rotation/{name}.png": f"images/rotation_{name}.png"
-        for name in ("unknowns", "bandwidths", "gains")
+        for name in ("unknowns", "tornado", "maps", "bandwidths", "gains")
     },
 }
 """Files of the studies below --results, and where they go below docs."""

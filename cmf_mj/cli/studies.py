@@ -44,8 +44,7 @@ def study_command(
     scheduler: Address = None,
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
-    from cmf_mj.report_2014.posterior.answers import posterior_tables, sample_text
-    from cmf_mj.report_2014.posterior.figures import save_posterior
+    from cmf_mj.report_2014.posterior import tables as posterior
     from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import run_study
@@ -56,16 +55,13 @@ def study_command(
     given = {"cabs": cabs, "dofs": dofs, "draws": draws}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     out = claim(context, out or Path("out") / Path(specification).stem)
-    parts: tuple[Any, ...]
     try:
         with progress_bar() as update:
             if "unknowns" in study_table(specification)[0]:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)
-                found = posterior_tables(results)
-                shown = ("stability", "changes", "gains", "evidence")
-                parts = (*(found[name] for name in shown), sample_text(results))
-                paths = save_posterior(results, out)
+                parts = posterior.summary(results)
+                paths = posterior.save_posterior(results, out)
             else:
                 changes |= {"quick": True} if quick else {}
                 study = load_study(specification, laws=laws, changes=changes)
@@ -243,13 +239,14 @@ def calibrate_command(
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
     from cmf_mj.core.files import in_folder
     from cmf_mj.report_2014.calibration import fit as report
+    from cmf_mj.report_2014.calibration.fit import calibrate, examine
     from cmf_mj.report_2014.calibration.trial import load_calibration
 
     for chosen in [load_calibration(name) for name in tables]:
         say = partial(typer.echo, err=True)
-        fitted = report.calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
-        shipped, laws = fitted.before.values, ("original", "velocity")
-        result = fitted._replace(spread=report.uncertainty(chosen, shipped, laws, samples=samples))
+        fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
+        result = examine(fitted, samples=samples, jobs=jobs)
         folder = in_folder(out, chosen.name)
         paths = report.save_calibration(result, folder)
-        show(*report.calibration_tables(result), written(paths, folder))
+        shown = report.calibration_tables(result)
+        show(*shown, report.verdict_text(result), written(paths, folder))

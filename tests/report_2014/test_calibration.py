@@ -25,6 +25,7 @@ from cmf_mj.report_2014.calibration.fit import (
 from cmf_mj.report_2014.calibration.trial import (
     CalibrationStudy,
     Row,
+    StepVerdict,
     computed,
     least_damping,
     linear_results,
@@ -32,6 +33,7 @@ from cmf_mj.report_2014.calibration.trial import (
     load_studies,
     plant_of,
     simulated_results,
+    simulated_stability,
     starting_values,
 )
 
@@ -96,6 +98,17 @@ def test_velocity_law_is_damped_with_every_cab() -> None:
     assert min(damping.values()) > study.least_damping
     values = starting_values(study) | {"leg_speed": 0.4}
     assert least_damping(study, values)["ifd"] < 0.0  # why the leg speed cannot be higher
+
+
+def test_step_runs_judge_as_the_linear_loop() -> None:
+    """IFD in sway: stable as shipped, unstable at 0.42 in/s per %."""
+    study = load_calibration("hardware").model_copy(update={"stable_cabs": ("ifd",)})
+    shipped = starting_values(study)
+    (verdict,) = simulated_stability(study, shipped, dofs=["sway"], jobs=1)
+    assert (verdict.cab, verdict.dof, verdict.stable) == ("ifd", "sway", True)
+    (verdict,) = simulated_stability(study, shipped | {"leg_speed": 0.42}, dofs=["sway"], jobs=1)
+    assert not verdict.stable
+    assert least_damping(study, shipped | {"leg_speed": 0.42})["ifd"] < 0.0
 
 
 # -- trials --------------------------------------------------------------------------------------
@@ -269,6 +282,7 @@ def examined() -> Calibration:
     return Calibration(
         *(study, (stage, later), errors),
         uncertainty(study, values, samples=3),
+        [StepVerdict("gfd", "sway", True, 0.001), StepVerdict("ifd", "surge", False, 0.4)],
     )
 
 
@@ -296,6 +310,8 @@ def test_text_marks_what_is_outside_and_what_is_missing(examined: Calibration) -
     outside = [line for line in text.splitlines() if " ! " in line]
     assert outside
     assert all("combined_rate" in line for line in outside)
+    assert "2 step runs with the fitted values: unstable in ifd surge" in text
+    assert "largest swing left 40.00 % (ifd, surge)" in text
 
 
 @pytest.mark.slow
@@ -303,7 +319,7 @@ def test_command_writes_a_folder_a_study(
     examined: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fit, "calibrate", lambda *_, **__: examined)
-    monkeypatch.setattr(fit, "uncertainty", lambda *_, **__: examined.spread)
+    monkeypatch.setattr(fit, "examine", lambda *_, **__: examined)
     arguments = ["report", "calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

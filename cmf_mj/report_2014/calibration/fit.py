@@ -15,7 +15,7 @@ The ranges are propagated by a Latin hypercube over all parameters at once, unif
 between `low` and `high`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -97,6 +97,7 @@ class Calibration(NamedTuple):
     """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
     spread: Result[Spread] | None = None
     """Of results over the ranges of the parameters, about the shipped values."""
+    verdicts: Sequence[trial.StepVerdict] = ()  #: Step runs with the fitted values.
 
     @property
     def before(self) -> CalibrationStage:
@@ -202,6 +203,17 @@ def calibrate(
     return Calibration(study, tuple(stages), dict(zip(names, errors.tolist(), strict=True)))
 
 
+def examine(
+    calibration: Calibration, *, samples: int = 128, jobs: int | None = None
+) -> Calibration:
+    """Add uncertainty and the stability runs of a study that asks for them."""
+    study, shipped = calibration.study, calibration.before.values
+    return calibration._replace(
+        spread=uncertainty(study, shipped, ("original", "velocity"), samples=samples),
+        verdicts=trial.simulated_stability(study, calibration.after.values, jobs=jobs),
+    )
+
+
 def uncertainty(
     study: trial.CalibrationStudy,
     values: trial.Values,
@@ -275,9 +287,25 @@ def calibration_tables(calibration: Calibration) -> list[Table]:
     return tables
 
 
+def verdict_text(result: Calibration) -> str:
+    """One line on the stability runs, or nothing."""
+    if not result.verdicts:
+        return ""
+    worst = max(result.verdicts, key=lambda verdict: verdict.residual)
+    bad = [f"{v.cab} {v.dof}" for v in result.verdicts if not v.stable]
+    return (
+        f"velocity law, {len(result.verdicts)} step runs with the fitted values: "
+        + (f"unstable in {', '.join(bad)}" if bad else "all stable")
+        + f"; largest swing left {100 * worst.residual:.2f} % ({worst.cab}, {worst.dof})"
+    )
+
+
 def markdown(result: Calibration) -> str:
     """The tables as Markdown, for docs/reference/calibration_tables.md."""
-    return "\n".join(table.markdown() for table in calibration_tables(result))
+    parts = [table.markdown() for table in calibration_tables(result)]
+    if result.verdicts:
+        parts.append(f"{verdict_text(result).capitalize()}.\n")
+    return "\n".join(parts)
 
 
 def calibration_figure(calibration: Calibration) -> Figure:

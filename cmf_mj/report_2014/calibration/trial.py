@@ -7,8 +7,9 @@ Simulated: the report's chirp and step as `studies.compare` runs them, some seco
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import control
 import numpy as np
@@ -17,7 +18,7 @@ from pydantic import Field, model_validator
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
+from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop, step_metrics
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -26,6 +27,7 @@ from cmf_mj.core.settings import Name, Settings, read_toml, validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
@@ -256,3 +258,27 @@ def simulated_results(
         else result.measures
         for result in on_threads(run_case, cases, jobs)
     }
+
+
+class StepVerdict(NamedTuple):
+    """The end of one step run of the velocity law."""
+
+    cab: str
+    dof: str
+    stable: bool
+    residual: float  #: Largest leg swing of the last second over the largest leg step.
+
+
+def simulated_stability(
+    study: CalibrationStudy, values: Values, *, dofs: Sequence[str] = DOFS, jobs: int | None = None
+) -> list[StepVerdict]:
+    """Steps of 1 in or 0.6 deg of the velocity law with every cab of the study."""
+    hydraulics, law = hydraulics_of(study, values), law_of(study, "velocity", values)
+
+    def run(cab_and_dof: tuple[str, str]) -> StepVerdict:
+        cab, dof = cab_and_dof
+        case = make_case(law, dof, cab=cab, hydraulics=hydraulics)
+        metrics = step_metrics(case.run(case.step(), every=8))
+        return StepVerdict(cab, dof, metrics.stable, metrics.residual)
+
+    return on_threads(run, list(product(study.stable_cabs, dofs)), jobs)

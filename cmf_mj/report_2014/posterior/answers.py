@@ -16,11 +16,7 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
 from cmf_mj.report_2014.posterior.evidence import HELD_OUT, observations, scatter
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
-from cmf_mj.report_2014.posterior.sampling import (
-    effective_size,
-    normalised,
-    weighted_quantiles,
-)
+from cmf_mj.report_2014.posterior.sampling import normalised, weighted_quantiles
 
 Array = NDArray[np.float64]
 
@@ -33,6 +29,9 @@ REFERENCE = "position_error_rate"
 _ERRORS = 41
 """Errors of reading that a prediction is spread over."""
 
+ROBUST = 0.05
+"""Largest distance of a probability from 0 or 1 that counts as robust."""
+
 EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
 """What a reader calls each of `GROUPS`."""
 
@@ -43,9 +42,9 @@ def interval(span: Array, form: str = ".2f") -> str:
     return middle if middle == "-" else f"{middle} ({low} to {high})"
 
 
-def percent(share: float) -> str:
+def percent(share: float, digits: int = 0) -> str:
     """A share as per cent, without rounding to certainty."""
-    text = f"{100.0 * share:.0f} %"
+    text = f"{100.0 * share:.{digits}f} %"
     if share < 1.0 and text == "100 %":
         return "over 99 %"
     return "under 1 %" if share > 0.0 and text == "0 %" else text
@@ -73,6 +72,12 @@ class Stability(NamedTuple):
     simulated: int  #: Machines found unstable by simulation.
     machines: int  #: Machines simulated.
     agreeing: int  #: Of these, the ones with the verdict of the linear loop.
+
+    @property
+    def robust(self) -> bool:
+        """Whether prior, posterior and all between agree that it is, or is not."""
+        every = np.array([self.prior, self.posterior, *self.without.values()])
+        return bool((every < ROBUST).all() or (every > 1.0 - ROBUST).all())
 
 
 STABILITY = (
@@ -117,6 +122,26 @@ class Span(NamedTuple):
     damping_ratio: Annotated[Array, _span("zeta")]
 
 
+class Moved(NamedTuple):
+    """Least damping ratio of a law at both ends of the range of an unknown."""
+
+    unknown: str
+    law: str
+    low: float
+    median: float  #: With all unknowns at their medians.
+    high: float
+
+    @property
+    def swing(self) -> float:
+        """Largest change either way."""
+        return max(abs(self.low - self.median), abs(self.high - self.median))
+
+    @property
+    def turns(self) -> bool:
+        """Whether either end has another verdict than the median."""
+        return min(self.low * self.median, self.high * self.median) < 0.0
+
+
 class GainStep(NamedTuple):
     """One gain of acceleration behind one filter, on machines drawn from the posterior."""
 
@@ -138,10 +163,10 @@ class EvidenceCheck(NamedTuple):
     prior: Annotated[Array, _span(form=".3g")]
     posterior: Annotated[Array, _span("all evidence", ".3g")]
 
-
-def _inside(check: EvidenceCheck) -> bool:
-    """Whether the 90 % interval holds what is observed."""
-    return bool(check.posterior[0] <= check.observed <= check.posterior[-1])
+    @property
+    def inside(self) -> bool:
+        """Whether the 90 % interval holds it."""
+        return bool(self.posterior[0] <= self.observed <= self.posterior[-1])
 
 
 UNKNOWNS = (
@@ -213,6 +238,24 @@ def spans(results: Results) -> Result[Span]:
     return Result(rows, fields_of(Span))
 
 
+def moved(results: Results) -> list[Moved]:
+    """Least damping ratio of each law at both ends of each unknown, the others at their medians."""
+    at = {(row["about"], row["law"]): row["least"] for row in results.points.to_pylist()}
+    laws = [law.name for law in results.study.laws]
+    return [
+        Moved(name, law, *(at[key, law] for key in (f"{name} low", "median", f"{name} high")))
+        for name in results.study.settings.unknowns
+        for law in laws
+    ]
+
+
+def stability_map(results: Results, x: str, y: str, law: str, name: str) -> tuple[Array, ...]:
+    """Damping ratio over two unknowns: the values of x (n,) and y (n,), and the map (n, n)."""
+    rows, side = where(results.points, about=f"{x} {y}", law=law), results.study.settings.grid
+    grids = [column(rows, key).reshape(side, side) for key in (x, y, name)]
+    return grids[0][:, 0], grids[1][0], grids[2]
+
+
 def gain_steps(results: Results) -> Result[GainStep]:
     """All gains of acceleration tried, behind all filters."""
     steps = []
@@ -242,7 +285,7 @@ def checks(results: Results) -> Result[EvidenceCheck]:
     (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
     assert stated.damping_ratio is not None
     held_out = EvidenceCheck(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
-    inside = Field("inside", form=lambda within: "yes" if within else "no", of=_inside)
+    inside = Field("inside", form=lambda inside: "yes" if inside else "no")
     return Result([*rows, held_out], [*fields_of(EvidenceCheck), inside])
 
 
@@ -257,26 +300,3 @@ def unknowns(results: Results) -> Result[dict[str, Any]]:
         for name, one in results.study.settings.unknowns.items()
     ]
     return Result(rows, UNKNOWNS)
-
-
-def posterior_tables(results: Results) -> dict[str, Result[Any]]:
-    """All tables by the name of their file."""
-    return {
-        "stability": stability(results),
-        "changes": changes(results),
-        "spans": spans(results),
-        "gains": gain_steps(results),
-        "unknowns": unknowns(results),
-        "evidence": checks(results),
-    }
-
-
-def sample_text(results: Results) -> str:
-    """How many machines stand behind the tables."""
-    simulated, size = stability(results), effective_size(weights(results))
-    same, run = (sum(getattr(one, name) for one in simulated) for name in ("agreeing", "machines"))
-    return (
-        f"{results.machines.num_rows} machines drawn, effective sample size {size:.0f}; "
-        f"{results.study.settings.kept} drawn from the posterior and measured. Linear and "
-        f"simulated verdicts agree in {same} of {run} runs."
-    )

@@ -1,7 +1,4 @@
-"""Figures and files of a study of the unknown."""
-
-from pathlib import Path
-from typing import Any
+"""Figures of a study of the unknown."""
 
 import numpy as np
 from matplotlib.axis import Axis
@@ -11,8 +8,8 @@ from matplotlib.ticker import NullLocator
 from cmf_mj.core.result import column
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers
-from cmf_mj.report_2014.posterior.run import Results
-from cmf_mj.show.look import COLOURS, DARK, GREY, legend, new_figure, save_files
+from cmf_mj.report_2014.posterior.run import MAPS, Results
+from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
 
 ROTATIONS = DOFS[3:]
 _TITLES = {"cab_height": "centre of mass, up [m]"}
@@ -57,6 +54,59 @@ def unknown_figure(results: Results) -> Figure:
     figure.suptitle(
         "Shares of machines by each unknown, before and after the evidence", fontsize=10
     )
+    return figure
+
+
+def tornado_figure(results: Results) -> Figure:
+    """Least damping ratio of each law with one unknown at the ends of its range; dotted, none."""
+    laws = [law.name for law in results.study.laws]
+    moved = answers.moved(results)
+    swing: dict[str, float] = {}
+    for one in moved:
+        swing[one.unknown] = max(swing.get(one.unknown, 0.0), one.swing)
+    names = sorted(swing, key=lambda name: swing[name])
+    figure = new_figure(2.1 * len(laws) + 1.4, 0.26 * len(names) + 1.2)
+    axes = figure.subplots(1, len(laws), sharey=True, squeeze=False)[0]
+    at = np.arange(len(names))
+    for axis, law in zip(axes, laws, strict=True):
+        mine = {one.unknown: one for one in moved if one.law == law}
+        low, high = (np.array([getattr(mine[n], end) for n in names]) for end in ("low", "high"))
+        ends = np.array([low, high, np.full(len(names), mine[names[0]].median)])
+        left, right = ends.min(axis=0), ends.max(axis=0)
+        axis.barh(at, right - left, left=left, height=0.5, color=PALE, edgecolor=GREY)
+        axis.plot(low, at, "o", color=COLOURS[0], markersize=4, label="low")
+        axis.plot(high, at, "s", color=COLOURS[1], markersize=4, label="high")
+        axis.axvline(0.0, color=DARK, linewidth=0.9)
+        axis.axvline(mine[names[0]].median, color=GREY, linewidth=0.9, linestyle=":")
+        axis.set_title(law.replace("_", "\n", 1), fontsize=8)
+    axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
+    legend(axes[0])
+    figure.supxlabel("least damping ratio, cab " + results.study.cabs[0].name.upper(), fontsize=9)
+    figure.suptitle("Least damping ratio with one unknown at either end of its range", fontsize=10)
+    return figure
+
+
+def limits_figure(results: Results) -> Figure:
+    """Limits of stability of all laws in each rotation over two unknowns."""
+    figure = new_figure(10.5, 9.0)
+    axes = figure.subplots(len(ROTATIONS), len(MAPS), squeeze=False)
+    laws = [law.name for law in results.study.laws]
+    for dof, line in zip(ROTATIONS, axes, strict=True):
+        for (x, y), axis in zip(MAPS, line, strict=True):
+            for law, colour in zip(laws, COLOURS, strict=False):
+                across, up, ratio = answers.stability_map(results, x, y, law, dof)
+                if ratio.min() < 0.0 < ratio.max():
+                    axis.contour(across, up, ratio.T, [0.0], colors=[colour], linewidths=1.6)
+            ends = {"xlim": (across[0], across[-1]), "ylim": (up[0], up[-1])}
+            axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof, **ends)
+            if results.study.settings.unknowns[y].distribution == "loguniform":
+                axis.set_yscale("log")
+                _log_ticks(axis.yaxis, up[0], up[-1])
+    for law, colour in zip(laws, COLOURS, strict=False):
+        axes[0, 0].plot([], [], color=colour, label=law)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    figure.suptitle("Where the damping ratio of each law in rotation is zero", fontsize=10)
     return figure
 
 
@@ -114,18 +164,3 @@ def gain_figure(results: Results) -> Figure:
     legend(left)
     figure.suptitle("Stability and damping over the gain of acceleration feedback", fontsize=10)
     return figure
-
-
-def save_posterior(results: Results, folder: Path) -> list[Path]:
-    """Write tables and figures."""
-    files: dict[str, Any] = {
-        f"{name}.{kind}": result.table
-        for name, result in answers.posterior_tables(results).items()
-        for kind in ("md", "csv")
-    }
-    files |= {
-        "unknowns.png": unknown_figure(results),
-        "bandwidths.png": span_figure(results),
-        "gains.png": gain_figure(results),
-    }
-    return save_files(files, folder, 90)

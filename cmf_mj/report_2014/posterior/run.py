@@ -9,12 +9,14 @@ machines.parquet   every machine drawn: its values, what it makes of the evidenc
 damping.parquet    every machine, cab and law: damping ratios of the linear loop
 measures.parquet   machines drawn from the posterior: bandwidths, peaks, damping by law and axis
 gains.parquet      the same machines under gains of acceleration behind filters
+points.parquet     the median machine with one unknown moved, or two on a map
 simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -43,7 +45,10 @@ from cmf_mj.studies.settings import study_table
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
 
-TABLES = ("force", "machines", "damping", "measures", "gains", "simulated")
+MAPS = tuple(("cab_height", other) for other in ("leg_speed", "bulk_modulus", "leak_rate"))
+"""Pairs of unknowns that maps are made of."""
+
+TABLES = ("force", "machines", "damping", "measures", "gains", "points", "simulated")
 """What the folder holds, each as Parquet."""
 
 Array = NDArray[np.float64]
@@ -61,6 +66,7 @@ class PosteriorSettings(Settings):
     draws: Annotated[int, Field(ge=8)]  #: Machines of each round, a power of 2.
     kept: Annotated[int, Field(ge=1)]  #: Machines drawn from the posterior and measured.
     simulated: Annotated[int, Field(ge=0)]  #: Of these, simulated.
+    grid: Annotated[int, Field(ge=2)]  #: Points along each side of a map.
     gains: list[float]  #: Of acceleration that are tried [%/(in/s^2)].
     corners: list[Annotated[float, Field(ge=0.0)]]
     """Corners of the accelerometer's filter that they are tried behind [Hz]; 0 for no filter."""
@@ -156,7 +162,7 @@ class Task:
     kind: str  #: One of `_ASK`.
     values: Mapping[str, float]  #: Of the unknowns.
     draw: int | None = None  #: Of the mismatch; None for none.
-    cab: str = ""  #: Of a simulated machine.
+    about: str = ""  #: Of a point: what is moved. Of a simulated machine: its cab.
 
     @property
     def laws(self) -> list[Law]:
@@ -178,6 +184,7 @@ class Results(NamedTuple):
     damping: pa.Table
     measures: pa.Table
     gains: pa.Table
+    points: pa.Table
     simulated: pa.Table
 
 
@@ -216,6 +223,9 @@ def run_posterior(
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
+    moved = _points(study, drawn, posterior)
+    for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
+        tables["points"] += [row | {"about": about} for row in rows]
     order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
     some = [chosen[i] for i in order[: settings.simulated]]
     flights = [(*machine, cab.name) for machine in some for cab in study.cabs]
@@ -260,9 +270,30 @@ def _weighted(
 
 def _count(study: PosteriorStudy) -> int:
     settings = study.settings
+    moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
     flights = settings.simulated * len(study.cabs)
     drawn = settings.rounds * settings.draws
-    return len(evidence.PRESSURES) + drawn + settings.kept + flights
+    return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
+
+
+def _points(
+    study: PosteriorStudy, drawn: Sequence[Row], weights: Array
+) -> list[tuple[dict[str, float], None, str]]:
+    """The median machine, with one unknown at the ends of its range, or two on a grid."""
+    unknowns, median = study.settings.unknowns, {}
+    for name in unknowns:
+        values = np.array([row[name] for row in drawn])
+        median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
+    moved: list[tuple[dict[str, Any], str]] = [({}, "median")]
+    for name, one in unknowns.items():
+        moved += [
+            ({name: one.at(q)}, f"{name} {end}") for end, q in (("low", 0.05), ("high", 0.95))
+        ]
+    sides = np.linspace(0.0, 1.0, study.settings.grid)
+    for x, y in MAPS:
+        ends = [(unknowns[x].at(p), unknowns[y].at(q)) for p, q in product(sides, sides)]
+        moved += [({x: across, y: up}, f"{x} {y}") for across, up in ends]
+    return [(median | {n: float(v) for n, v in new.items()}, None, about) for new, about in moved]
 
 
 def _drawn(task: Task) -> list[Row]:
@@ -335,9 +366,14 @@ def acceleration_law(gain: float, corner: float) -> Law:
     )
 
 
+def _point(task: Task) -> list[Row]:
+    rows = _dampings(task.machines(task.study.cabs[:1]), task.laws)
+    return [dict(task.values) | row for row in rows]
+
+
 def _simulated(task: Task) -> list[Row]:
     study = task.study
-    (cab,) = (cab for cab in study.cabs if cab.name == task.cab)
+    (cab,) = (cab for cab in study.cabs if cab.name == task.about)
     oil = study.hydraulics_of(task.values, task.draw)
     return [
         {"cab": cab.name, "law": law.name}
@@ -350,6 +386,7 @@ _ASK: dict[str, Callable[[Task], list[Row]]] = {
     "force": lambda task: [{"g": evidence.oscillation_g(task.values["psi"])}],
     "drawn": _drawn,
     "kept": _kept,
+    "point": _point,
     "simulated": _simulated,
 }
 
