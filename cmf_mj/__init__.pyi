@@ -15,6 +15,7 @@ from .core.errors import MissingExtraError as MissingExtraError
 from .core.errors import NoPoseError as NoPoseError
 from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
+from .facility.many import simulate_many as simulate_many
 from .facility.run import Run as Run
 from .facility.scenario import load_scenario as load_scenario
 from .facility.simulate import drive as drive

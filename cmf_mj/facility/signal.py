@@ -109,6 +109,7 @@ Signal = Annotated[
     | FadedMultisine
     | composite.SevenSines
     | composite.SteppedSines
+    | composite.FadedSines
     | composite.AccelerationStep
     | composite.Waypoints
     | HostFile

@@ -2,6 +2,7 @@
 
 from cmf_mj.signals.composite import (
     acceleration_step,
+    faded_sines,
     orthogonal_multisines,
     seven_sines,
     stepped_sines,
@@ -16,6 +17,7 @@ __all__ = [
     "check_not_negative",
     "check_positive",
     "chirp",
+    "faded_sines",
     "multisine",
     "noise",
     "orthogonal_multisines",

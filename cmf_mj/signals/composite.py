@@ -20,10 +20,11 @@ from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Count, validated
 from cmf_mj.core.units import RATE
-from cmf_mj.machine.geometry import DOFS, dof_index
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.signals.signal import (
     Amplitude,
     Command,
+    Dof,
     Duration,
     Dwell,
     Frequency,
@@ -157,6 +158,47 @@ class SteppedSines(OneAxis):
         return self._made()[0]
 
 
+class FadedSines(Signal):
+    """A test profile: sines one after the other, along each degree of freedom in turn.
+
+    Each has its time with its fades and ends at rest at neutral. Rotations have `rotation` times
+    the amplitudes of translations.
+    """
+
+    kind: Literal["faded_sines"]
+    frequencies: Annotated[tuple[Frequency, ...], Field(min_length=1)]  #: One after the other [Hz].
+    amplitudes: Annotated[tuple[float, ...], Field(min_length=1)]  #: One a frequency [m].
+    dofs: Annotated[tuple[Dof, ...], Field(min_length=1)]  #: One after the other.
+    rotation: float = 0.7  #: Of rotations over translations [rad/m].
+    duration: Duration = 23.0  #: Length of a sine with its fades [s].
+    fade: Duration = 6.0  #: Of both ends of a sine [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return len(self.dofs) * len(self.frequencies) * self.duration
+
+    def _check(self) -> None:
+        if len(self.amplitudes) != len(self.frequencies):
+            raise InputError(
+                f"amplitudes: {len(self.amplitudes)} for {len(self.frequencies)} frequencies; "
+                "allowed: one a frequency"
+            )
+        check_highest("amplitudes", *self.amplitudes, *(self.rotation * a for a in self.amplitudes))
+
+    def command(self, seed: int = 0) -> Command:
+        """The sines."""
+        frames = round(self.duration * self.rate)
+        time, edges = np.arange(frames) / self.rate, raised_cosine(frames, self.fade, self.rate)
+        tones = zip(self.frequencies, self.amplitudes, strict=True)
+        once = np.concatenate([a * np.sin(2.0 * np.pi * f * time) * edges for f, a in tones])
+        pose = np.zeros((len(self.dofs) * once.size, len(DOFS)))
+        for place, dof in enumerate(self.dofs):
+            size = by_kind(dof, 1.0, self.rotation)
+            pose[place * once.size :][: once.size, dof_index(dof)] = size * once
+        return Command(pose, self)
+
+
 class OrthogonalMultisines(Lines):
     """Multisines in several degrees of freedom at once, no two with a line in common.
 
@@ -273,12 +315,13 @@ class Waypoints(Signal):
 
 seven_sines = command_of(SevenSines)
 stepped_sines = command_of(SteppedSines)
+faded_sines = command_of(FadedSines)
 orthogonal_multisines = command_of(OrthogonalMultisines)
 acceleration_step = command_of(AccelerationStep)
 
 _KINDS: tuple[type[Signal], ...] = (
     *(Step, Pulse, Sine, Chirp, Noise, Multisine, SevenSines, SteppedSines),
-    *(OrthogonalMultisines, AccelerationStep, Waypoints),
+    *(FadedSines, OrthogonalMultisines, AccelerationStep, Waypoints),
 )
 _BY_NAME = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in _KINDS}
 

@@ -6,13 +6,10 @@ No: a valve command ends at 100 %. Eighty runs side by side give the gain at 3 H
 amplitude on at which the law asks for more.
 """
 
-import copy
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 import cmf_mj
-from cmf_mj.core.threads import on_threads
 
 FREQUENCY, SECONDS, RATE = 3.0, 3.0, 2048
 time = np.arange(round(SECONDS * RATE)) / RATE
@@ -24,8 +21,8 @@ figure, axis = plt.subplots(layout="constrained")
 for law in ("velocity", "position_error_rate"):
     poses = np.zeros((amplitudes.size, time.size, 6))
     poses[:, :, 2] = amplitudes[:, None] * sine * np.minimum(time, 1.0)
-    runs = on_threads(lambda one: cmf_mj.simulate(copy.deepcopy(plant), law, one), poses)  # noqa: B023
-    heave = np.array([record["platform_pose"][last, 2] for record in runs])
+    runs = cmf_mj.simulate_many(plant, law, poses, channels=["platform_pose"])
+    heave = runs["platform_pose"][:, last, 2]
     basis = np.exp(-2j * np.pi * FREQUENCY * time[last])
     gain = np.abs(heave @ basis) * 2 / last.sum() / amplitudes
     axis.loglog(1000 * amplitudes, gain, ".-", label=law)

@@ -10,6 +10,7 @@ from cmf_mj import Hexapod, load_law, simulate
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.facility.many import simulate_many
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine import models
@@ -66,6 +67,16 @@ def test_a_record_knows_its_rate() -> None:
     assert record.time.size == 7500 and record.time[-1] == pytest.approx(7499 / 5000)
     assert record.metadata["law_parameters"]["rate"] == 5000
     assert record.signal.rate == 5000
+
+
+def test_many_runs_are_those_of_single_ones() -> None:
+    poses = np.zeros((2, 300, 6))
+    poses[:, 100:, 2] = np.array([[0.002], [0.004]])
+    plant = Hexapod(machine=machine(1000))
+    runs = simulate_many(plant, "velocity", poses)
+    single = simulate(plant, "velocity", Command.from_pose(poses[1], 1000))
+    assert runs.time.tobytes() == single.time.tobytes()
+    assert runs["leg_extension"][1].tobytes() == single["leg_extension"].tobytes()
 
 
 def test_poses_of_another_rate_are_refused() -> None:
