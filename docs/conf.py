@@ -13,6 +13,7 @@ off Numba leaves functions as they are, so that compiled ones are found as well.
 
 import os
 import re
+import tomllib
 from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ default_role = "code"
 highlight_language = "text"
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
-suppress_warnings = ["ref.python"]  # a word before a colon under Returns is taken for a type
+suppress_warnings = ["ref.python"]  # a word before a colon under Returns is read as a type
 autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inheritance": True}
 
 _HERE = Path(__file__).parent
@@ -150,6 +151,22 @@ def _paper(app: Any, page: str, *_rest: Any) -> None:
         app.add_css_file("paper.css", media="print")
 
 
+def _redirect(app: Any, error: Exception | None) -> None:
+    """Leave a page that leads on where one was joined with another.
+
+    The package sphinx-reredirects does the same; ten lines are less than one more to pin.
+    """
+    if error is not None or app.builder.format != "html":
+        return
+    pages = tomllib.loads((_HERE / "redirects.toml").read_text(encoding="utf-8"))
+    for page, target in pages.items():
+        place = Path(app.outdir) / f"{page}.html"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        away = f'<meta http-equiv="refresh" content="0; url=../{target}">'
+        link = f'<link rel="canonical" href="../{target}"><a href="../{target}">moved</a>'
+        place.write_text(f"<!doctype html><title>moved</title>{away}{link}", encoding="utf-8")
+
+
 def _of_a_generic(_app: object, _what: str, name: str, *_: object) -> bool | None:
     """Leave out classes that pydantic makes of a generic one, `Check[...]`."""
     return True if "[" in name else None
@@ -162,5 +179,6 @@ def setup(app: Any) -> None:
     app.connect("autodoc-skip-member", _of_a_generic)
     app.connect("source-read", _read)
     app.connect("env-updated", _short_menu)
+    app.connect("build-finished", _redirect)
     app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
     app.add_lexer("mermaid", TextLexer)
