@@ -11,8 +11,10 @@ while Sphinx reads reStructuredText: `as_restructured` stands between. With the 
 off Numba leaves functions as they are, so that compiled ones are found as well.
 """
 
+import logging
 import os
 import re
+import tomllib
 from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from pygments.lexers.special import TextLexer
 from sphinx.addnodes import toctree
+from sphinx.domains.python import PythonDomain
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
@@ -65,7 +68,8 @@ default_role = "code"
 highlight_language = "text"
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
-suppress_warnings = ["ref.python"]  # a word before a colon under Returns is taken for a type
+autodoc_use_type_comments = False  # there are none, and looking for them takes time
+suppress_warnings = ["ref.python"]  # a word before a colon under Returns is read as a type
 autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inheritance": True}
 
 _HERE = Path(__file__).parent
@@ -150,6 +154,40 @@ def _paper(app: Any, page: str, *_rest: Any) -> None:
         app.add_css_file("paper.css", media="print")
 
 
+def _redirect(app: Any, error: Exception | None) -> None:
+    """Leave a page that leads on where one was joined with another.
+
+    The package sphinx-reredirects does the same; ten lines are less than one more to pin.
+    """
+    if error is not None or app.builder.format != "html":
+        return
+    pages = tomllib.loads((_HERE / "redirects.toml").read_text(encoding="utf-8"))
+    for page, target in pages.items():
+        place = Path(app.outdir) / f"{page}.html"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        away = f'<meta http-equiv="refresh" content="0; url=../{target}">'
+        link = f'<link rel="canonical" href="../{target}"><a href="../{target}">moved</a>'
+        place.write_text(f"<!doctype html><title>moved</title>{away}{link}", encoding="utf-8")
+
+
+class Names(PythonDomain):
+    """Sphinx's domain of Python that searches all names only for a last part that one has.
+
+    Most types in signatures are not of this package, and Sphinx compares each with the end of every
+    name, which took half of the time of a build.
+    """
+
+    _ends: tuple[int, frozenset[str]] = 0, frozenset()
+
+    def find_obj(self, *request: Any, **how: Any) -> Any:
+        """Names that fit `name`, the fourth of the request, with what they are."""
+        if self._ends[0] != len(self.objects):
+            ends = frozenset(name.rpartition(".")[2] for name in self.objects)
+            self._ends = len(self.objects), ends
+        known = request[3].removesuffix("()").rpartition(".")[2] in self._ends[1]
+        return super().find_obj(*request, **how) if known else []
+
+
 def _of_a_generic(_app: object, _what: str, name: str, *_: object) -> bool | None:
     """Leave out classes that pydantic makes of a generic one, `Check[...]`."""
     return True if "[" in name else None
@@ -157,10 +195,13 @@ def _of_a_generic(_app: object, _what: str, name: str, *_: object) -> bool | Non
 
 def setup(app: Any) -> None:
     """Read docstrings as they are written, borrow pages, write equations as MathML."""
+    app.add_domain(Names, override=True)
+    logging.getLogger("sphinx.sphinx.events").setLevel(logging.INFO)  # each event is a debug line
     app.connect("html-page-context", _paper)
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("autodoc-skip-member", _of_a_generic)
     app.connect("source-read", _read)
     app.connect("env-updated", _short_menu)
+    app.connect("build-finished", _redirect)
     app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
     app.add_lexer("mermaid", TextLexer)

@@ -2,7 +2,7 @@
 One gain, three axes
 ====================
 
-The gain on leg velocity damps the modes and hardly moves the bandwidth. Surge still peaks by 8 dB
+The gain on leg velocity damps the modes and changes the bandwidth little. Surge still peaks by 8 dB
 where heave and pitch have no peak left: one number does not suit all three.
 """
 

@@ -11,6 +11,18 @@ READ = [page for page in PAGES if page.parent.name != "reference"]
 TEXTS = [*PAGES, *(ROOT / name for name in ("README.md", "models/README.md", "CONTRIBUTING.md"))]
 LONGEST = 1500  # words beside code, tables included
 SITTING = 1200  # words of prose
+PAGES_AT_MOST = 55
+BUDGET = {
+    "docs": 500,
+    "docs/tutorials": 3570,
+    "docs/how_to": 19950,
+    "docs/explanation": 16090,
+    "docs/reference": 4890,
+}
+"""Words of the pages in a folder, code included; what is made from data is left out."""
+DOCS = 45_000
+ALONE = {"README.md": 600, "CONTRIBUTING.md": 2620, "CHANGELOG.md": 900, "models/README.md": 2400}
+"""Words of a page outside `docs`."""
 
 BANNED = {
     r"told|tells": "says, shows, reports",
@@ -40,7 +52,7 @@ BANNED = {
 }
 """Words that a reader must decode, or that say nothing, with what to write instead."""
 _CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
-_MADE = re.compile(r"<!-- (table|data): .*?<!-- end -->", re.DOTALL)
+_MADE = re.compile(r"<!-- (table|data|is): .*?<!-- end -->", re.DOTALL)
 
 
 def named(page: Path) -> str:
@@ -76,7 +88,8 @@ def test_no_word_needs_decoding(page: Path) -> None:
 def test_no_word_of_the_code_needs_decoding() -> None:
     """Names, comments, docstrings and messages; keys of files, `"taken_for"`, may be old."""
     found = []
-    for module in sorted((ROOT / "cmf_mj").rglob("*.py")):
+    modules = [*(ROOT / "cmf_mj").rglob("*.py"), *(ROOT / "examples").rglob("*.py")]
+    for module in sorted([*modules, ROOT / "docs" / "conf.py"]):
         text = re.sub(r'"\w+"', "", module.read_text(encoding="utf-8")).replace("_", " ")
         found += [f"{module.relative_to(ROOT)}: {word}" for word in to_decode(text)]
     assert not found, "\n".join(found)
@@ -96,10 +109,31 @@ def test_a_page_opens_with_its_question_and_ends_with_a_way_on(page: Path) -> No
     assert paragraphs[-1].startswith("Read next: ["), "the last paragraph says what to read next"
 
 
+def length(page: Path) -> int:
+    """Words that somebody wrote, code included."""
+    return len(_MADE.sub("", page.read_text(encoding="utf-8")).split())
+
+
+@pytest.mark.parametrize("folder", BUDGET)
+def test_a_folder_keeps_its_budget_of_words(folder: str) -> None:
+    assert sum(length(page) for page in (ROOT / folder).glob("*.md")) <= BUDGET[folder]
+
+
+@pytest.mark.parametrize("page", ALONE)
+def test_a_page_beside_the_docs_keeps_its_budget_of_words(page: str) -> None:
+    assert length(ROOT / page) <= ALONE[page]
+
+
+def test_there_are_few_pages_and_the_budgets_add_up() -> None:
+    assert len([*(ROOT / "docs").glob("*.md"), *PAGES]) <= PAGES_AT_MOST
+    assert sum(BUDGET.values()) <= DOCS
+
+
 @pytest.mark.parametrize("page", READ, ids=named)
 def test_a_page_is_one_sitting_long(page: Path) -> None:
     """Listings and full tables belong into the reference."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    text = re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.S)
+    text = re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
     prose = [line for line in text.splitlines() if not line.startswith("|")]
     assert len(" ".join(prose).split()) <= SITTING
     assert len(text.split()) <= LONGEST

@@ -1,18 +1,22 @@
 """The documentation site: plain docstrings are read right, and a broken link is an error."""
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from docutils.nodes import make_id
 
 import cmf_mj
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ("tutorials", "how_to", "explanation", "reference")
+REDIRECTS = tomllib.loads((ROOT / "docs" / "redirects.toml").read_text(encoding="utf-8"))
 
 
 def loaded(path: Path) -> ModuleType:
@@ -52,7 +56,8 @@ def test_sections_are_left_to_their_reader() -> None:
 def test_a_broken_link_fails(tmp_path: Path, text: str, passes: bool) -> None:
     pages = tmp_path / "docs"
     pages.mkdir()
-    shutil.copy(ROOT / "docs" / "conf.py", pages / "conf.py")
+    for name in ("conf.py", "redirects.toml"):
+        shutil.copy(ROOT / "docs" / name, pages / name)
     shutil.copytree(ROOT / "docs" / "_static", pages / "_static")
     (tmp_path / "README.md").write_text("# Overview\n")
     (pages / "index.md").write_text("```{toctree}\npage\n```\n")
@@ -60,6 +65,19 @@ def test_a_broken_link_fails(tmp_path: Path, text: str, passes: bool) -> None:
     command = ["sphinx.cmd.build", "-q", "-W", str(pages), str(tmp_path / "site")]
     done = subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True)
     assert (done.returncode == 0) is passes, done.stderr
+    if passes:
+        for page, target in REDIRECTS.items():
+            moved = (tmp_path / "site" / f"{page}.html").read_text(encoding="utf-8")
+            assert f'content="0; url=../{target}"' in moved
+
+
+@pytest.mark.parametrize(("page", "target"), REDIRECTS.items())
+def test_a_page_that_is_gone_leads_to_one_that_is_there(page: str, target: str) -> None:
+    """Never to another redirect, and to a heading of the page, by the name that Sphinx gives it."""
+    place, _, heading = target.partition("#")
+    assert not (ROOT / "docs" / f"{page}.md").exists()
+    text = (ROOT / "docs" / place).with_suffix(".md").read_text(encoding="utf-8")
+    assert not heading or heading in map(make_id, re.findall(r"^#+ (.*)$", text, re.MULTILINE))
 
 
 def test_every_page_is_in_the_contents() -> None:

@@ -1,10 +1,12 @@
 """Every script runs from another folder and answers its question."""
 
+import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import matplotlib.image
@@ -56,13 +58,15 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
     shutil.copytree(SCRIPTS.parent / "docs", root / "docs")
     shutil.copy(SCRIPTS.parent / "README.md", root)
     results = tmp_path / "out"
-    for name in ("rotation/stability.md", "rotation/stability.csv", "ablation/ladder.png"):
+    for name in ("rotation/fragile.md", "omct/omct.csv", "ablation/ladder.png"):
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (results / name).write_text(f"new {name}")
     run("update_docs.py", "--results", str(results), "--root", str(root), cwd=tmp_path)
-    page = (root / "docs" / "reference" / "rotation_tables.md").read_text()
-    assert "<!-- table: rotation/stability -->\n\nnew rotation/stability.md\n" in page
-    assert (root / "docs/data/rotation_stability.csv").read_text() == "new rotation/stability.csv"
+    page = (root / "docs" / "reference" / "data.md").read_text()
+    assert "<!-- table: rotation/fragile -->\n\nnew rotation/fragile.md\n" in page
+    assert (root / "docs/data/omct.csv").read_text() == "new omct/omct.csv"
+    listed = tomllib.loads((root / "docs/data/files.toml").read_text())["omct"]
+    assert listed["sha256"] == hashlib.sha256(b"new omct/omct.csv").hexdigest()
     assert (root / "docs" / "images" / "ladder.png").read_text() == "new ablation/ladder.png"
     before = (SCRIPTS.parent / "docs" / "how_to" / "studies.md").read_text()
     assert (root / "docs" / "how_to" / "studies.md").read_text() == before
@@ -137,11 +141,14 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     ledger.write_text(shipped.replace("## 3.", "## 33."), encoding="utf-8")
     study = tmp_path / "out" / "calibrate" / "report"
     study.mkdir(parents=True)
-    (study / "calibration.md").write_text("| a table |\n", encoding="utf-8")
+    law = "| law | x | x |\n| --- | --- | --- |\n| b | 2 | 3 |\n"
+    tables = f"| parameter | x |\n| --- | --- |\n| a | 1 |\n\n{law}\n{law}"
+    (study / "calibration.md").write_text(tables, encoding="utf-8")
     run("update_docs.py", "--root", str(tmp_path), cwd=tmp_path)
     assert ledger.read_text(encoding="utf-8") == shipped
-    page = (tmp_path / "docs" / "reference" / "calibration_tables.md").read_text(encoding="utf-8")
-    assert "<!-- table: calibrate/report -->\n\n| a table |\n\n<!-- end -->" in page
+    data = tmp_path / "docs" / "data"
+    assert (data / "calibration_report_parameters.csv").read_text() == "parameter,x\na,1\n"
+    assert (data / "calibration_report_rows.csv").read_text() == "law,x,x 2\nb,2,3\n"
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def test_same_motion_has_no_error_and_a_missing_one_all_of_it():
 
 
 def test_a_tenth_of_g_and_the_thresholds():
-    """The figures of docs/explanation/flights.md, from |H| by hand at 1 Hz."""
+    """The figures of docs/how_to/fly.md, from |H| by hand at 1 Hz."""
     w = 2 * np.pi
     gain = 0.4 * np.hypot(10 * w, 1) / (np.hypot(5 * w, 1) * np.hypot(0.016 * w, 1))
     assert abs(otolith_response(SENSES.otoliths)(1j * w)) == pytest.approx(gain, rel=1e-12)

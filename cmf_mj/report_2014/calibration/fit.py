@@ -301,7 +301,7 @@ def verdict_text(result: Calibration) -> str:
 
 
 def markdown(result: Calibration) -> str:
-    """The tables as Markdown, for docs/reference/calibration_tables.md."""
+    """The tables as Markdown, for the data files of docs/reference/data.md."""
     parts = [table.markdown() for table in calibration_tables(result)]
     if result.verdicts:
         parts.append(f"{verdict_text(result).capitalize()}.\n")
