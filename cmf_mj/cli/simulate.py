@@ -150,7 +150,7 @@ def failure_command(
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
-    amplitude: Annotated[str | None, size(help="of the sine; default '6 in' or '4 deg'")] = None,
+    amplitude: Annotated[str | None, size(help="of the sine; on the CMF '6 in' or '4 deg'")] = None,
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.5,
     protection: Annotated[bool, Option(help="whether a fault stops the machine")] = True,
     thresholds: Annotated[str, file(help="default or TOML, of the protection")] = "default",
@@ -183,7 +183,7 @@ def failure_command(
 def capacity_command(
     signal: Annotated[str, name_or_file(_SIGNALS, "SIGNAL", _MOTIONS)] = "sine",
     dof: options.Dof = "heave",
-    amplitude: Annotated[str | None, size(help="with its unit; sine: default '15 in'")] = None,
+    amplitude: Annotated[str | None, size(help="with its unit; sine on the CMF '15 in'")] = None,
     frequency: Annotated[float | None, Option(help="of the sine, else the highest [Hz]")] = None,
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",
@@ -202,7 +202,7 @@ def capacity_command(
 
     parameters = cmf_mj.load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI
-    demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency)
+    demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency, machine)
     result = capacity(demand, law, cab, parameters, least_pressure=least)
     paths = report.save_capacity(result, parameters, out)
     show(report.capacity_result(result).turned)
@@ -214,7 +214,7 @@ def capacity_command(
 
 
 _SOURCES = "scenarios, Parquet records (of a flight with what its pilot felt), or `modes` of a cab"
-Stroke = Annotated[float, options.film(help="of modes: largest leg motion [in]")]
+Stroke = Annotated[str | None, options.film(help="of modes: largest leg motion, in or mm")]
 Periods = Annotated[float, options.film(help="of modes: length, in periods of the lowest")]
 
 
@@ -237,11 +237,10 @@ def video_command(
     start: options.Start = 0.0,
     seconds: options.Seconds = None,
     pose: options.Pose = options.NEUTRAL,
-    stroke: Stroke = 12.0,
+    stroke: Stroke = None,
     periods: Periods = 1.0,
 ) -> None:
     """Render runs side by side, or modes of a cab, to MP4 or GIF; needs no display."""
-    from cmf_mj.core import units
     from cmf_mj.show.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 
@@ -251,7 +250,7 @@ def video_command(
     look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
     if modes:
         plant = cmf_mj.Hexapod(cmf_mj.load_cab(cab, machine or "cmf"))
-        swing: dict[str, Any] = {"stroke": units.to_si("in", stroke), "periods": periods}
+        swing: dict[str, Any] = {"stroke": in_si("heave", stroke), "periods": periods}
         with progress_bar("drawing") as progress:
             swings = plant.hydraulic_modes(pose_option(pose))
             path = swing_film(plant, swings, file, look, **swing, progress=progress)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cmf_mj.core.settings import merged, read_toml, validated
 from cmf_mj.machine import models
-from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
@@ -43,6 +43,16 @@ def load_motion_limits(
     return validated(
         MotionLimits, merged(limits.model_dump(), read_toml(Path(source)), 1), str(source)
     )
+
+
+def relative_travel(machine: Machine, dof: str) -> float:
+    """Operational travel of a machine over the CMF's: what a motion of the CMF is scaled by."""
+    index = dof_index(dof)
+    own, cmf = (
+        np.abs(load_motion_limits(machine=one).operational[index]).min()
+        for one in (machine, models.CMF)
+    )
+    return float(own / cmf)
 
 
 @lru_cache

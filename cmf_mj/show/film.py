@@ -232,18 +232,20 @@ def swing_film(
     path: str | Path,
     settings: FilmSettings,
     *,
-    stroke: float = 12.0 * units.INCH,
+    stroke: float | None = None,
     periods: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render the modes at a pose, for `periods` of the lowest, to an MP4 or GIF file.
 
-    In each mode the legs swing by `stroke` [m] or by what their working stroke leaves.
+    In each mode the legs swing by `stroke` [m], default 0.32 of the working stroke (12 in of the
+    CMF), or by what that leaves.
     """
     check_settings(path, settings)
     if not (np.isfinite(periods) and periods > 0.0):
         raise InputError(f"periods: {periods} of the lowest mode must be greater than 0")
     most_stroke = plant.machine.working_stroke
+    stroke = 0.32 * most_stroke if stroke is None else stroke
     if not 0.0 < stroke <= most_stroke:
         text = f"must be greater than 0 and at most {most_stroke:.4f} m"
         raise InputError(f"stroke: {stroke:.4f} m {text}")

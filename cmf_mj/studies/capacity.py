@@ -28,6 +28,9 @@ from cmf_mj.facility.signal import HostFile
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import dof_unit
+from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.models import CMF
+from cmf_mj.machine.motion_limits import relative_travel
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.parameters import HydraulicParameters
@@ -41,7 +44,7 @@ SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
 """Manoeuvres with a name."""
 
 _SIZES = {"sine": 15.0, "step": 10.0, "chirp": 1.0, "noise": 3.0, "multisine": 3.0}
-"""Default amplitudes [in or deg]."""
+"""Default amplitudes on the CMF [in or deg]."""
 
 _FREQUENCIES = {"sine": 0.25, "chirp": 2.0, "noise": 1.0, "multisine": 1.0}
 """Default frequency of the sine, and default highest frequency of the others [Hz]."""
@@ -51,12 +54,17 @@ _CYCLES, _SECONDS = 5.0, 20.0
 
 
 def manoeuvre(
-    name: str | Path, dof: str, amplitude: float | None = None, frequency: float | None = None
+    name: str | Path,
+    dof: str,
+    amplitude: float | None = None,
+    frequency: float | None = None,
+    machine: str | Path | Machine = CMF,
 ) -> Command:
     """A manoeuvre by name or file.
 
     `name` is one of `SIGNALS`, or a CSV or Parquet file of frames. `amplitude` [m or rad] and
     `frequency` [Hz], the highest of a chirp, of noise and of a multisine, are for named signals.
+    The default amplitude goes with the operational travel of the `machine`.
     """
     kind = str(name)
     if kind not in SIGNALS:
@@ -66,7 +74,11 @@ def manoeuvre(
         if Path(kind).suffix not in (".csv", ".parquet"):
             raise unknown_name("signal", kind, SIGNALS, " nor a .csv or .parquet file")
         return validated(HostFile, {"kind": "host", "file": kind}, "signal").command()
-    size = units.to_si(dof_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
+    size = amplitude
+    if size is None:
+        size = units.to_si(dof_unit(dof), _SIZES[kind]) * relative_travel(
+            load_machine(machine), dof
+        )
     if kind == "step":
         if frequency is not None:
             raise InputError(f"frequency: {frequency:g} Hz is not allowed; a step has none")

@@ -36,6 +36,7 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.geometry import by_kind
+from cmf_mj.machine.motion_limits import relative_travel
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
@@ -289,7 +290,7 @@ def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: 
 
 
 AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
-"""Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
+"""Default amplitude of the manoeuvre on the CMF in translation [m] and rotation [rad]."""
 
 FREQUENCY = 0.5
 """Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
@@ -332,7 +333,9 @@ def run_failure(
     """
     chosen = make_case("velocity") if case is None else case
     machine = Hexapod(chosen.cab, chosen.hydraulics, machine=chosen.on)
-    size = by_kind(chosen.dof, *AMPLITUDES) if chosen.amplitude is None else chosen.amplitude
+    size = chosen.amplitude
+    if size is None:
+        size = by_kind(chosen.dof, *AMPLITUDES) * relative_travel(chosen.on, chosen.dof)
     if command is None:
         command = faded_sine(chosen.dof, size, frequency, at=event.at, after=after)
         check_limits(command, machine=chosen.on)
