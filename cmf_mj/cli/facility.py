@@ -31,6 +31,7 @@ PROTOCOLS = ("cmf", "moog")
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
+_FORMS, _SIZES = "export.library:FORMS", "export.law_source:PRECISIONS"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
@@ -241,16 +242,18 @@ def export_command(
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = False,
     fmi: Annotated[int, Option(help="version of FMI, 2 or 3")] = 2,
+    form: Annotated[str, choice(_FORMS, "FORM", "of a law: source or machine-code")] = "source",
+    precision: Annotated[str, choice(_SIZES, "SIZE", "of its source: double or single")] = "double",
     out: options.Out = Path("out/export"),
 ) -> None:
-    """Leave Python: the machine as a C library or an FMU, or a law alone as a C library."""
+    """Leave Python: the machine as a C library or an FMU, or a law alone as C source."""
     from cmf_mj.core.files import in_folder
     from cmf_mj.export.fmu import export_fmu
     from cmf_mj.export.library import export_law, export_library
     from cmf_mj.plant.hexapod import make_plant
 
     if what == "law":
-        return show(written(export_law(law, out, cab), out))
+        return show(written(export_law(law, out, cab, form=form, precision=precision), out))
     built, noisy = make_plant(plant, cab, hydraulics), noise_choice(noise)
     if what == "library":
         paths = export_library(built, law, out, electronics=noisy)

@@ -54,14 +54,15 @@ def kernel_sources() -> list[Path]:
 
 
 @lru_cache
-def _digest() -> str:
+def digest() -> str:
+    """Digest of all sources that compiled code depends on."""
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in kernel_sources())).hexdigest()
 
 
 numba.config.CACHE_DIR = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR", "")
 if inside is None:
     _BASE = numba.config.CACHE_DIR or _PACKAGE / "core" / "__pycache__"
-    numba.config.CACHE_DIR = str(Path(_BASE) / f"plain-{_digest()[:16]}")
+    numba.config.CACHE_DIR = str(Path(_BASE) / f"plain-{digest()[:16]}")
 
 
 def _cached(function: Callable[..., Any], **inner: bool) -> Callable[..., Any]:
@@ -71,7 +72,7 @@ def _cached(function: Callable[..., Any], **inner: bool) -> Callable[..., Any]:
     options = {"nogil": True, "error_model": "numpy"}
     if inside is None:
         return numba.njit(cache=True, **options)(function)
-    return inside.njit(function, _digest, **options, **inner)
+    return inside.njit(function, digest, **options, **inner)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -21,7 +21,7 @@ from cmf_mj.control import demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file, write_csv
-from cmf_mj.core.units import LONGEST, RATE
+from cmf_mj.core.units import LONGEST
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import channels, defines, parameters
 from cmf_mj.export.library import Files, machine_files, make, sources
@@ -192,7 +192,7 @@ def _described(frozen: Frozen, listed: list[Variable], fmi: int, token: str) -> 
         "fmiVersion": f"{fmi}.0",
         "modelName": " ".join(filter(None, (plant.name, plant.cab, law))),
         "guid" if fmi == 2 else "instantiationToken": token,
-        "description": "Motion base with hydraulics, electronics and control law at 2048 Hz",
+        "description": f"Motion base with hydraulics and control law at {plant.machine.rate} Hz",
         "license": "MIT; documentation/licenses",
         "generationTool": f"cmf-mj {version('cmf-mj')}",
         "variableNamingConvention": "structured",
@@ -257,7 +257,7 @@ def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
 def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> None:
     """Write inputs, and what the Python loop makes of them, at every communication point."""
     points = np.arange(int(_SECONDS * _STEPS) + 1)
-    frame = np.round(points * RATE / _STEPS).astype(np.int64)
+    frame = np.round(points * frozen.plant.machine.rate / _STEPS).astype(np.int64)
     inputs = [variable for variable in listed if variable.causality == "input"]
     given = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
     given[:, 2 if frozen.chain else 0] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3

@@ -1,4 +1,4 @@
-"""`cmf export library` and `law`: a machine, or a law alone, as a C library that needs no Python.
+"""`cmf export library` and `law`: a machine, or a law alone, in C that needs no Python.
 
 The folder holds the library, its header, MuJoCo with its headers, the sources and object files to
 build it again, an example, and the licences. The library depends on MuJoCo and the C library alone.
@@ -23,10 +23,11 @@ from cmf_mj.control import dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Law, load_law
-from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents, defines
+from cmf_mj.export.law_source import LEGS, PRECISIONS, law_source
 from cmf_mj.export.machine import Frozen, Image, freeze, make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.machine.cab import Cab, load_cab
@@ -59,8 +60,10 @@ def export_library(
 def machine_files(frozen: Frozen) -> Files:
     """All that a machine's library is built of."""
     blocks, header = contents(frozen)
+    rate = str(frozen.plant.machine.rate)
     code: Files = {f"{name}.o": code for name, code in frozen.objects().items()}
     own: Files = {"cmf_data.o": constant_data(blocks), "cmf_machine.h": header}
+    own["cmf.h"] = (_SOURCES / "library" / "cmf.h").read_text("utf-8").replace("2048", rate)
     return sources("library") | code | own | mujoco_files()
 
 
@@ -132,10 +135,6 @@ def _compiler() -> str:
     return compiler
 
 
-LEGS = 6
-"""Those of the facility."""
-
-
 class LawParts(NamedTuple):
     """All that a frame of a law works on."""
 
@@ -162,14 +161,37 @@ def law_code(parts: LawParts) -> bytes:
     return machine_code("cmf_law_code", law_frame, numba.typeof(parts))
 
 
-def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = None) -> list[Path]:
-    """Write a law as a C library into a folder and build it; the files written.
+FORMS = ("source", "machine-code")
+"""What a law leaves Python as: C99 to read, or code that the loop's own compiler made."""
+
+
+def export_law(
+    law: str | Path | Law,
+    out: Path,
+    cab: str | Path | Cab | None = None,
+    *,
+    form: str = "source",
+    precision: str = "double",
+) -> list[Path]:
+    """Write a law as C into a folder; the files written.
 
     A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area
-    are those of the cab's machine. The library depends on the C library alone. Raises `InputError`
-    where there is no such law or cab, or no C compiler.
+    are those of the cab's machine. Its `source` is C99 for any processor and is not compiled here;
+    `machine-code`, which is double, is built as a library that depends on the C library alone.
+    Raises `InputError` where there is no such law or cab, or no C compiler that is needed, where
+    the form has no such precision, and where single precision cannot hold a number of the law.
     """
-    chosen = bound(load_law(law), load_cab(cab).known_as)
+    check_name("form", form, FORMS)
+    check_name("precision", precision, PRECISIONS)
+    carrier = load_cab(cab).known_as
+    chosen = bound(load_law(law), carrier)
+    if form == "source":
+        said = f"{carrier.machine.title}, cab {carrier.name}"
+        return write_files(
+            sources("source") | law_source(chosen, said, precision) | licences("cmf-mj"), out
+        )
+    if precision != "double":
+        raise InputError("precision: machine-code is double; allowed: double, or form source")
     parts = law_parts(chosen)
     image = make_image(parts)
     blocks = {

@@ -11,10 +11,15 @@ from which the tuples are built again at each call. Numba makes the LLVM code of
 all it calls; from this everything that serves Python is removed, and LLVM writes position
 independent code for `PROCESSOR`. Multiplications and additions are fused in neither, so that the
 bits are the same on every processor; sine, power and the like are those of the C library.
+
+The loop takes a minute and a half to compile and is the same for every plant, law, rate and
+electronics, which are data. So object files are kept.
 """
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -27,6 +32,7 @@ from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import RunError
+from cmf_mj.core.kept import kept
 
 PROCESSOR = "x86-64-v2"
 """Least processor the code runs on: any of the x86-64 family since 2009."""
@@ -123,7 +129,6 @@ def _target() -> Any:
     )
 
 
-@lru_cache
 def machine_code(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     """An object file with one function of C.
 
@@ -135,6 +140,15 @@ def machine_code(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     Raises:
         RunError: the code needs other functions than those `KNOWN`; Numba has changed.
     """
+    files = Path(__file__), Path(function.__code__.co_filename)
+    sources = [*(file.read_text(encoding="utf-8") for file in files)]
+    sources += [version("numba"), version("llvmlite")]
+    of = (function.__qualname__, repr(kind))
+    return kept(name, of, sources, lambda: _compiled(name, function, kind))
+
+
+def _compiled(name: str, function: Callable[..., Any], kind: Any) -> bytes:
+    """Compile what `machine_code` keeps."""
     overload = _called_with_a_table(function, kind)
     module = llvm.parse_assembly(overload.library.get_llvm_str())
     entry = overload.fndesc.llvm_func_name

@@ -99,7 +99,7 @@ def test_without_compiler_or_on_another_system_nothing_is_written(
     else:
         monkeypatch.setattr("platform.machine", lambda: value)
     with pytest.raises(InputError, match=said):
-        export_law("velocity", tmp_path / "out")
+        export_law("velocity", tmp_path / "out", form="machine-code")
     assert not (tmp_path / "out").exists()
 
 
@@ -109,7 +109,7 @@ def test_a_replay_in_c_gives_the_recorded_output_of_every_law(
 ) -> None:
     for law, record in recorded.items():
         out = tmp_path / law
-        export_law(law, out)
+        export_law(law, out, form="machine-code")
         command = ["cc", "-std=c99", HOST, "-o", "host", "libcmf_law.so", "-Wl,-rpath,$ORIGIN"]
         subprocess.run([*command, "-I."], cwd=out, check=True)
         states = np.array(list(record.metadata["law_state"].values()))
@@ -130,7 +130,7 @@ def test_no_title_ends_the_comment_it_stands_in(title: str) -> None:
 
 @pytest.mark.slow
 def test_a_law_needs_the_c_library_at_most(tmp_path: Path) -> None:
-    files = export_law("modal_plan", tmp_path)
+    files = export_law("modal_plan", tmp_path, form="machine-code")
     dynamic = subprocess.run(["readelf", "-dW", files[-1]], capture_output=True, text=True).stdout
     assert set(re.findall(r"NEEDED.*\[(.*)\]", dynamic)) <= {"libc.so.6", "libm.so.6"}
     assert "TEXTREL" not in dynamic

@@ -19,14 +19,14 @@ int main(void) {
   if (cmf_inject(machine, failure("pump_lost"), 2.0, 0, 0, 0.0))
     fprintf(stderr, "%s\n", cmf_message(machine));
 
-  for (int frame = 0; frame < 4 * 2048; frame++) {
+  for (int frame = 0; frame < 4 * CMF_RATE; frame++) {
     double t = frame / CMF_RATE, up = 0.05 * (1.0 - cos(3.14159265 * t));
     double pose[6] = {0.0, 0.0, -up, 0.0, 0.0, 0.0}; /* z is down */
     if (cmf_set_pose(machine, pose) || cmf_step(machine, 1)) {
       fprintf(stderr, "%s\n", cmf_message(machine));
       break;
     }
-    if (frame % 1024 == 0)
+    if (frame % (int)(CMF_RATE / 2) == 0)
       printf("%4.1f s  leg 1 %+8.5f %s  supply %6.2f MPa\n", t, cmf_channel(machine, legs)[0],
              legs->unit, 1e-6 * cmf_channel(machine, supply)[0]);
   }

@@ -1,0 +1,93 @@
+"""Machine code of the loop is made once: what is exported after it takes a fifteenth."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import fmpy
+import numpy as np
+import pytest
+from hydraulic_equations import changed
+
+from cmf_mj import Hexapod, SingleLegs, load_law
+from cmf_mj.core import kept as module
+from cmf_mj.core.kept import kept
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.export.fmu import export_fmu
+from cmf_mj.export.library import export_law, export_library
+from cmf_mj.machine.machine import load_machine
+from cmf_mj.plant.parameters import hydraulics_of
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Where nothing is kept yet."""
+    place = tmp_path / "kept"
+    place.mkdir()
+    fake = SimpleNamespace(stats=SimpleNamespace(cache_path=str(place)))
+    monkeypatch.setattr(module, "assign", fake)
+    return place
+
+
+def test_what_is_kept_is_that_of_its_sources(folder: Path) -> None:
+    """It is made once for each thing; another source throws away what the one before made."""
+    made: list[str] = []
+
+    def of(thing: str, source: str) -> bytes:
+        return kept("code", [thing], [source], lambda: made.append(thing) or thing.encode())
+
+    assert [of("a", "1"), of("b", "1"), of("a", "1"), of("b", "1")] == [b"a", b"b", b"a", b"b"]
+    assert made == ["a", "b"] and len(list(folder.iterdir())) == 2
+    assert kept("other", ["a"], ["1"], lambda: b"o") == b"o"
+    assert of("a", "2") == b"a" and made == ["a", "b", "a"]
+    assert len(list(folder.glob("code-*"))) == 1 and len(list(folder.iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_exports_after_the_first_take_a_fifteenth_of_its_time(folder: Path, tmp_path: Path) -> None:
+    """Of processor time, with the compiler's: another rate and friction, machine, law, plant."""
+    lab = load_machine("lab")
+    hertz = Quantity(value=1000, unit="Hz", status="assumed", source="test")
+    slow = lab.model_copy(update={"name": "slow", "control_rate": hertz})
+    rubbing = {"coulomb_friction": (60.0, "N"), "breakaway_friction": (80.0, "N")}
+    oil = changed(hydraulics_of(lab, None), name="rubbing", **rubbing)
+
+    def seconds(work: Callable[[], object]) -> float:
+        before = sum(os.times()[:4])
+        work()
+        return sum(os.times()[:4]) - before
+
+    first = seconds(lambda: export_fmu(Hexapod(), "velocity", tmp_path / "first.fmu"))
+    code = seconds(lambda: export_law("velocity", tmp_path / "law", form="machine-code"))
+    noise, other = ElectronicsSettings(), tmp_path / "other.fmu"
+    further = {
+        "rate and friction": lambda: export_fmu(
+            Hexapod(machine=slow, hydraulics=oil), "velocity", other, fmi=3, electronics=noise
+        ),
+        "machine": lambda: export_library(Hexapod(machine=lab), load_law(lab.law), tmp_path / "b"),
+        "plant": lambda: export_library(SingleLegs(), None, tmp_path / "c"),
+        "source": lambda: export_law("modal_plan", tmp_path / "d"),
+    }
+    shares = {name: seconds(work) / first for name, work in further.items()}
+    again = seconds(lambda: export_law("modal_plan", tmp_path / "e", form="machine-code"))
+    print(f"first {first:.1f} s, law {code:.1f} s, again {again / code:.3f} of it, {shares}")
+    assert max(*shares.values(), again / code) < 1.0 / 15.0
+    unzipped = fmpy.extract(str(other), str(tmp_path / "other"))
+    given, expected = (
+        np.genfromtxt(f"{unzipped}/resources/reference_{part}.csv", delimiter=",", names=True)
+        for part in ("in", "out")
+    )
+    shown = [f"leg_extension[{leg}]" for leg in range(1, 7)]
+    result = fmpy.simulate_fmu(
+        str(other),
+        input=given,
+        output=shown,
+        output_interval=1.0 / 80.0,
+        stop_time=1.0,
+        set_input_derivatives=False,
+    )
+    found = np.array([[row[name] for name in shown] for row in result])
+    columns = np.array([list(row)[1:7] for row in expected])
+    assert np.abs(found - columns).max() < 1e-12 and np.ptp(columns) > 0.01
