@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from cmf_mj.core.compiled import assign, digest
 from cmf_mj.core.files import whole_file
@@ -17,7 +18,7 @@ def kept(name: str, of: Sequence[str], sources: Sequence[str], make: Callable[[]
         hashlib.sha256("\0".join(texts).encode()).hexdigest()[:12]
         for texts in ([digest(), *sources], of)
     )
-    folder = Path(assign.stats.cache_path)
+    folder = Path(cast("Any", assign).stats.cache_path)
     file = folder / f"{name}-{stamp}-{which}.o"
     if not file.is_file():
         made = make()

@@ -175,8 +175,9 @@ def _text(value: Any) -> str:
 
 
 def _wrapped(text: str, indent: str) -> str:
-    whole = {"break_long_words": False, "break_on_hyphens": False}
-    return textwrap.fill(text, _WIDTH - 8, subsequent_indent=indent, **whole)
+    wrapper = textwrap.TextWrapper(_WIDTH - 8, subsequent_indent=indent, break_on_hyphens=False)
+    wrapper.break_long_words = False
+    return wrapper.fill(text)
 
 
 def _comment(text: str) -> str:
