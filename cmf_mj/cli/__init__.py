@@ -23,17 +23,26 @@ def main() -> None:
     where Python cannot raise it: it is sent again once what was called back has returned.
     """
     ended: list[int] = []
+    hooked = False  # Python would ignore what is raised in its hook
+
+    def send_again() -> None:
+        timer = threading.Timer(0.01, os.kill, (os.getpid(), ended[-1]))
+        timer.daemon = True
+        timer.start()
 
     def end(number: int, frame: FrameType | None) -> None:
         ended.append(number)
+        if hooked:
+            return send_again()
         signal.default_int_handler(number, frame)
 
     def unraised(what: "sys.UnraisableHookArgs") -> None:
+        nonlocal hooked
         if not (ended and isinstance(what.exc_value, KeyboardInterrupt)):
             return sys.__unraisablehook__(what)
-        again = threading.Timer(0.01, os.kill, (os.getpid(), ended[-1]))
-        again.daemon = True
-        again.start()
+        hooked = True
+        send_again()
+        hooked = False
 
     sys.unraisablehook = unraised
     signal.signal(signal.SIGTERM, end)  # clean up, as after Ctrl-C

@@ -143,6 +143,17 @@ INTERRUPTED = {
     ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), NUMBER))()
     time.sleep(60.0)
 """,
+    "while its hook still runs": """
+    begin = threading.Timer.start
+    def late(timer):
+        threading.Timer.start = begin
+        begin(timer)
+        while timer.is_alive():
+            pass
+    threading.Timer.start = late
+    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), NUMBER))()
+    time.sleep(60.0)
+""",
 }
 """What libraries do with an interrupt: extension modules while they are imported, engines in
 functions of the user; in what they call back Python would print it and go on."""
@@ -154,9 +165,8 @@ def test_an_interrupt_ends_the_command_whatever_a_library_does(
     how: str, number: signal.Signals
 ) -> None:
     body = INTERRUPTED[how].replace("NUMBER", str(int(number)))
-    text = (
-        f"import ctypes, os, time, cmf_mj.cli as cli\ndef app(**_):{body}cli.app = app\ncli.main()"
-    )
+    modules = "ctypes, os, threading, time, cmf_mj.cli as cli"
+    text = f"import {modules}\ndef app(**_):{body}cli.app = app\ncli.main()"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (130, b"")
 
