@@ -33,14 +33,17 @@ from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.signals import sine
 
-HYDRAULICS = {
+HYDRAULICS: Mapping[str, Mapping[str, tuple[float, str]]] = {
     "friction": {"coulomb_friction": (60.0, "N"), "breakaway_friction": (70.0, "N")},
     "equal_areas": {"rods": (2, "1")},
     "one_valve": {"valves": (1, "1")},
 }
 """What differs in the hydraulics of machines of one's own."""
 
-UNEQUAL = {"leg_2": {"leak_rate": (4.0, "1/s")}, "leg_5": {"drive_lag": (50.0, "Hz")}}
+UNEQUAL: Mapping[str, Mapping[str, tuple[float, str]]] = {
+    "leg_2": {"leak_rate": (4.0, "1/s")},
+    "leg_5": {"drive_lag": (50.0, "Hz")},
+}
 
 COMMANDS: dict[str, str] = {
     "machine check": "machine check {name}",
@@ -130,7 +133,7 @@ def write_machines(folder: Path) -> dict[str, Kind]:
     def own(name: str, change: Mapping[str, object], part: str) -> Path:
         table = tomlkit.parse(text)
         table["name"] = name
-        (table if part == "" else table[part]).update(change)  # type: ignore[union-attr]
+        (table if part == "" else table[part]).update(change)
         path = folder / f"{name}.toml"
         path.write_text(tomlkit.dumps(table))
         return path

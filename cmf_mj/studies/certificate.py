@@ -196,8 +196,8 @@ def certify(
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
     highest = float(max(peaks)) if every.min() > 0.0 else np.inf
     tried = limit, float((every > 0.0).mean()), float(every.min()), peak, highest, pose.pose
-    names = law.name, plant.cab, contact_text(friction)
-    return Certificate(*names, min(nominal), tuple(proofs), *tried, *swing)
+    stated = contact_text(friction)
+    return Certificate(law.name, plant.cab, stated, min(nominal), tuple(proofs), *tried, *swing)
 
 
 def _pose(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
