@@ -10,7 +10,16 @@ from typer import Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, in_si, noise_choice, pose_option, progress_bar, show, written
+from cmf_mj.cli.common import (
+    app,
+    friction_option,
+    in_si,
+    noise_choice,
+    pose_option,
+    progress_bar,
+    show,
+    written,
+)
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
@@ -33,6 +42,7 @@ def linearize_command(
     hydraulics: options.Hydraulics = "hardware",
     law: options.Law = "velocity",
     pose: options.Pose = options.NEUTRAL,
+    friction: options.Friction = None,
     dofs: options.AnyDofs = options.ALL,
     out: options.Out = Path("out/linearize"),
 ) -> None:
@@ -40,7 +50,8 @@ def linearize_command(
     from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
 
-    linear = cmf_mj.Linear(make_plant(plant, cab, hydraulics), pose_option(pose))
+    made, stated = make_plant(plant, cab, hydraulics), friction_option(friction)
+    linear = cmf_mj.Linear(made, pose_option(pose), friction=stated)
     study = report.linearization_study(linear, law, dofs)
     paths = report.save_study(study, out)
     show(report.pole_table(study), report.loop_table(study), written(paths, out))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cmf_mj.electronics.chain import ElectronicsSettings
+    from cmf_mj.plant.cylinder import Contact
 
 _SAID = 2000  # characters of an error, in which a refused value may be a whole file
 
@@ -140,6 +141,14 @@ def in_si(dof: str, amplitude: str | None) -> float | None:
     value, unit = quantity("amplitude", amplitude)
     check_name("amplitude: unit", unit, by_kind(dof, ("in", "m", "mm"), ("deg", "rad")))
     return units.to_si(unit, value)
+
+
+def friction_option(text: str | None) -> Contact | None:
+    """Dry friction of the command line: a word, or the speed of sliding legs [m/s]."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return text  # type: ignore[return-value]  # what uses it refuses other words
 
 
 def pose_option(text: str) -> NDArray[np.float64]:

@@ -151,6 +151,7 @@ Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
 Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
+Friction = Annotated[str | None, Option(help="dry friction: none, stuck, or legs' speed [m/s]")]
 Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or '0.2 deg'")]
 Jobs = Annotated[
     int | None, Option(min=1, max=1024, help="threads or processes; default one a core")

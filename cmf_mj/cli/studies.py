@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ from typer import Argument, Context, Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, claim, progress_bar, show, written
+from cmf_mj.cli.common import app, claim, friction_option, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, name_or_file, new_file
 from cmf_mj.core.errors import require
 
@@ -85,6 +86,7 @@ def tune_command(
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
+    friction: options.Friction = None,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
     target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
@@ -94,7 +96,8 @@ def tune_command(
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
-    template, limits = make_template(name, title, cabs), Requirements(peak, overshoot / 100.0)
+    stated, limits = friction_option(friction), Requirements(peak, overshoot / 100.0)
+    template = make_template(name, title, cabs, stated)
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
@@ -103,6 +106,7 @@ def tune_command(
     command_line = (
         f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
         f"--cabs {names} --evaluations {evaluations} --seed {seed}"
+        + ("" if friction is None else f" --friction {friction}")
     )
     law = result.law.model_copy(update={"source": f"this project: {command_line}"})
     save_law(law, target, f"Written by `{command_line}`.")
@@ -124,6 +128,7 @@ def certify_command(
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
     box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
+    friction: options.Friction = None,
     quick: options.Quick = False,
     seed: options.Seed = 1,
     out: options.Out = Path("out/certify"),
@@ -131,6 +136,7 @@ def certify_command(
     """Bound how far machines may be off before a law fails, and find machines that break it."""
     from cmf_mj.core.result import Result
     from cmf_mj.core.settings import check_distinct
+    from cmf_mj.plant.cylinder import contact_text
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies import certificate as run
@@ -138,6 +144,7 @@ def certify_command(
     from cmf_mj.studies.engine import libraries
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
+    contacts = [friction_option(one.strip()) for one in friction.split(",")] if friction else [None]
     plants, chosen = (
         [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs],
         [cmf_mj.load_law(law) for law in laws],
@@ -145,14 +152,21 @@ def certify_command(
     check_distinct("laws", [law.name for law in chosen])
     check_distinct("cabs", [plant.cab for plant in plants])
     with progress_bar() as update:
-        update(0, len(plants) * len(chosen))
-        for law in chosen:
-            for plant in plants:
-                folder = out / law.name / plant.cab
-                with libraries().limit(limits=1):  # so that the same seed gives the same bits
-                    rows.append(run.certify(plant, law, folder, unit, effort, seed=seed))
-                update(len(rows), len(plants) * len(chosen))
-    proofs = [{"law": c.law, "cab": c.cab} | p._asdict() for c in rows for p in c.proofs]
+        cases = list(product(chosen, plants, contacts))
+        update(0, len(cases))
+        for law, plant, contact in cases:
+            folder = out / law.name / plant.cab
+            if len(contacts) > 1:
+                folder /= contact_text(contact).replace(" m/s", "")
+            with libraries().limit(limits=1):  # so that the same seed gives the same bits
+                one = run.certify(plant, law, folder, unit, effort, seed=seed, friction=contact)
+            rows.append(one)
+            update(len(rows), len(cases))
+    proofs = [
+        {"law": c.law, "cab": c.cab, "friction": c.friction} | p._asdict()
+        for c in rows
+        for p in c.proofs
+    ]
     tables: dict[str, Result[Any]] = {"certificates": Result(rows, run.CERTIFICATES)}
     tables["proofs"] = Result(proofs, run.PROOFS)
     files = {f"{name}.{end}": one for name, one in tables.items() for end in ("md", "csv")}

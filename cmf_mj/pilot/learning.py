@@ -115,8 +115,11 @@ def make_learner(responses: Sequence[Response], frequency: Array, share: float =
 def leg_response(
     law: Law, plant: Hexapod, pose: Array, frequency: Array, dcu: Any = None
 ) -> Response:
-    """G from the legs of the host's frames to those of a plant about a pose, (K, 6, 6)."""
-    loop = Linear(plant, pose).leg_loop(law)
+    """G from the legs of the host's frames to those of a plant about a pose, (K, 6, 6).
+
+    Dry friction is left out.
+    """
+    loop = Linear(plant, pose, friction="none").leg_loop(law)
     omega = 2.0 * np.pi * np.maximum(frequency, 0.01)  # at rest an integrator has no response
     response = np.moveaxis(control.frequency_response(loop, omega).frdata, -1, 0)
     delay = sum(dcu_of(plant.machine, dcu).delay.parts(plant.machine.rate).values())

@@ -30,13 +30,22 @@ Fc is the Coulomb force, Fb the breakaway force, vs the Stribeck speed, d the pr
 a damping time that keeps a sticking contact from ringing. A load below Fb stops at a deflection of
 about d and stays; above it the contact slips. z follows its equation exactly for a constant speed
 over a step, so that no step is too long. Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995).
+
+A contact has no slope at rest, but two about motions that are stated. Legs that move much less than
+d stick: F = (Fc / d) (x + t v). Legs that slide through many d, at the speed V sin(w t), feel on
+average over a period (describing function of sliding, with Dawson's integral D)
+
+    F = (4 Fc / (pi V)) (1 + (Fb / Fc - 1) D(V / vs) vs / V) v.
+
+Both leave b v, which is linear as it is.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import dawsn
 
 from cmf_mj.core.arrays import compiled_params, record_array
 from cmf_mj.core.compiled import compiled
@@ -61,6 +70,12 @@ _END = 20.0
 
 _DAMPING_TIME = 0.005
 """t of friction [s]."""
+
+Contact = Literal["none", "stuck"] | float
+"""How dry friction enters what is linear: left out, stuck, or sliding at an amplitude [m/s]."""
+
+CONTACTS = "'none' (left out), 'stuck', or the speed amplitude of sliding legs in m/s"
+"""What a `Contact` may be, in words."""
 
 
 class Cylinder(NamedTuple):
@@ -244,3 +259,34 @@ def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
     rate = speed - abs(speed) * bristle / largest
     stiffness = coulomb / friction.presliding
     return bristle, stiffness * (bristle + _DAMPING_TIME * fade * rate) + viscous
+
+
+def contact_text(contact: Contact | None) -> str:
+    """How dry friction entered, in a word or as a speed."""
+    return contact or "none" if isinstance(contact, str | None) else f"{contact:g} m/s"
+
+
+class Slope(NamedTuple):
+    """Dry friction of n actuators about a motion."""
+
+    stiffness: NDArray[np.float64]  #: [N/m], (n,).
+    damping: NDArray[np.float64]  #: Without the viscous part [N s/m], (n,).
+
+
+def friction_slope(friction: np.recarray, contact: Contact) -> Slope:
+    """Slope of the dry friction of contacts (n,) of `Friction` that are in a state.
+
+    Raises `InputError` for a contact that is none of `CONTACTS`.
+    """
+    still = np.zeros(len(friction))
+    force = friction.coulomb_friction
+    if contact == "none":
+        return Slope(still, still)
+    if contact == "stuck":
+        stiffness = np.divide(force, friction.presliding, out=still, where=force > 0.0)
+        return Slope(stiffness, _DAMPING_TIME * stiffness)
+    if isinstance(contact, str) or not 0.0 < contact < np.inf:
+        raise InputError(f"friction: {contact!r} is refused; allowed: {CONTACTS}")
+    ratio = np.divide(contact, friction.stribeck_speed, out=still + 1.0, where=force > 0.0)
+    slides = 1.0 + friction.excess * dawsn(ratio) / ratio
+    return Slope(still, 4.0 * force / (np.pi * contact) * slides)

@@ -13,6 +13,7 @@ All is linear. The simulation replays the machine that fails first, a little bey
 
 import warnings
 from collections.abc import Callable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,8 +30,11 @@ from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.result import Field
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns, cube
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, pose_text
+from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
 from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, Box, Family
 from cmf_mj.studies.tuning.search import save_law
@@ -76,6 +80,7 @@ class Certificate(NamedTuple):
 
     law: str
     cab: str
+    friction: str  #: How dry friction entered: none, stuck, or the speed of sliding legs.
     nominal: float  #: Damping ratio of the nominal machine.
     proofs: tuple[Proof, ...]  #: By damping ratio, from 0 on; none where nominal is unstable.
     broken: float  #: Least scale at which a machine was found that is unstable; NaN for none.
@@ -104,7 +109,7 @@ def _along(index: int) -> Callable[[Certificate], float]:
 
 
 CERTIFICATES = (
-    *map(Field, ("law", "cab")),
+    *map(Field, ("law", "cab", "friction")),
     Field("nominal", "zeta", ".3f"),
     Field("proven", form=_down),
     Field("broken", form=".2g"),
@@ -116,7 +121,7 @@ CERTIFICATES = (
     Field("within", form=".1f %", unit="%"),
 )
 PROOFS = (
-    *map(Field, ("law", "cab")),
+    *map(Field, ("law", "cab", "friction")),
     Field("ratio", "zeta", ".3f"),
     Field("proven", "proven box", ".3f"),
     Field("attacked", "least zeta found", ".3f"),
@@ -131,10 +136,12 @@ def certify(
     effort: Effort = QUICK,
     *,
     seed: int = 1,
+    friction: Contact | None = None,
 ) -> Certificate:
     """Certify a law on a machine with a cab; the machine that breaks it goes to `folder`.
 
-    Raises `InputError` as `Family` does.
+    `friction` is how dry friction enters the loop, see `plant.cylinder`; None refuses it. The
+    simulation replays a machine with all its friction. Raises `InputError` as `Family` does.
 
     >>> from cmf_mj.studies.certificate_family import load_box
     >>> from cmf_mj.studies.certificate import certify
@@ -143,7 +150,7 @@ def certify(
     >>> 0.15 < result.proven < result.broken < 0.25
     True
     """
-    poses = [_pose(plant, law, box, pose) for pose in box.poses(plant)[: effort.poses]]
+    poses = [_pose(plant, law, box, pose, friction) for pose in box.poses(plant)[: effort.poses]]
     points = cube("latin_hypercube", effort.samples, SIZE, seed)
     drawn, worst = [], []
     for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
@@ -176,14 +183,18 @@ def certify(
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
     tried = limit, float((every > 0.0).mean()), float(every.min()), pose.pose
-    return Certificate(law.name, plant.cab, min(nominal), tuple(proofs), *tried, *swing)
+    stated = contact_text(friction)
+    return Certificate(law.name, plant.cab, stated, min(nominal), tuple(proofs), *tried, *swing)
 
 
-def _pose(plant: Hexapod, law: Law, box: Box, pose: Array) -> Family:
-    """The machines in a pose, drawn in until closed valves hold all of the largest box there."""
-    for share in (1.0, 0.75, 0.5, 0.25, 0.1, 0.0):
-        family = Family(plant, law, share * pose)
-        if family.closed(box, LARGEST):
+def _pose(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
+    """The machines in a pose, drawn in until closed valves hold all of the largest box there.
+
+    Where closed valves do not even at neutral, it is drawn in until open ones do.
+    """
+    for closed, share in product((True, False), (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)):
+        family = Family(plant, law, share * pose, friction)
+        if family.holds(box, LARGEST, closed=closed):
             break
     return family
 
@@ -259,13 +270,18 @@ def save_case(
     """
     cab, oil, tables = plant.cab_parameters, plant.parameters, []
     assert cab is not None
-    for part in (oil, cab):
+    based = load_hydraulics(oil.name if oil.name in HYDRAULICS else None)
+    shipped = load_cab(cab.base, plant.machine)
+    for part, base in ((oil, based), (cab, shipped)):
         changed = Unknowns(box.unknowns).apply(box.values(changes), part, name)
         before, after = (
             one.model_dump(mode="json", exclude_none=True, exclude={"nominal", "name"})
-            for one in (part, changed)
+            for one in (base, changed)
         )
-        tables.append({field: value for field, value in after.items() if value != before[field]})
+        tables.append(
+            {field: value for field, value in after.items() if value != before.get(field)}
+        )
+    own = plant.machine.recorded()
     modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
     known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
     save_law(known_law, in_folder(folder, "law.toml"))
@@ -275,14 +291,20 @@ def save_case(
     ]
     stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
     files: dict[str, dict[str, Any]] = {
-        "hydraulics.toml": {"base": oil.name, name: tables[0]},
-        "cab.toml": {"base": cab.name, name: tables[1]},
+        "hydraulics.toml": {"base": based.name, name: tables[0]},
+        "cab.toml": {"base": cab.base, name: tables[1]},
         "scenario.toml": {
             "title": f"{law.title}: the machine of its certificate that breaks it",
-            **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},
+            **{
+                "machine": "machine.toml" if own else plant.machine.name,
+                "cab": "cab.toml",
+                "hydraulics": "hydraulics.toml",
+            },
             **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
         },
     }
+    if own:
+        files["machine.toml"] = own
     for file, table in files.items():
         write_text(folder / file, tomlkit.dumps(table))
     return folder / "scenario.toml"

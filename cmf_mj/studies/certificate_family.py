@@ -10,20 +10,22 @@ The machine at rest in the pose, linearised as `linear.assembly` does, changes b
     cab               M_leg = M_rest + H' B' diag(m, m, m, I) B H
 
 with H the motion of the platform per leg, B that of the cab's centre of mass per platform, I about
-it. A port's slope goes with the valve's gain and, by the load p (A_cap - A_rod) of its leg,
+it. A port's slope goes with the valve's gain and by the load of its leg, p (A_cap - A_rod), or p A
+where both areas are equal,
 
     rho = gain sqrt(Ps) kappa(p / Ps)        over that of the nominal machine,
 
-kappa the describing function of the closed valve, see `linear.ports`. The law and a frame of delay
-are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for s = (2 / T) atanh(w T/2)
-and the hold for the mean of two frames: right up to (w T)^2 / 12, 2e-4 at 15 Hz. Left out is what
-gravity's stiffness and the content of the oil change with the cab.
+kappa the describing function of the valve at rest, see `linear.ports`. Where the load leaves it
+open, against the leak, its slope with pressure is that of the nominal machine. The law and a frame
+of delay are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for
+s = (2 / T) atanh(w T/2) and the hold for the mean of two frames: right up to (w T)^2 / 12, 2e-4 at
+15 Hz. Left out is what gravity's stiffness and the content of the oil change with the cab.
 """
 
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import control
 import numpy as np
@@ -33,6 +35,7 @@ from scipy import linalg
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import dcl_state_space, labels
+from cmf_mj.analysis.linear.operating_point import hold
 from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import reduced
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
@@ -40,12 +43,13 @@ from cmf_mj.analysis.linear.structured import Uncertain
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, NotLinearError
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
 from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 
 Array = NDArray[np.float64]
@@ -119,8 +123,9 @@ def load_box(source: str | Path | None = None) -> Box:
     return validated(Box, read_toml(path), path.name)
 
 
-_SHARES = np.linspace(0.02, 0.98, 193)
-"""Pressures over the supply's at which kappa is tabulated."""
+_FINE, _COARSE, _MOST = 0.005, 0.05, 0.96
+"""Steps of the loads at which kappa is tabulated, fine where closed valves may hold them, and the
+largest of them over the stall force."""
 _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01
@@ -133,12 +138,14 @@ chambers; the cab's mass, three shifts of its centre of mass, and its inertia.""
 class Family:
     """Machines that differ from a nominal one in a pose, under a law."""
 
-    def __init__(self, plant: Hexapod, law: Law, pose: Array) -> None:
+    def __init__(
+        self, plant: Hexapod, law: Law, pose: Array, friction: Contact | None = None
+    ) -> None:
         """Linearise machine and law, and free their parameters.
 
-        Raises `InputError` as `Linear` and `bound` do.
+        `friction` is as `Linear` takes it. Raises `InputError` as `Linear` and `bound` do.
         """
-        linear = Linear(plant, pose)
+        linear = Linear(plant, pose, friction=friction)
         self.pose, self._point = pose, linear.point
         cab = plant.cab_parameters
         assert cab is not None
@@ -148,9 +155,8 @@ class Family:
         self._gravity = turn.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
         self._mass, self._place = cab.mass.si, FLIP * cab.centre_of_mass.si
         self._inertia = FLIP[:, None] * cab.tensor * FLIP
-        self._kappa, self._closed = _kappa(plant)
-        cylinder = plant.hydraulics.cylinder[0]
-        self._held = (cylinder.cap_area - cylinder.rod_area) * plant.parameters.supply_pressure.si
+        self._ports_of = _kappa(plant)
+        self._held = _area(plant) * plant.parameters.supply_pressure.si
         self._plant = reduced(linear.system, outputs=labels(FEEDBACK, 6))
         self.loop = self._loop(bound(law, plant))
         """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
@@ -230,8 +236,9 @@ class Family:
         load, loads = self._point.mechanics.load, self._loads(changes)
         high, gain = 1.0 + changes["supply_pressure"], 1.0 + changes["valve_gain"]
         at, nominal = loads / (self._held * high), load / self._held
-        kappa = [np.interp(at, _SHARES, k) / np.interp(nominal, _SHARES, k) for k in self._kappa]
-        return np.hstack([gain * np.sqrt(high) * ratio for ratio in kappa]) - 1.0
+        shares, kappas, _ = self._ports_of
+        ratios = [np.interp(at, shares, k) / np.interp(nominal, shares, k) for k in kappas]
+        return np.hstack([gain * np.sqrt(high) * ratio for ratio in ratios]) - 1.0
 
     def deltas(self, changes: Mapping[str, Array]) -> Array:
         """Delta of machines by what is off, see `Box.changes`, (N, 60)."""
@@ -247,11 +254,12 @@ class Family:
         widths[12:24] *= _MARGIN
         return np.asarray(widths / scale)
 
-    def closed(self, box: Box, scale: float) -> bool:
-        """Whether closed valves hold every leg of every machine in the box."""
+    def holds(self, box: Box, scale: float, *, closed: bool) -> bool:
+        """Whether valves at rest, all of them `closed`, hold the legs of every machine in a box."""
         corners = _corners(box, scale)
         shares = self._loads(corners) / (self._held * (1.0 + corners["supply_pressure"]))
-        return bool(self._closed[0] < shares.min() and shares.max() < self._closed[1])
+        low, high = self._ports_of.closed if closed else self._ports_of.shares[[0, -1]]
+        return bool(low < shares.min() and shares.max() < high)
 
     def damping(self, deltas: Array) -> Array:
         """Least damping ratio of any pole, (N,): -1 to 1, that of a real pole either of these."""
@@ -283,23 +291,43 @@ def _corners(box: Box, scale: float) -> dict[str, Array]:
     return box.changes(scale * points)
 
 
-def _kappa(plant: Hexapod) -> tuple[Array, tuple[float, float]]:
-    """Slopes of a closed valve's ports at pressures of `_SHARES` of the supply's, (2, n).
+class _Ports(NamedTuple):
+    """Slopes of a leg's ports at rest by the load it holds, over area and supply pressure."""
 
-    And the shares between which opening it either way fills both chambers, so that it stays closed.
-    """
-    rows, supply = [], plant.parameters.supply_pressure.si
-    for share in _SHARES:
-        at = np.array([share, share, 1.0, 0.0]) * supply
-        slopes = (port_slopes(plant.hydraulics, 0, np.zeros(2), at, 0.0, way) for way in (1.0, 0.0))
-        out, back = (one.opening[[CAP, ROD]].sum(axis=1) for one in slopes)
-        fills, drains = float(out.sum()), float(back.sum())
-        least = 1e-9 * max(fills, drains)
-        outward = outward_share(max(drains, least) / max(fills, least))
-        rows.append([*(outward * out + (1.0 - outward) * back), min(fills, drains) > 0.0])
-    cap, rod, holds = np.array(rows).T
-    held = _SHARES[holds > 0.0]
-    return np.array([cap, rod]), (held[0], held[-1])
+    shares: Array  #: Loads that the valves hold, (n,).
+    slopes: Array  #: Of cap and rod port, (2, n).
+    closed: tuple[float, float]  #: Loads that closed valves hold; NaN for none.
+
+
+def _area(plant: Hexapod) -> float:
+    """Area that the load over the pressure at rest is: of equal areas one of them."""
+    cylinder = plant.hydraulics.cylinder[0]
+    return float((cylinder.cap_area - cylinder.rod_area) or cylinder.cap_area)
+
+
+def _kappa(plant: Hexapod) -> _Ports:
+    """Kappa of the first leg over the loads that its valves hold at rest."""
+    hydraulics, supply = plant.hydraulics, plant.parameters.supply_pressure.si
+    cylinder, bias, area = hydraulics.cylinder[0], hydraulics.valve[0].null_bias, _area(plant)
+    ends = -_MOST * cylinder.rod_area / area, _MOST * cylinder.cap_area / area
+    shares = _COARSE * np.arange(np.ceil(ends[0] / _COARSE), ends[1] / _COARSE)
+    if cylinder.cap_area != cylinder.rod_area:
+        shares = np.union1d(shares[(shares < 0.0) | (shares > 1.0)], np.arange(0.0, 1.0, _FINE))
+    rows, held = [], []
+    for share in shares:
+        try:
+            rest = hold(plant, 0, float(share) * area * supply, 0.0, supply, 0.0)
+        except NotLinearError:
+            continue
+        at = np.append(rest.pressure, [supply, 0.0])
+        opening, outward = rest.command + bias, outward_share(rest.ratio)
+        slopes = port_slopes(hydraulics, 0, opening, at, 0.0, outward).opening[[CAP, ROD]]
+        rows.append(slopes.sum(axis=1))
+        held.append((share, not opening.any()))
+    found, shut = np.array(held).T
+    closed = found[shut > 0.0]
+    ends = (closed[0], closed[-1]) if len(closed) else (np.nan, np.nan)
+    return _Ports(found, np.array(rows).T, ends)
 
 
 def _reach(place: Array) -> Array:

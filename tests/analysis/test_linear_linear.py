@@ -2,16 +2,21 @@
 
 import numpy as np
 import pytest
+from hydraulic_equations import changed
 from numpy.typing import NDArray
 
-from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
+from cmf_mj import Hexapod, SingleLegs, load_cab, load_hydraulics, load_law, load_machine, simulate
 from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core import units
+from cmf_mj.core.errors import NotLinearError
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.run import Run
 from cmf_mj.machine.geometry import FLIP
+from cmf_mj.plant.parameters import hydraulics_of
+from cmf_mj.signals import sine
 
 PLANT = Hexapod("ifd", load_hydraulics("hardware"))
 LINEAR, LAW = Linear(PLANT), load_law("modal_plan").bound_to("ifd")
@@ -119,3 +124,56 @@ def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
 
 def test_a_law_that_is_not_stable_holds_nothing() -> None:
     assert np.isnan(LINEAR.disturbance("position_error_rate")).all()
+
+
+def rubbing(force: float) -> Hexapod:
+    """The laboratory machine with dry friction in its legs [N]."""
+    machine = load_machine("lab")
+    dry = {"coulomb_friction": (force, "N"), "breakaway_friction": (force, "N")}
+    oil = changed(hydraulics_of(machine), name="rubbing", **dry)
+    return Hexapod(load_cab(None, machine), oil)
+
+
+def test_friction_that_is_stated_is_in_the_rows_of_the_speeds() -> None:
+    """dv/dt = M^-1 (... - (Fc / d) l - b v), and nothing else."""
+    plant, still = rubbing(60.0), Linear(rubbing(0.0))
+    with pytest.raises(NotLinearError, match=r"coulomb_friction: 60 .* allowed: 0, or .*'none'"):
+        Linear(plant)
+    labels, inverse = still.system.state_labels, np.linalg.inv(plant.reflected_mass())
+    speeds, places = (
+        [labels.index(f"leg_{kind}_{leg}") for leg in range(1, 7)]
+        for kind in ("velocity", "position")
+    )
+    presliding = plant.hydraulics.friction.presliding[0]
+    slopes = {"none": (0.0, 0.0), "stuck": (60.0 / presliding, 0.005 * 60.0 / presliding)}
+    slopes[0.05] = (0.0, 4.0 * 60.0 / (np.pi * 0.05))
+    for friction, (stiffness, damping) in slopes.items():
+        added = np.asarray(Linear(plant, friction=friction).system.A) - np.asarray(still.system.A)
+        np.testing.assert_allclose(added[np.ix_(speeds, places)], -stiffness * inverse, rtol=1e-9)
+        np.testing.assert_allclose(added[np.ix_(speeds, speeds)], -damping * inverse, rtol=1e-9)
+        added[np.ix_(speeds, places + speeds)] = 0.0
+        assert not added.any()
+
+
+def test_friction_delays_the_legs_in_the_simulation_as_its_describing_function_says() -> None:
+    """By some degrees at 5 Hz; the valves' mean opening, left out of both, moves each by as much
+    as friction does."""
+    hertz, dof = 5.0, 2
+    law, motion = load_law(load_machine("lab").law), sine("heave", 0.004, hertz, cycles=20.0)
+    turned, speed = [], 0.0
+    for force in (0.0, 400.0):
+        record = simulate(rubbing(force), law, motion)
+        late = record.time > 2.0
+        angle = 2.0 * np.pi * hertz * record.time[late]
+        asked, moved = (
+            fit_sines(one[late], angle).amplitude[0]
+            for one in (motion.pose[:, dof], record["platform_pose"][:, dof])
+        )
+        turned.append(np.angle(moved / asked, deg=True))
+        speed = float(np.abs(fit_sines(record["leg_velocity"][late], angle).amplitude).mean())
+    predicted = []
+    for friction in ("none", speed):
+        loop = Linear(rubbing(400.0), friction=friction).loop(law, "heave")
+        predicted.append(np.angle(loop(np.exp(2j * np.pi * hertz * loop.dt)), deg=True))
+    assert np.diff(turned)[0] < -2.0
+    assert np.diff(predicted)[0] == pytest.approx(np.diff(turned)[0], rel=0.4)

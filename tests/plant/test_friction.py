@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from cmf_mj.plant.cylinder import Friction, make_frictions, slide
+from cmf_mj.core.arrays import record_array
+from cmf_mj.core.errors import InputError
+from cmf_mj.plant.cylinder import Friction, friction_slope, make_frictions, slide
 from cmf_mj.plant.parameters import load_hydraulics
 
 LBF, INCH = 0.45359237 * 9.80665, 0.0254
@@ -94,3 +96,45 @@ def test_numbers_come_from_the_set() -> None:
     assert contact.viscous_friction == pytest.approx(10 * LBF / INCH, rel=1e-12)
     assert contact.presliding == pytest.approx(0.004 * INCH, rel=1e-12)
     assert contact.stribeck_speed == pytest.approx(0.1 * INCH, rel=1e-12)
+
+
+def first_harmonic(size: float, hertz: float, kind: Friction = CONTACT) -> tuple[float, float]:
+    """Force of a sine x = size sin(w t) as (stiffness, damping without b), from a period."""
+    count, omega = 20_000, 2.0 * np.pi * hertz
+    time = np.arange(2 * count) / (count * hertz)
+    position, bristle, force = size * np.sin(omega * time), 0.0, np.zeros(2 * count)
+    for k in range(1, 2 * count):
+        speed = (position[k] - position[k - 1]) * count * hertz
+        bristle, force[k] = slide(kind, bristle, speed, 1.0 / (count * hertz))
+    last, angle = force[count:], omega * time[count:]
+    sine, cosine = (2.0 * np.mean(last * part) / size for part in (np.sin(angle), np.cos(angle)))
+    return float(sine), float(cosine / omega) - kind.viscous_friction
+
+
+@pytest.mark.parametrize("excess", [0.0, 0.6])
+def test_sliding_damps_as_its_describing_function(excess: float) -> None:
+    """4 Fc / (pi V) where there is no Stribeck curve; 25 mm are 250 times the presliding travel.
+    The slowest sine slides at twice the Stribeck speed."""
+    kind = CONTACT._replace(excess=excess)
+    for hertz in (0.04, 0.2, 2.0):
+        speed = 0.025 * 2.0 * np.pi * hertz
+        slope = friction_slope(record_array(Friction, [kind]), speed)
+        assert slope.stiffness[0] == 0.0
+        assert first_harmonic(0.025, hertz, kind)[1] == pytest.approx(slope.damping[0], rel=0.01)
+        plain = 4.0 * 600.0 / (np.pi * speed)
+        assert (slope.damping[0] == pytest.approx(plain, rel=1e-12)) == (excess == 0.0)
+
+
+def test_a_contact_that_sticks_is_a_spring_with_a_damper() -> None:
+    """A hundredth of the presliding travel."""
+    slope = friction_slope(record_array(Friction, [CONTACT]), "stuck")
+    stiffness, damping = first_harmonic(1e-6, 1.0)
+    assert stiffness == pytest.approx(slope.stiffness[0], rel=0.01)
+    assert damping == pytest.approx(slope.damping[0], rel=0.1)  # what hysteresis is left damps too
+    assert slope.stiffness[0] == pytest.approx(600.0 / 1e-4)
+
+
+@pytest.mark.parametrize("contact", ["slides", 0.0, -1.0, np.nan, np.inf])
+def test_other_contacts_are_refused(contact: float) -> None:
+    with pytest.raises(InputError, match="friction: .* is refused; allowed: 'none'"):
+        friction_slope(make_frictions(load_hydraulics("lossy"), ["leg_1"]), contact)

@@ -26,7 +26,7 @@ from cmf_mj.analysis.linear import ports
 from cmf_mj.analysis.linear.loop import labels
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
 from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.plant.cylinder import volumes
+from cmf_mj.plant.cylinder import Contact, volumes
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters import VALVES
 from cmf_mj.plant.plant import Plant
@@ -58,6 +58,7 @@ def linearize(
     pose: ArrayLike | None = None,
     *,
     excitation: ports.Excitation = "noise",
+    friction: Contact | None = None,
     at: OperatingPoint | None = None,
 ) -> control.StateSpace:
     """Linearise a plant with its hydraulics at rest in a configuration; the plant is left there.
@@ -67,7 +68,8 @@ def linearize(
 
     The plant is any whose cylinders determine its motion; the pose is as `plant.place` takes it, by
     default neutral; `excitation` moves the valves, `noise`, `sine` or `mean`, see `describing`;
-    `at` is the operating point, where it is known, instead of both.
+    `friction` says how dry friction enters, `none`, `stuck` or a speed, see `plant.cylinder`;
+    `at` is the operating point, where it is known, instead of these.
 
     Inputs are `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
     `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
@@ -81,7 +83,11 @@ def linearize(
     >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)
     ('command_1', True)
     """
-    point = at if at is not None else operating_point(plant, pose, excitation=excitation)
+    point = (
+        at
+        if at is not None
+        else operating_point(plant, pose, excitation=excitation, friction=friction)
+    )
     legs = plant.legs
     valves = [_valve_states(plant, name) for name in plant.actuators]
     number = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
@@ -143,9 +149,11 @@ def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
         for name in ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
     )
     inverse = np.linalg.inv(mechanics.mass)
-    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous_friction)
+    friction = plant.hydraulics.friction.viscous_friction + point.friction.damping
+    damping = mechanics.damping + np.diag(friction)
+    stiffness = mechanics.stiffness + np.diag(point.friction.stiffness)
     slopes = {
-        "position": (position, -inverse @ mechanics.stiffness),
+        "position": (position, -inverse @ stiffness),
         "speed": (speed, -inverse @ damping),
         "cap": (cap, inverse * cylinder.cap_area),
         "rod": (rod, -inverse * cylinder.rod_area),

@@ -49,6 +49,7 @@ from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.machine.kinematics import pose_jacobian
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -91,14 +92,20 @@ class Linear:
     """
 
     def __init__(
-        self, plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
+        self,
+        plant: Plant,
+        pose: ArrayLike | None = None,
+        *,
+        excitation: Excitation = "noise",
+        friction: Contact | None = None,
     ) -> None:
         """Linearise a plant in a pose, default neutral, as `linearize` does and with its errors.
 
-        `excitation` is what moves the valves, `noise`, `sine` or `mean`.
+        `excitation` is what moves the valves, `noise`, `sine` or `mean`; `friction` how dry
+        friction enters, `none`, `stuck` or the speed amplitude of sliding legs [m/s].
         """
-        self.plant, self.pose = plant, pose
-        self.point = operating_point(plant, pose, excitation=excitation)
+        self.plant, self.pose, self.friction = plant, pose, friction
+        self.point = operating_point(plant, pose, excitation=excitation, friction=friction)
         self.system = linearize(plant, at=self.point)
 
     @cached_property

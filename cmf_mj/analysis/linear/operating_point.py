@@ -41,7 +41,7 @@ from cmf_mj.analysis.linear.ports import (
     port_slopes,
 )
 from cmf_mj.core.errors import NotLinearError
-from cmf_mj.plant.cylinder import holding_pressures
+from cmf_mj.plant.cylinder import CONTACTS, Contact, Slope, friction_slope, holding_pressures
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Plant
@@ -138,24 +138,34 @@ class OperatingPoint(NamedTuple):
     accumulator_oil: float  #: In one accumulator [m^3].
     outward: NDArray[np.float64]
     """Share of outward motion in the gains of closed valves, see `describing`, (n,)."""
+    friction: Slope  #: Slope of dry friction.
 
 
 def operating_point(
-    plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
+    plant: Plant,
+    pose: ArrayLike | None = None,
+    *,
+    excitation: Excitation = "noise",
+    friction: Contact | None = None,
 ) -> OperatingPoint:
     """Find the rest of a plant in a configuration, default neutral; the plant is left there.
 
-    `excitation` is what moves the valves, see `describing`. Raises `NotLinearError` for what has no
-    linearisation (overlap, hysteresis, dry friction), named with the set and the actuator; a load
-    or a flow the supply cannot hold; a configuration on a stop.
+    `excitation` is what moves the valves, see `describing`; `friction` how dry friction enters, see
+    `plant.cylinder`, and None refuses it; it holds no load at rest. Raises `NotLinearError` for
+    what has no linearisation (overlap, hysteresis, dry friction), named with the set and the
+    actuator; a load or a flow the supply cannot hold; a configuration on a stop.
     """
-    _check_linear(plant)
+    _check_linear(plant, refuse_friction=friction is None)
+    slope = friction_slope(plant.hydraulics.friction, "none" if friction is None else friction)
     mechanics = linear_mechanics(plant, pose)
     hydraulics = plant.hydraulics
     supply, name = hydraulics.supply, plant.parameters.name
     high, low = supply.pressure, supply.return_pressure
     for _ in range(_ROUNDS):
-        rests = [_hold(plant, leg, mechanics, high, low) for leg in range(plant.legs)]
+        rests = [
+            hold(plant, leg, mechanics.load[leg], mechanics.extension[leg], high, low)
+            for leg in range(plant.legs)
+        ]
         command = np.array([rest.command for rest in rests])
         pressure = np.array([rest.pressure for rest in rests])
         spool = command[:, None] + hydraulics.valve.null_bias
@@ -185,10 +195,11 @@ def operating_point(
     ratio = (supply.precharge + ATMOSPHERE) / (high + ATMOSPHERE)
     oil = float(supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent)))
     outward = np.array([outward_share(rest.ratio, excitation) for rest in rests])
-    return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil, outward)
+    supplied = high, low, drawn, oil
+    return OperatingPoint(mechanics, command, spool, pressure, *supplied, outward, slope)
 
 
-class _Rest(NamedTuple):
+class Rest(NamedTuple):
     """What holds one leg."""
 
     command: float
@@ -197,26 +208,29 @@ class _Rest(NamedTuple):
     """Openings outward over openings inward of a valve that is closed on average."""
 
 
-def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float) -> _Rest:
-    """The rest of one leg at given pressures of the manifolds."""
+def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low: float) -> Rest:
+    """The rest of one leg [N], [m] at given pressures of the manifolds [Pa].
+
+    Raises `NotLinearError` for a load that no opening of the valves holds.
+    """
     hydraulics = plant.hydraulics
-    cylinder, load = hydraulics.cylinder[leg], float(mechanics.load[leg])
+    cylinder, load = hydraulics.cylinder[leg], float(load)
     bias = hydraulics.valve[leg].null_bias
     closed = holding_pressures(cylinder, load, high, low)[0]
     null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
     if bias[0] == bias[1] and cylinder.bearing_leakage == 0.0 and null:
-        at = (np.zeros(2), np.append(closed, [high, low]), mechanics.extension[leg])
+        at = (np.zeros(2), np.append(closed, [high, low]), extension)
         ports = [port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]] for way in (0.0, 1.0)]
         fills = [float(opened.sum()) for opened in ports]
         if np.abs(fills).max() < _EVEN * np.abs(ports).max():  # areas alike: neither way fills
-            return _Rest(-float(bias[0]), closed)
+            return Rest(-float(bias[0]), closed)
         # At the ends of the range the opening that holds the leg grows from nothing.
         if min(fills) > -_END * max(fills):
             least = _END**2 * max(fills)
-            return _Rest(-float(bias[0]), closed, max(fills[0], least) / max(fills[1], least))
+            return Rest(-float(bias[0]), closed, max(fills[0], least) / max(fills[1], least))
     reach = 1.0 + float(np.abs(bias).max())
     if bias[0] == bias[1]:
-        rest = _rest_by_newton(plant, leg, mechanics, high, low)
+        rest = _rest_by_newton(plant, leg, load, extension, high, low)
         if rest is not None and abs(rest.command) < reach:
             return rest
     areas = cylinder.cap_area, cylinder.rod_area
@@ -225,9 +239,7 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         return np.array([(load + areas[1] * rod) / areas[0], rod, high, low])
 
     def flows(command: float, rod: float) -> NDArray[np.float64]:
-        ports = port_slopes(
-            hydraulics, leg, command + bias, pressures(rod), mechanics.extension[leg]
-        )
+        ports = port_slopes(hydraulics, leg, command + bias, pressures(rod), extension)
         return ports.flow[[CAP, ROD]] / areas
 
     def command_at(rod: float) -> float:
@@ -255,12 +267,12 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
             f"that holds {load:.0f} N still"
         )
     rod = min(balanced, key=lambda p: abs(command_at(p) + float(bias.mean())))
-    return _Rest(command_at(rod), pressures(rod)[:2])
+    return Rest(command_at(rod), pressures(rod)[:2])
 
 
 def _rest_by_newton(
-    plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float
-) -> _Rest | None:
+    plant: Plant, leg: int, load: float, extension: float, high: float, low: float
+) -> Rest | None:
     """The rest of a leg with equal valves, by Newton's method; None where it finds none.
 
     What flows in through one valve port leaks through the piston and leaves through the other, so
@@ -272,7 +284,7 @@ def _rest_by_newton(
     """
     hydraulics = plant.hydraulics
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
-    load, bias = float(mechanics.load[leg]), float(valves.null_bias[0])
+    bias = float(valves.null_bias[0])
     ratio, share = cylinder.cap_area / cylinder.rod_area, load / cylinder.cap_area
     for way in (1.0, -1.0):
         least, most = (low, high) if way > 0.0 else (high, low)
@@ -290,9 +302,7 @@ def _rest_by_newton(
         command = flow / (float(valves.cap_gain.sum()) * np.sqrt(drop)) - bias
         for _ in range(_ROUNDS):
             pressures = np.array([share + rod / ratio, rod, high, low])
-            slopes = port_slopes(
-                hydraulics, leg, command + valves.null_bias, pressures, mechanics.extension[leg]
-            )
+            slopes = port_slopes(hydraulics, leg, command + valves.null_bias, pressures, extension)
             rows = slopes.pressure[[CAP, ROD]]
             jacobian = np.column_stack(
                 [slopes.opening[[CAP, ROD]].sum(axis=1), rows[:, ROD] + rows[:, CAP] / ratio]
@@ -302,24 +312,28 @@ def _rest_by_newton(
             if abs(step[1]) < 1e-9 * high:
                 inside = low < rod < high and low < share + rod / ratio < high
                 if inside and way * (command + bias) > _SHUT:
-                    return _Rest(command, np.array([share + rod / ratio, rod]))
+                    return Rest(command, np.array([share + rod / ratio, rod]))
                 break
     return None
 
 
-def _check_linear(plant: Plant) -> None:
+def _check_linear(plant: Plant, *, refuse_friction: bool) -> None:
     hydraulics: Hydraulics = plant.hydraulics
     for leg, name in enumerate(plant.actuators):
         valve, friction = hydraulics.valve[leg], hydraulics.friction[leg]
-        for field, value in (
-            ("overlap", valve.overlap.max()),
-            ("hysteresis", 2.0 * valve.play.max()),
-            ("coulomb_friction", friction.coulomb_friction),
+        for field, value, allowed in (
+            ("overlap", valve.overlap.max(), "0"),
+            ("hysteresis", 2.0 * valve.play.max(), "0"),
+            (
+                "coulomb_friction",
+                friction.coulomb_friction if refuse_friction else 0.0,
+                f"0, or a friction that is stated: {CONTACTS}",
+            ),
         ):
             if value > 0.0:
                 raise NotLinearError(
                     f"{field}: {value:g} of {name} in the set {plant.parameters.name!r} has no "
-                    "linearisation; allowed: 0"
+                    f"linearisation; allowed: {allowed}"
                 )
 
 

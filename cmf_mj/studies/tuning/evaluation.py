@@ -30,6 +30,7 @@ from cmf_mj.facility.unknowns import valve_gains
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import fitting
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
@@ -82,9 +83,9 @@ class LinearCab(NamedTuple):
         return self.carrier.name
 
 
-def linear_cab(plant: Hexapod) -> LinearCab:
-    """Linearise a plant at neutral."""
-    system = linearize(plant)
+def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
+    """Linearise a plant at neutral; `friction` as `linearize` takes it."""
+    system = linearize(plant, friction=friction)
     legs, omega = plant.legs, 2.0 * np.pi * LINES
     response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
     rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}

@@ -32,6 +32,7 @@ from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.models import CABS
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
@@ -92,12 +93,17 @@ _ON_MOTION = ("acceleration", "forward_velocity", "forward_acceleration")
 """Gains on motion, besides those on position and velocity."""
 
 
-def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS) -> Template:
-    """What a search needs besides the form."""
+def make_template(
+    name: str,
+    title: str,
+    cabs: Sequence[str | Path | Cab] = CABS,
+    friction: Contact | None = None,
+) -> Template:
+    """What a search needs besides the form; `friction` as `linearize` takes it."""
     plants = [Hexapod(cab) for cab in cabs]
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
     legs = SingleLegs(machine=plants[0].machine)
-    linear = tuple(linear_cab(plant) for plant in plants)
+    linear = tuple(linear_cab(plant, friction) for plant in plants)
     moved = [
         np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
         for cab in linear
