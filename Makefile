@@ -90,7 +90,7 @@ test-versions:
 	$(PYTHON) scripts/check_versions.py lowest newest plain pre --pythons $(PYTHONS)
 
 links: $(VENV)/ready-dev
-	$(SPHINX) --builder dummy -D plot_gallery=0 docs build/links
+	$(SPHINX) --builder dummy -D plot_gallery=0 -D smartquotes=0 docs build/links
 
 site: $(VENV)/ready-dev
 	$(SPHINX) docs build/site

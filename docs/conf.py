@@ -11,6 +11,7 @@ while Sphinx reads reStructuredText: `as_restructured` stands between. With the 
 off Numba leaves functions as they are, so that compiled ones are found as well.
 """
 
+import gc
 import logging
 import os
 import re
@@ -26,6 +27,7 @@ from sphinx.addnodes import toctree
 from sphinx.domains.python import PythonDomain
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
+gc.set_threshold(200_000, 20, 100)  # pages are large trees, walked often for little garbage
 
 project = "cmf-mj"
 release = version = installed("cmf-mj")
