@@ -198,6 +198,6 @@ def _of_precision(code: str, precision: str) -> str:
 
 
 def _single(literal: re.Match[str]) -> str:
-    if not float(literal[0]) < np.finfo(np.float32).max:
+    if not float(literal[0]) < float(np.finfo(np.float32).max):
         raise InputError(f"precision: single cannot hold {literal[0]} of the law; allowed: double")
     return f"{literal[0]}F"
