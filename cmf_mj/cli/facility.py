@@ -30,11 +30,13 @@ PROTOCOLS = ("cmf", "moog")
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
+_SERVED = f"of cmf: {_BEGIN}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
 _FORMS, _SIZES = "export.library:FORMS", "export.law_source:PRECISIONS"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
+BeginOfServe = Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
 KeyFile = Annotated[
     Path | None, Option(help="file with the session key, 16 to 32 octets, that both ends have")
@@ -97,11 +99,11 @@ def serve_command(
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
-    machine: options.Machine = "cmf",
+    machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    begin: Begin = "engaged",
+    begin: BeginOfServe = None,
     out: options.Out = Path("out/serve"),
 ) -> None:
     """Run the facility in real time on host frames from the network."""
@@ -119,17 +121,21 @@ def serve_command(
         held[:] = [session]  # an interrupt does not lose what was run until then
         return opened.attend(session) if protocol == "moog" else session.rate
 
-    plant, options = cmf_mj.Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
+    plant, how = cmf_mj.Hexapod(cab, hydraulics), _start(begin or "engaged", noise)
     opened: Any
-    if key if protocol == "moog" else lockstep:
-        raise InputError(f"{'key' if key else 'lockstep'}: is nothing to the protocol {protocol}")
     if protocol == "moog":
+        if key is not None:
+            raise InputError("key: is nothing to the protocol moog")
+        if begin is not None:
+            raise InputError(f"begin: {begin!r} is nothing to the protocol moog, which begins off")
         opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
-        options |= {"begin": State.OFF, "requests": ()}
-        options["paced"] = not lockstep
+        how |= {"begin": State.OFF, "requests": (), "paced": not lockstep}
     else:
+        if lockstep:
+            raise InputError("lockstep: is nothing to the protocol cmf")
         secret = None if key is None else read_key(key)
         opened = UdpReceiver(port, host=host, host_port=host_port, bind=bind, key=secret)
+    how["attend"] = attend
     with opened as receiver:
         where = "{}:{}".format(*receiver.address)
         with progress_bar(f"serving {where}", seconds=True) as bar:
@@ -140,7 +146,7 @@ def serve_command(
                 bar(done, seconds)
 
             try:
-                operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
+                operation = serve(plant, law, receiver.ring, seconds, progress=progress, **how)
             except KeyboardInterrupt:
                 if held and held[0].frame:
                     record = cmf_mj.Record(*held[0].history(), held[0].describe())
@@ -163,7 +169,7 @@ def operate_command(
     derivatives: Derivatives = "spline",
     seconds: options.Seconds = None,
     law: options.Law = "velocity",
-    machine: options.Machine = "cmf",
+    machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
@@ -236,7 +242,7 @@ EXPORTS = ("library", "law", "fmu")
 def export_command(
     what: Annotated[str, options.argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
     plant: options.PlantName = "hexapod",
-    machine: options.Machine = "cmf",
+    machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
     cab: options.Cab = "gfd",
     law: options.Law = "velocity",
     hydraulics: options.Hydraulics = "hardware",

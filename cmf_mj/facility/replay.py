@@ -4,8 +4,8 @@
 
 The law that made a record starts in the state in which the record says it began, so that at the
 control rate its output comes back bit for bit. Any other starts engaged at the first sample.
-A recording at a lower rate, such as the facility's 128 Hz, is brought to 2048 Hz by cubic splines,
-which cannot be exact: what lay between the samples is lost.
+A recording at a lower rate, such as the facility's 128 Hz, is brought to the machine's rate by
+cubic splines, which cannot be exact: what lay between the samples is lost.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cmf_mj.analysis.modes import bound
-from cmf_mj.control import dcl as control
+from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
@@ -74,11 +74,12 @@ class Replay(NamedTuple):
 
 @allocating
 def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-untyped-def]
+    """Run the DCL on every frame; overwrite `state`, `output` and `factor`, (N, n)."""
     for frame in range(reference.shape[0]):
         for leg in range(reference.shape[1]):
             factor[frame, leg] = 1.0 + state.model.adaptation.factor[leg]
         now = at_frame(feedback, frame)
-        control.step(dcl, state, reference[frame], now)
+        step(dcl, state, reference[frame], now)
         output[frame] = dcl.workspace.output
 
 
@@ -99,18 +100,18 @@ def replay(
             raise InputError("law: the recording does not say which law made it; name one")
         law = validated(Law, made["law_parameters"], "law_parameters")
     loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
-    loaded, each = loaded.on(carrier), carrier.rate / record.rate
-    if not (each >= 1.0 and each.is_integer()):
+    loaded, ratio = loaded.on(carrier), carrier.rate / record.rate
+    if not (ratio >= 1.0 and ratio.is_integer()):
         allowed = f"allowed: {carrier.rate} Hz over an integer"
         raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
-    every = int(each)
+    frames_per_row = int(ratio)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
-    if every > 1:
-        reference = _raised(reference, every)
-        histories = LegFeedback(*(_raised(h, every) for h in histories))
+    if frames_per_row > 1:
+        reference = _interpolated(reference, frames_per_row)
+        histories = LegFeedback(*(_interpolated(h, frames_per_row) for h in histories))
     frames, legs = reference.shape
-    dcl = control.make_dcl(loaded, legs)
+    dcl = make_dcl(loaded, legs)
     first = LegFeedback(*(history[0].copy() for history in histories))
     state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
@@ -118,22 +119,24 @@ def replay(
     _run(dcl, state, reference, histories, output, factor)
     known = "compensator_output" in record.channels
     recorded = _legs(record, "compensator_output") if known else None
-    picked = np.ascontiguousarray(output[::every])
-    return Replay(loaded.name, record.time, picked, recorded, every > 1, factor[::every])
+    rows = slice(None, None, frames_per_row)
+    picked = np.ascontiguousarray(output[rows])
+    return Replay(loaded.name, record.time, picked, recorded, frames_per_row > 1, factor[rows])
 
 
-def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
+def _begun(record: Record, law: Law, legs: int) -> DclState | None:
     """The state in which the law began; none where the record does not say, or of another law."""
     said = record.metadata.get("law_state")
     if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
-    known = control.DclState.zeros(legs).arrays()
+    known = DclState.zeros(legs).arrays()
     begun = {name: real(f"law_state: {name}", values) for name, values in said.items()}
     fits = begun.keys() == known.keys() and all(v.shape == (legs,) for v in begun.values())
-    return control.DclState.of(begun) if fits else None
+    return DclState.of(begun) if fits else None
 
 
 def _legs(record: Record, channel: str) -> NDArray[np.float64]:
+    """A copy of a channel with a column for each leg, (N, n), finite and as long as positions."""
     values = record[channel]
     legs = record["leg_position"].shape
     if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
@@ -143,6 +146,12 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
 
 
 def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback:
+    """Histories (N, n) of what the DCL reads; zeros of what is neither recorded nor needed.
+
+    What gravity adds to accelerometers is added to recorded accelerations where the law of the
+    record read them without gravity and this law reads them with it, and subtracted in the
+    opposite case.
+    """
     for name in names:
         check_name("feedback", name, FEEDBACK)
     histories = []
@@ -177,8 +186,8 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback
     return read
 
 
-def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
-    """Values at `every` times the rate through the same samples, to the last one."""
+def _interpolated(values: NDArray[np.float64], frames_per_row: int) -> NDArray[np.float64]:
+    """Cubic splines through the rows (M, n), with a row for each frame from first to last row."""
     coarse = np.arange(values.shape[0])
-    fine = np.arange((values.shape[0] - 1) * every + 1) / every
+    fine = np.arange((values.shape[0] - 1) * frames_per_row + 1) / frames_per_row
     return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))

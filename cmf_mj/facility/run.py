@@ -50,7 +50,7 @@ from cmf_mj.facility.settings import (
     plural,
     whole_number,
 )
-from cmf_mj.facility.signal import BLOCK, HostFeed, LayeredDemand, TableFeed, added, taken
+from cmf_mj.facility.signal import BLOCK, HostFeed, LayeredDemand, TableFeed, added, as_source
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
@@ -227,7 +227,7 @@ class Run(Arguments):
             return SignalSession(self, keep)
         plant = self._built()
         law = None if self.law is None else overlaid_law(load_law(self.law), self.gains)
-        source, start, context = taken(self.source, plant, self.start)
+        source, start, context = as_source(self.source, plant, self.start)
         if self.operation is not None:
             source, start = self.operation.source(plant.machine, source, self.start, ring)
         settings, frames = self._settled(plant.machine), self.frames

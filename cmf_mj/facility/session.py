@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.modes import bound
-from cmf_mj.control import dcl as control
+from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
@@ -23,25 +23,10 @@ from cmf_mj.control.protection import (
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
-from cmf_mj.electronics.chain import (
-    ideal_electronics,
-    make_electronics,
-    measure,
-)
+from cmf_mj.electronics.chain import ideal_electronics, make_electronics, measure
+from cmf_mj.facility import loop
 from cmf_mj.facility.front import Source
-from cmf_mj.facility.loop import (
-    FINITE,
-    PROOF,
-    SOLUTION,
-    STROKE,
-    VACUUM,
-    Controller,
-    Dynamics,
-    Memory,
-    Recorder,
-    make_memory,
-    run,
-)
+from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, make_memory
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.record_layout import CHAIN, LAW, make_layout
 from cmf_mj.facility.settings import SessionSettings
@@ -91,7 +76,12 @@ class Live(NamedTuple):
 
 
 class Session:
-    """Plant, controller and record of one run."""
+    """Plant, controller and record of one run.
+
+    Others work on its insides between parts of the run: `run.SignalSession`, the subclass, reads
+    `_engaged`; `host.moog` reads `source` and `memory` and puts requests in `source.progress`;
+    environments read `memory` and `dynamics`, `operation` `source`, `export.machine` all `parts`.
+    """
 
     def __init__(
         self,
@@ -108,7 +98,10 @@ class Session:
     ) -> None:
         """Put the plant at rest and engage the law there; see `run.Run`, which makes sessions."""
         self.plant, self.rate = plant, plant.machine.rate
-        self._law = self._engaged = None if law is None else bound(law, plant)
+        self._law = None if law is None else bound(law, plant)
+        """The law at the start, bound to the plant; a record names it."""
+        self._engaged = self._law
+        """The law in force, the last that `engage` was given; None in an open loop."""
         self._settings, self._context = settings, dict(context or {})
         self._events, self.every = settings.events, settings.record_every
         self.frames = source.table.shape[0] if frames is None else frames
@@ -140,7 +133,7 @@ class Session:
         parts = ideal_electronics(plant.legs)
         if settings.electronics is not None:
             parts = make_electronics(settings.electronics, at_rest, plant.machine)
-        dcl = control.make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
+        dcl = make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
         state = engaged(dcl, source.table[0].copy() if law else feedback.position, feedback)
@@ -218,11 +211,11 @@ class Session:
             with self.plant.alone, untimed():
                 if self.plant.started != self._started:
                     raise InputError("plant: has been reset since; allowed: one run at a time")
-                frame, bound, leg = run(*self.parts, self.frame, stop)
+                frame, cause, leg = loop.run(*self.parts, self.frame, stop)
             self.frame = stop if frame < 0 else frame
             self._take()
             if frame >= 0:
-                raise OutOfBounds(self._left(frame, bound, leg), frame)
+                raise OutOfBounds(self._left(frame, cause, leg), frame)
 
     def _take(self) -> None:
         """Let each channel take its own out of the rows that are new."""
@@ -234,7 +227,7 @@ class Session:
             values.setflags(write=last < values.shape[0])
         self._taken = last
 
-    def _left(self, frame: int, bound: int, leg: int) -> str:
+    def _left(self, frame: int, cause: int, leg: int) -> str:
         """What to say of a state beyond its bounds; first what MuJoCo says of it."""
         cap, rod = self.dynamics.state.pressure[leg]
         extension = self.memory.extension[leg]
@@ -242,12 +235,12 @@ class Session:
         hydraulics = self.dynamics.hydraulics
         half, proof = hydraulics.cylinder.half_stroke[leg], hydraulics.proof_pressure
         what = {
-            FINITE: f"is not finite: {pressures}, extension {extension:.4g} m",
-            VACUUM: f"has a chamber below vacuum ({pressures}); cavitation_gas sets a floor",
-            PROOF: f"has a chamber beyond the proof pressure of {proof:.4g} Pa ({pressures})",
-            STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
-            SOLUTION: "and its supply have no solution for this step",
-        }.get(bound, "")
+            loop.FINITE: f"is not finite: {pressures}, extension {extension:.4g} m",
+            loop.VACUUM: f"has a chamber below vacuum ({pressures}); cavitation_gas sets a floor",
+            loop.PROOF: f"has a chamber beyond the proof pressure of {proof:.4g} Pa ({pressures})",
+            loop.STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
+            loop.SOLUTION: "and its supply have no solution for this step",
+        }.get(cause, "")
         with_law = f" with law {self._engaged.name}" if self._engaged else ""
         said = fit.warned(self.plant.data) or f"{self.plant.actuators[leg]} {what}"
         return f"{self.plant.name}{with_law}: {said} at {frame / self.rate:.4f} s"
@@ -309,7 +302,7 @@ class Session:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
         self._engaged = bound(law, self.plant)
         controller, memory = self.controller, self.memory
-        dcl = control.make_dcl(self._engaged, self.plant.legs)
+        dcl = make_dcl(self._engaged, self.plant.legs)
         limited = controller.dcl.workspace.limited
         reference = limited.copy() if self.frame else memory.feedback.position
         parts = controller.electronics

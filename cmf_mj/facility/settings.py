@@ -23,7 +23,7 @@ from cmf_mj.core.units import INCH, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, Source, from_host
 from cmf_mj.facility.host.handover import Ring
-from cmf_mj.facility.signal import Signal
+from cmf_mj.facility.signal import ScenarioSignal
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
@@ -39,7 +39,7 @@ Gains = dict[str, Any]
 
 _Force = Annotated[float, Field(ge=-MOST_FORCE, le=MOST_FORCE)]
 Vector = tuple[_Force, _Force, _Force]
-Signals = Annotated[tuple[Signal, ...], Field(max_length=100)]
+Signals = Annotated[tuple[ScenarioSignal, ...], Field(max_length=100)]
 RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset"]
 
 LEGS = 6  #: Of the machines that a file names.

@@ -1,10 +1,16 @@
 """What a run demands: signals, made block by block as it goes, or a table that was made before.
 
-The signals are those of `cmf_mj.signals`, and two from files. Here a step and a pulse need no
-`duration`, a sine without `cycles` goes on for ever, and a multisine is faded. Several are added.
+The module has three parts. `ScenarioSignal` is the signals of scenario files: those of
+`cmf_mj.signals`, and two from files. Here a step and a pulse need no `duration`, a sine without
+`cycles` goes on for ever, and a multisine is faded. `added` is the sum of several.
 
-A host that means a demand sends it every so many control frames, with the derivatives of central
-differences at the control rate, at 2048 Hz exact to T^2/6 of the third and T^2/12 of the fourth.
+`LayeredDemand` lets motions take over from each other as a run goes, and a feed makes blocks of
+it: `TableFeed` a table, `HostFeed` the frames of a host that sends the demand every so many control
+frames. Their derivatives are central differences at the control rate, at 2048 Hz exact to T^2/6
+of the third and T^2/12 of the fourth.
+
+`as_source` is what a run makes of a demand that is there from the start: a `Command`, poses,
+`LegDemand` or `ValveCommands`.
 """
 
 from collections.abc import Sequence
@@ -28,8 +34,15 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite, single
 from cmf_mj.signals.composite import quintic
-from cmf_mj.signals.signal import Command, Duration, Motion, Wait, check_length, commanded
-from cmf_mj.signals.signal import Signal as AnySignal
+from cmf_mj.signals.signal import (
+    Command,
+    Duration,
+    Motion,
+    Signal,
+    Wait,
+    check_length,
+    commanded,
+)
 
 
 class HeldStep(single.Step):
@@ -61,7 +74,7 @@ def _check_file(file: str) -> None:
         raise InputError(f"{file}: cannot be read: there is no such file")
 
 
-class HostFile(AnySignal):
+class HostFile(Signal):
     """A host's frames from a CSV or Parquet file, joined by quintics."""
 
     kind: Literal["host"]
@@ -83,7 +96,7 @@ class HostFile(AnySignal):
         return Command(BPoly.from_derivatives(since, stream.values)(time), self)
 
 
-class Recorded(AnySignal):
+class Recorded(Signal):
     """The demand of a record of an earlier run."""
 
     kind: Literal["recorded"]
@@ -100,7 +113,7 @@ class Recorded(AnySignal):
         return Command(record["demand_pose"], self)
 
 
-Signal = Annotated[
+ScenarioSignal = Annotated[
     HeldStep
     | HeldPulse
     | OpenSine
@@ -116,10 +129,10 @@ Signal = Annotated[
     | Recorded,
     Field(discriminator="kind"),
 ]
-"""Any of them, by its `kind`."""
+"""Any signal of a scenario file, by its `kind`."""
 
 
-def added(parts: Sequence[AnySignal], seed: int, rate: int) -> Motion:
+def added(parts: Sequence[Signal], seed: int, rate: int) -> Motion:
     """The sum of signals at a control rate [Hz]; at rest at neutral without any."""
     motions = [part.at_rate(rate).motion(seed) for part in parts]
 
@@ -146,11 +159,18 @@ class LayeredDemand:
         self._layers = [_Layer(0, 0, motion)]
 
     def change(self, frame: int, motion: Motion, fade: int) -> None:
-        """Go over to another motion from frame k0, not before that of the last change, in F."""
+        """Go over to `motion` from `frame` on, over `fade` control frames.
+
+        `frame` is not before that of the last change; the motion's own frames count from it.
+        """
         self._layers.append(_Layer(frame, fade, motion))
 
     def poses(self, first: int, count: int) -> NDArray[np.float64]:
-        """Poses (count, 6) [m, rad] of the frames from `first` on."""
+        """Poses (count, 6) [m, rad] of the frames from `first` on.
+
+        Motions that another has replaced by `first` are forgotten. So `first` is never less than
+        that of the last call, but the last block may be asked for again.
+        """
         frames = np.arange(first, first + count)
         done = [i for i, layer in enumerate(self._layers) if layer.start + layer.fade <= first]
         del self._layers[: max(done, default=0)]
@@ -196,7 +216,11 @@ class HostFeed:
         self.fill(0)
 
     def fill(self, first: int) -> None:
-        """Make the host frames that arrive in the block of frames from `first` on."""
+        """Make the host frames that arrive in the block of frames from `first` on.
+
+        Where they do not fit, a larger `log` replaces the present one. The caller passes `log` on
+        to the loop after each call.
+        """
         poses, every = self._demand.poses(first - 1, BLOCK + 2), self._every
         numbers = np.arange(-(-first // every), -(-(first + BLOCK) // every))
         if numbers.size and numbers[-1] >= self.log.frame.size:
@@ -226,10 +250,16 @@ class ValveCommands(NamedTuple):
     rows: ArrayLike  #: Fractions, -1 to 1, positive extending, each held over its frame, (N, n).
 
 
-def taken(
-    given: Any, plant: Plant, start: ArrayLike | None
-) -> tuple[Any, ArrayLike | None, dict[str, Any]]:
-    """A source as the loop takes it, where it starts, and what a record says of it."""
+class RunSource(NamedTuple):
+    """A demand as a session takes it."""
+
+    source: Any  #: A `Source`, or `Arrivals` of a host.
+    start: ArrayLike | None  #: Where the run starts, as `Plant.start` takes it.
+    context: dict[str, Any]  #: What a record says of the demand.
+
+
+def as_source(given: Any, plant: Plant, start: ArrayLike | None) -> RunSource:
+    """Make a source of what a run was given, to begin at `start` or at the first pose given."""
     said = "table"
     match given:
         case Source() | Arrivals() as source:
@@ -248,8 +278,8 @@ def taken(
             legs = pose_to_legs(demanded.pose, plant.machine)
             source = from_table(legs, demanded.pose)
             context = {"command": demanded.description, "seed": demanded.seed}
-            return source, demanded.pose[0] if start is None else start, context
-    return source, start, {"command": {"signal": said}, "seed": None}
+            return RunSource(source, demanded.pose[0] if start is None else start, context)
+    return RunSource(source, start, {"command": {"signal": said}, "seed": None})
 
 
 def _rows(name: str, rows: ArrayLike, plant: Plant) -> NDArray[np.float64]:

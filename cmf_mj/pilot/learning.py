@@ -188,12 +188,13 @@ def learn(
     ]
     learner = make_learner(responses, lines)
     window = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
-    correction = foreseen = first = seen = expected = np.zeros_like(legs)
+    correction = predicted_correction = np.zeros_like(legs)
+    first_error = error = predicted_error = np.zeros_like(legs)
     demands, done, errors, held = [reference], list[Trial](), list[Array](), 0
     for trial in range(trials + 1):
         if trial:
-            foreseen = window * learner.improved(foreseen, expected)
-            demanded = legs_to_pose(legs + window * learner.improved(correction, seen), machine)
+            predicted_correction = window * learner.improved(predicted_correction, predicted_error)
+            demanded = legs_to_pose(legs + window * learner.improved(correction, error), machine)
             rates = differentiate(reference.time, demanded - reference.pose)
             motion = (reference.velocity + rates[0], reference.acceleration + rates[1])
             demand, back = within_limits(
@@ -201,12 +202,13 @@ def learn(
             )
             correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
             demands.append(demand)
-        seen, true, pose = _missed(reference, demands[-1], loaded, plants[0], options, seed + trial)
-        first = first if trial else seen
-        expected = first - through(responses[0], foreseen)
-        errors.append(pose)
-        sizes = (rms(true), rms(counted(seen)), rms(counted(expected)))
-        done.append(Trial(np.sqrt((pose**2).mean(axis=0)), *sizes, held))
+        missed = _missed(reference, demands[-1], loaded, plants[0], options, seed + trial)
+        error = missed.sensed
+        first_error = first_error if trial else error
+        predicted_error = first_error - through(responses[0], predicted_correction)
+        errors.append(missed.pose)
+        sizes = (rms(missed.legs), rms(counted(error)), rms(counted(predicted_error)))
+        done.append(Trial(np.sqrt((missed.pose**2).mean(axis=0)), *sizes, held))
         if progress is not None:
             progress(trial + 1, trials + 1)
     best = int(np.argmin([one.sensed for one in done]))
@@ -233,7 +235,7 @@ def on_others(
         if far > most * (1.0 + 1e-9):
             raise InputError(f"demand: a leg is {far:.4g} m from neutral; allowed: {most:.4g} m")
         asked, flown = learnt.reference, (learnt.law, plant, learnt.options, seed)
-        return [rms(_missed(asked, demand, *flown)[1]) for demand in (asked, learnt.demand)]
+        return [rms(_missed(asked, demand, *flown).legs) for demand in (asked, learnt.demand)]
 
     return np.array(on_threads(both, plants, jobs, progress)).reshape(-1, 2)
 
@@ -252,6 +254,14 @@ def _led(stream: HostStream) -> HostStream:
     return make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
 
 
+class _Missed(NamedTuple):
+    """Errors of a run, asked less flown."""
+
+    sensed: Array  #: Of legs as sensed, at all times [m], (N, 6).
+    legs: Array  #: Of legs, as far as it counts [m], (M, 6).
+    pose: Array  #: Of the pose, as far as it counts [m, rad], (M, 6).
+
+
 def _missed(
     reference: HostStream,
     demand: HostStream,
@@ -259,8 +269,8 @@ def _missed(
     plant: Hexapod,
     options: dict[str, Any],
     seed: int,
-) -> tuple[Array, Array, Array]:
-    """Errors of a run: of legs as sensed, all of it; true ones of legs and of pose that count."""
+) -> _Missed:
+    """Fly a demand; what it missed of the reference."""
     noise = options.get("electronics", ElectronicsSettings())
     run = options | {"electronics": noise and noise.model_copy(update={"seed": seed})}
     record = operate(plant, law, demand, record_every=RECORD_EVERY, **run).record
@@ -272,7 +282,7 @@ def _missed(
 
     legs = pose_to_legs(reference.pose, plant.machine)
     true, pose = missed(legs, "leg_extension"), missed(reference.pose, "platform_pose")
-    return missed(legs, "leg_position"), counted(true), counted(pose)
+    return _Missed(missed(legs, "leg_position"), counted(true), counted(pose))
 
 
 def counted(error: Array) -> Array:

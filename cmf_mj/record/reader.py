@@ -52,7 +52,7 @@ class _Table:
     """Whether the header names the columns; otherwise they are where the report has them."""
     trailer: Trailer | None
 
-    def column(self, index: int) -> str:
+    def heading(self, index: int) -> str:
         """Number, spreadsheet letters and name of a column."""
         letters, rest = "", index + 1
         while rest:
@@ -64,12 +64,11 @@ class _Table:
         """Where a cell is, as an editor and a spreadsheet show it, and its text."""
         index = self.names.index(column) if isinstance(column, str) else column
         text = self.lines[sample].split(self.separator)[index].strip()
-        return f"{self.path}: row {self.rows[sample]}, {self.column(index)}: {text[:40]!r}"
+        return f"{self.path}: row {self.rows[sample]}, {self.heading(index)}: {text[:40]!r}"
 
-    def refuse(self, column: str, bad: NDArray[np.bool_], why: str) -> None:
-        """Refuse the first sample of a column that is bad."""
-        if bad.any():
-            raise InputError(f"{self.cell(int(np.argmax(bad)), column)} {why}")
+    def first(self, column: str, bad: NDArray[np.bool_]) -> str:
+        """The first cell of a column whose sample is bad, as `cell` shows it; empty if none is."""
+        return self.cell(int(np.argmax(bad)), column) if bad.any() else ""
 
 
 def read_facility_csv(path: str | Path) -> Record:
@@ -89,13 +88,13 @@ def read_facility_csv(path: str | Path) -> Record:
     """
     table = _cut(Path(path))
     _check_header(table)
-    column = _values(table)
-    _check_rows(table, column)
-    _check_values(table, column)
+    columns = _values(table)
+    _check_rows(table, columns)
+    _check_values(table, columns)
     channels, channel_units = {}, {}
     for group in LAYOUT:
-        if group.names[0] in column:
-            legs = np.column_stack([column[name] for name in group.names])
+        if group.names[0] in columns:
+            legs = np.column_stack([columns[name] for name in group.names])
             channels[group.channel] = units.to_si(group.unit, legs)
             channel_units[group.channel] = group.si
     metadata = dict(table.trailer.metadata) if table.trailer else {}
@@ -104,9 +103,9 @@ def read_facility_csv(path: str | Path) -> Record:
     metadata["recording"] = {
         "file": table.path.name,
         "columns": "by name" if table.by_name else "by position",
-        "decimals": table.trailer.decimals if table.trailer else _decimals(column),
+        "decimals": table.trailer.decimals if table.trailer else _decimals(columns),
     }
-    start = column[TIME][0] if TIME in column else 0.0
+    start = columns[TIME][0] if TIME in columns else 0.0
     return Record(start + np.arange(len(table.rows)) / RATE, channels, channel_units, metadata)
 
 
@@ -216,7 +215,7 @@ def _check_header(table: _Table) -> None:
     for index, name in enumerate(table.names):
         if _ours(name) and name in seen:
             raise InputError(
-                f"{where}, {table.column(index)}: column {seen[name] + 1} has that name already"
+                f"{where}, {table.heading(index)}: column {seen[name] + 1} has that name already"
             )
         seen[name] = index
     for group in LAYOUT:
@@ -258,25 +257,29 @@ def _refuse_number(table: _Table, indices: list[int]) -> None:
                 )
 
 
-def _check_rows(table: _Table, column: dict[str, Column]) -> None:
+def _check_rows(table: _Table, columns: dict[str, Column]) -> None:
     """Rows are at 128 Hz and none is missing, as far as the file shows."""
     rows = len(table.rows)
-    if TIME in column:
-        time = column[TIME]
+    if TIME in columns:
+        time = columns[TIME]
         steps = np.diff(time, prepend=time[0] - 1.0 / RATE)
         off = np.abs(steps * RATE - 1.0) > 0.2  # a clock printed in ms is 0.13 off
-        after = f"s is {steps[np.argmax(off)]:.6g} s after the row before; allowed: 1/{RATE} s"
-        table.refuse(TIME, off, after)
+        if cell := table.first(TIME, off):
+            step = steps[np.argmax(off)]
+            raise InputError(f"{cell} s is {step:.6g} s after the row before; allowed: 1/{RATE} s")
         span, due = time[-1] - time[0], (rows - 1) / RATE
         if abs(span - due) > 1e-3 * due + 1e-3:
             raise InputError(
                 f"{table.cell(-1, TIME)} s makes the rate {(rows - 1) / span:.5g} Hz; "
                 f"allowed: {RATE} Hz"
             )
-    if LAST in column:
+    if LAST in columns:
         last = np.arange(rows) == rows - 1
-        why = "1 in the last row and 0 before, so rows are missing or added"
-        table.refuse(LAST, column[LAST] != last, f"is refused; allowed: {why}")
+        if cell := table.first(LAST, columns[LAST] != last):
+            raise InputError(
+                f"{cell} is refused; allowed: 1 in the last row and 0 before, so rows are missing "
+                "or added"
+            )
     if table.trailer and table.trailer.rows != rows:
         raise InputError(
             f"{table.path}: row {table.rows[-1]}: is sample {rows} and the last; "
@@ -284,13 +287,13 @@ def _check_rows(table: _Table, column: dict[str, Column]) -> None:
         )
 
 
-def _check_values(table: _Table, column: dict[str, Column]) -> None:
+def _check_values(table: _Table, columns: dict[str, Column]) -> None:
     """Legs are within their stroke, and columns are as they were written."""
     trailer, line = table.trailer, TRAILER.strip()
     limit = stroke(trailer.metadata if trailer else {})
     for name in POSITIONS:
-        allowed = f"in is refused; allowed: a leg position within +-{limit:g} in"
-        table.refuse(name, np.abs(column[name]) > limit, allowed)
+        if cell := table.first(name, np.abs(columns[name]) > limit):
+            raise InputError(f"{cell} in is refused; allowed: a leg position within +-{limit:g} in")
     if trailer is None:
         return
     sums = dict(trailer.checksums)
@@ -298,16 +301,16 @@ def _check_values(table: _Table, column: dict[str, Column]) -> None:
         raise InputError(f"{table.path}: the line {line!r} is not as it was written")
     for name, written in sums.items():
         decimals = TIME_DECIMALS if name == TIME else trailer.decimals
-        if name in column and written != checksum(column[name] * 10.0**decimals):
+        if name in columns and written != checksum(columns[name] * 10.0**decimals):
             raise InputError(
                 f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
                 f"If that is meant, delete the line {line!r}"
             )
 
 
-def _decimals(column: dict[str, Column]) -> int:
+def _decimals(columns: dict[str, Column]) -> int:
     """Decimals that leg positions have; 15 where they have as many as a double holds."""
-    values = np.stack([column[name] for name in POSITIONS])
+    values = np.stack([columns[name] for name in POSITIONS])
     return next((n for n in range(10) if np.array_equal(np.round(values, n), values)), 15)
 
 

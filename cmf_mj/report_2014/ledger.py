@@ -1,7 +1,10 @@
 """The ledger: misprints and contradictions of the 2014 report, and what this project does.
 
-Every entry names a test that shows the claim in numbers; the figures an entry states are those that
-its test computes. `cmf report ledger` prints it, docs/reference/ledger.md is made from it.
+The entries are in `ledger.toml`, numbered by their place there: a new one moves the numbers of
+those after it. Every entry names a test that shows the claim in numbers; the figures an entry
+states are those that its test computes, and the fixture `entry` of `tests/conftest.py` checks that
+the test asks for all of them. `cmf report ledger` prints it, docs/reference/ledger.md is made from
+it.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Figures and files of capacity studies."""
+"""Figures and files of capacity studies and of the envelope, the largest sustained sine."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +46,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     """A manoeuvre over time: motion, pressures, flows, oil in the accumulators, valves."""
     record, time = result.record, result.record.time
     network = ("flow [gpm]", "oil in accumulators\n[gal]") if parameters.supply == "network" else ()
-    labels = ("", "pressure [psi]", *network, "valve command\nof the busiest leg [%]")
+    labels = ("", "pressure [psi]", *network, "largest valve\ncommand [%]")
     figure, axes = look.stack(8.5, 1.9 * len(labels), *labels)
     motion, pressure, *between, valve = axes
     verdict = "holds" if result.holds else "does NOT hold"

@@ -6,6 +6,9 @@ A dwell is a stretch of whole cycles at one frequency and full amplitude, cut ou
 
 `frames` of a `Dwell` is cycles / frequency to the nearest frame, so fit a sine and a cosine to it,
 not Fourier lines.
+
+Two more stand here: `signal_of`, the registry of all signals, from which records make theirs again,
+and `quintic`, the blend of least jerk that paths and hand-overs of the demand share.
 """
 
 from collections.abc import Mapping, Sequence
@@ -323,6 +326,10 @@ _KINDS: tuple[type[Signal], ...] = (
     *(Step, Pulse, Sine, Chirp, Noise, Multisine, SevenSines, SteppedSines),
     *(FadedSines, OrthogonalMultisines, AccelerationStep, Waypoints),
 )
+"""Signals that a record may name. Those that a scenario file may have are a list of their own,
+`ScenarioSignal` of `facility/signal.py`, since some have other defaults there.
+`OrthogonalMultisines` is not in it: it is made by studies that measure all degrees of freedom in
+one run, not by scenario files."""
 _BY_NAME = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in _KINDS}
 
 

@@ -100,7 +100,8 @@ LEAST_PRESSURE = 0.8
 
 _SATURATED = 1.0 - 1e-9
 _FRAMES = 4
-"""Frames from row to row of the record: 512 Hz, against some 15 Hz of the fastest mode."""
+"""Every fourth control frame makes a row of the record: 512 Hz at the CMF, whose fastest mode is at
+some 15 Hz."""
 
 
 class Flow(NamedTuple):
@@ -131,7 +132,7 @@ class CapacityResult(NamedTuple):
     peak_command: NDArray[np.float64]
     """Largest compensator output, before the clamp, as a fraction, (n,)."""
     least_margin: Peak  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
-    record: Record  #: The run, at 512 Hz.
+    record: Record  #: The run, every fourth control frame.
 
 
 CAPACITY = (
@@ -204,8 +205,9 @@ def capacity(
 ) -> CapacityResult:
     """Run a manoeuvre and say whether the supply holds through it.
 
-    `command` is a `Command` or platform poses (N, 6) at 2048 Hz [m, rad], z down, within the
-    operational limits. A `plant` runs instead of one of `cab` and `hydraulics`. `least_pressure` is
+    `command` is a `Command` or platform poses (N, 6) [m, rad], z down, within the operational
+    limits. Poses are at 2048 Hz; for a machine of another control rate `Command.from_pose` makes a
+    `Command` of them. A `plant` runs instead of one of `cab` and `hydraulics`. `least_pressure` is
     gauge [Pa], by default 80 % of the set pressure. Raises FloatingPointError where the state
     leaves its physical bounds.
     """

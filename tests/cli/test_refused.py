@@ -81,6 +81,8 @@ REFUSED = {
     "serve --host-port 70000": "host_port: '70000' is refused",
     "serve --lockstep": "lockstep: is nothing to the protocol cmf",
     "serve --protocol moog --key secret.txt": "key: is nothing to the protocol moog",
+    "serve --protocol moog --begin settled": "begin: 'settled' is nothing to the protocol moog",
+    "serve --protocol moog --begin engaged": "begin: 'engaged' is nothing to the protocol moog",
     "serve --bind everywhere": "bind: 'everywhere' is not an IPv4 address",
     "serve --port 0 --seconds -1": "seconds: -1.0 is refused; allowed: above 0",
 }

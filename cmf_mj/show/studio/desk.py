@@ -16,7 +16,7 @@ from cmf_mj.core.settings import merged
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.facility.settings import Change
-from cmf_mj.facility.signal import Signal
+from cmf_mj.facility.signal import ScenarioSignal
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -25,7 +25,7 @@ from cmf_mj.signals.signal import SingleSignal
 
 SIGNALS: dict[str, type[SingleSignal]] = {
     get_args(signal.model_fields["kind"].annotation)[0]: signal
-    for signal in get_args(get_args(Signal)[0])
+    for signal in get_args(get_args(ScenarioSignal)[0])
     if issubclass(signal, SingleSignal)
 }
 """Signals the page offers by kind; a scenario file may have any other."""

@@ -55,7 +55,7 @@ class Door:
         self.token = None if self._local else secrets.token_urlsafe(24)
         """What a request must know, or None."""
         self._open: set[websocket.ServerConnection] = set()
-        self._guards = False
+        self._guarding = False
 
     def refusal(self, path: str, headers: Headers, tabs: int) -> tuple[HTTPStatus, str] | None:
         """Status and one line for a request that is refused while so many tabs are open."""
@@ -75,16 +75,17 @@ class Door:
 
     @contextmanager
     def guards(self) -> Iterator[None]:
-        """Stand at every server of websockets that begins in this block, which must be one.
+        """Refuse requests of the server of websockets that begins in this block.
 
-        viser hands no hook through to its server.
+        viser lets nobody set how its server answers. So `websockets`' function that begins a server
+        is replaced until the block ends. Raises RuntimeError where no server began.
         """
         serve = websocket.serve
 
         def guarded(handler: Any, host: str, port: int, **options: Any) -> websocket.serve:
             quiet = logging.getLogger(__name__)  # what is refused is answered to who sent it
             quiet.setLevel(logging.CRITICAL)
-            inner, self._guards = options["process_request"], True
+            inner, self._guarding = options["process_request"], True
             return serve(
                 handler,
                 host,
@@ -104,7 +105,7 @@ class Door:
                 yield
             finally:
                 websocket.serve = serve  # type: ignore[misc]
-        if not self._guards:
+        if not self._guarding:
             raise RuntimeError("viser: its server cannot be guarded; use the version tested")
 
     def _answer(
