@@ -20,7 +20,7 @@ from cmf_mj.export.operations import operations, stated
 from cmf_mj.facility.front import from_table
 from cmf_mj.plant.parameters import hydraulics_of
 
-SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "laws_in_c.py"))
+SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "parts" / "in_c.py"))
 LOOP = Path(__file__).with_name("export_law_loop_host.c")
 
 

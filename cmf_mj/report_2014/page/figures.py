@@ -34,14 +34,13 @@ from cmf_mj.report_2014.page.runs import (
     SLOW,
     Runs,
     RunSpec,
-    Signal,
     after_step,
     leg_motion,
     leg_signals,
     report_plant,
     specs,
 )
-from cmf_mj.report_2014.page.tables import CONTENTS, law_title
+from cmf_mj.report_2014.page.tables import CONTENTS, fit_text, law_title
 from cmf_mj.show.look import (
     BLUE,
     COLOURS,
@@ -286,38 +285,18 @@ def driven(
     return np.asarray(control.forced_response(system, even, command).outputs)
 
 
-def measured(runs: Runs, signal: Signal) -> tuple[Array, ...]:
-    """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
-
-    The five rounds of the sweep are put end to end, as section 4.3.3 says.
-    """
-    records = runs.records("machine", "velocity", signal)
-    begins = np.cumsum([0.0, *(record.time.size / record.rate for record in records[:-1])])
-    time = [r.time - r.time[0] + begin for r, begin in zip(records, begins, strict=True)]
-    command = np.concatenate([record["valve_command"][:, 0] for record in records])
-    legs = zip(*map(leg_signals, records), strict=True)
-    return np.concatenate(time), 100.0 * (command - command.mean()), *map(np.concatenate, legs)
-
-
 def pulse_data(runs: Runs, figure: ReportFigure) -> Drawing:
     """What linear model 1 was fitted to."""
-    time, *signals = measured(runs, "pulse")
+    time, *signals = runs.measured("pulse")
     titles = ("command [%]", *_LEG)
     panels = {t: [Line(_HARDWARE, time, y)] for t, y in zip(titles, signals, strict=True)}
     return histories(panels, (0.5, 4.0), "time [s]", 1.7), {}
 
 
-def fit_text(values: Array, modelled: Array) -> str:
-    """100 (1 - |y - yhat| / |y - mean y|) %; what has less than nothing in common has no fit."""
-    apart, spread = values - modelled, values - values.mean()
-    fit = float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(spread)))
-    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
-
-
 def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     """A model driven from rest at `begin` [s] by the recorded command; default `span` all of it."""
     number, begin = (figure.options[name] for name in ("number", "begin"))
-    time, *signals = measured(runs, IDENTIFIED_ON[number])
+    time, *signals = runs.measured(IDENTIFIED_ON[number])
     span = figure.options.get("span", (begin, float(time[-1])))
     chosen = (time >= begin) & (time <= span[1])
     time, command, *legs = (values[chosen] for values in (time, *signals))

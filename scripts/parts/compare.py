@@ -178,12 +178,14 @@ def tables(names: list[str]) -> dict[str, Table]:
     }
 
 
-def main() -> None:
-    """Write tables and picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--machines", default="cmf,simona", help="names or files")
     parser.add_argument("--out", type=Path, default=Path("out/machines"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write tables and picture."""
     names = options.machines.split(",")
     options.out.mkdir(parents=True, exist_ok=True)
     for name, table in tables(names).items():
@@ -192,7 +194,3 @@ def main() -> None:
         print(f"\n{table.markdown()}")
     draw(names).savefig(options.out / "machines.png", dpi=100)
     print(f"written to {options.out}: five tables, machines.png")
-
-
-if __name__ == "__main__":
-    main()

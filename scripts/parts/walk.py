@@ -1,7 +1,7 @@
 """Every command on every kind of machine: what runs, what is refused, and why.
 
-    python scripts/walk_machines.py                       # all pairs, about an hour
-    python scripts/walk_machines.py --pairs 24 --seed 1   # drawn, each kind and each command
+    python scripts/machines.py walk                       # all pairs, about an hour
+    python scripts/machines.py walk --pairs 24 --seed 1   # drawn, each kind and each command
 
 Machines are those that ship, their cabs, and machines of one's own: a file that `cmf machine new`
 wrote, and what it becomes with dry friction, unequal actuators, another control rate, cylinders of
@@ -208,15 +208,17 @@ def drawn(kinds: Mapping[str, Kind], count: int, seed: int) -> list[tuple[str, s
     return sorted(pairs)
 
 
-def main() -> None:
-    """Walk and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--machines", help="kinds with commas between; default all")
     parser.add_argument("--commands", help="commands with commas between; default all")
     parser.add_argument("--pairs", type=int, help="how many to draw; default all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/machines"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Walk and write the table."""
     out = options.out.resolve()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -235,7 +237,3 @@ def main() -> None:
     for end in ("csv", "md"):
         table.save(out / f"machines.{end}")
     raise SystemExit(any(pair.ended == "defect" for pair in rows))
-
-
-if __name__ == "__main__":
-    main()
