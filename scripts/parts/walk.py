@@ -14,7 +14,7 @@ import argparse
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir
 from dataclasses import fields
 from pathlib import Path
@@ -26,7 +26,8 @@ from typer.testing import CliRunner
 
 import cmf_mj
 from cmf_mj.cli.common import app
-from cmf_mj.core.result import Field, Result
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.pilot.flight import Flight, load_flight
@@ -208,13 +209,27 @@ def drawn(kinds: Mapping[str, Kind], count: int, seed: int) -> list[tuple[str, s
     return sorted(pairs)
 
 
+def summary(rows: Sequence[Pair]) -> Table:
+    """A row for each command, and below it one for each reason for which it refuses machines."""
+    table, kinds = [], list(dict.fromkeys(row.machine for row in rows))
+    for command in dict.fromkeys(row.command for row in rows):
+        by_reason: dict[tuple[str, str], list[str]] = {}
+        for row in rows:
+            if row.command == command:
+                by_reason.setdefault((row.ended, row.said), []).append(row.machine)
+        for number, ((ended, said), machines) in enumerate(sorted(by_reason.items(), reverse=True)):
+            where = "all" if len(machines) == len(kinds) else "; ".join(machines)
+            table.append((command if number == 0 else "", ended, where, said))
+    return Table("", ("command", "ended", "machines", "reason"), table)
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of the command line."""
     parser.add_argument("--machines", help="kinds with commas between; default all")
     parser.add_argument("--commands", help="commands with commas between; default all")
     parser.add_argument("--pairs", type=int, help="how many to draw; default all")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/machines"))
+    parser.add_argument("--out", type=Path, default=Path("out/walk"))
 
 
 def run(options: argparse.Namespace) -> None:
@@ -233,7 +248,6 @@ def run(options: argparse.Namespace) -> None:
             rows.append(pair)
             print(f"{pair.seconds:6.1f} s  {pair.ended:8s}{pair.command:22s}{pair.machine}")
             print(f"{'':18s}{pair.said}" if pair.said else "", end="\n" if pair.said else "")
-    table = Result(rows, PAIRS, "Commands on machines")
-    for end in ("csv", "md"):
-        table.save(out / f"machines.{end}")
+    Result(rows, PAIRS, "Commands on machines").save(out / "machines.csv")
+    write_text(out / "machines.md", summary(rows).markdown())
     raise SystemExit(any(pair.ended == "defect" for pair in rows))
