@@ -64,7 +64,7 @@ COMMANDS: dict[str, str] = {
     "export library": "export library {machine}",
     "export fmu": "export fmu {machine}",
     "failure": "failure pump {machine} --at 1 --after 6",
-    "capacity": "capacity {machine} --dofs heave --quick",
+    "capacity": "capacity {machine} --dofs heave",
     "capacity of a noise": "capacity {machine} --signal noise --no-envelope",
     "cue": "cue flight.csv {cab}",
     "omct": "omct {machine} --dofs heave --quick",
@@ -190,6 +190,7 @@ def walk(kinds: Mapping[str, Kind], chosen: list[tuple[str, str]], folder: Path)
         with chdir(folder):
             ended = runner.invoke(app, line)
         took, said = time.monotonic() - begun, " ".join(ended.output.split()[-60:])
+        said = said.replace(f"{folder}/", "")
         if ended.exit_code == 0 or (ended.exit_code == 1 and command == "machine check"):
             yield Pair(command, name, "runs", "", took)
         elif ended.exit_code == 2 and "cmf: " in ended.output and not (folder / "out").exists():
