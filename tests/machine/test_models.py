@@ -38,9 +38,6 @@ LOWER = np.array(
 )
 """Appendix A, matrix B [in]."""
 
-TO_MUJOCO = units.INCH * np.array([1.0, -1.0, -1.0])
-"""(x, y, z) of MuJoCo = (x, -y, -z) of the report; an inch is 0.0254 m exactly."""
-
 POUNDS = {"gfd": 29920.0, "rfd": 32500.0, "ifd": 35950.0}
 """Platform and cab [lbm]: the two ends of the payload range (models/README.md) and one between."""
 
