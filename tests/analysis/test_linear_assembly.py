@@ -311,14 +311,6 @@ def test_the_operating_point_stays_when_it_is_driven(
     assert record["return_pressure"][-1] == pytest.approx(point.return_pressure, rel=2e-2)
 
 
-@pytest.mark.parametrize("load", [-3000.0, 0.0, 7200.0, 16000.0])
-def test_static_load_of_a_single_leg_may_be_any(load: float) -> None:
-    """More than the weight of the mass, too."""
-    force = load * units.POUND_FORCE
-    result = linear_mechanics(SingleLegs(static_load=force)).load
-    np.testing.assert_allclose(result, force, rtol=1e-12, atol=1e-9)
-
-
 def test_closed_valves_rest_at_the_leakage_null() -> None:
     plant = SingleLegs("report")
     point = operating_point(plant)
