@@ -33,7 +33,7 @@ command = partial(app.command, rich_help_panel="Simulate")
 _DEFAULT_LAWS = ["velocity", "position_error_rate", "acceleration"]
 _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
-    "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]"
+    "time [s], surge, sway, heave [m], roll, pitch, yaw [rad]"
 )
 _SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"

@@ -16,9 +16,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.show import film
 from cmf_mj.show.film import FilmSettings, caption_of, swing_film
-
-LEANING = np.array([0.05, -0.3, -0.5, -0.04, 0.11, -0.05])
-"""A pose with a leg far out."""
+from tests.analysis.test_modes_swing import LEANING, legs_of
 
 SMALL = FilmSettings(fps=6, speed=0.05, width=64, height=50)
 
@@ -26,12 +24,6 @@ SMALL = FilmSettings(fps=6, speed=0.05, width=64, height=50)
 @pytest.fixture(scope="module")
 def plant() -> Hexapod:
     return Hexapod("gfd")
-
-
-def legs_of(plant: Hexapod, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Extensions by MuJoCo's slides, (n, 6)."""
-    slides = [plant.model.joint(f"leg_{i}").qposadr[0] for i in range(1, 7)]
-    return qpos[:, slides]
 
 
 class Watched(film.FilmStage):
