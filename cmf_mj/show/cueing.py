@@ -160,7 +160,7 @@ def motion_figure(flown: Cue) -> Figure:
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
-    look.legend(*axes[3:].flat, ncols=3)
+    look.legend(*axes[3:].flat)
     if flown.limited.any():
         for axis in axes[3:].flat:
             look.shade(axis, time, flown.limited)
@@ -234,9 +234,9 @@ def omct_table(result: Omct) -> Table:
             test = name if stage == "demand" else ""
             if stage == STAGES[0]:
                 test = f"{driven} > {output}"
-            sizes = (_text(size, 3) for size in np.abs(row) / scale)
+            sizes = (number(size, ".3f") for size in np.abs(row) / scale)
             rows.append([test, title(stage), "mod", *sizes])
-            rows.append(["", "", "deg", *(_text(angle, 0) for angle in phase(row))])
+            rows.append(["", "", "deg", *(number(angle, ".0f") for angle in phase(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
     return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND)
@@ -268,13 +268,9 @@ def _range(share: NDArray[np.complex128], impure: bool) -> str:
     if not known.any():
         return "-"
     sizes = np.abs(share[known])
-    size = " to ".join(dict.fromkeys(_text(value, 2) for value in (sizes.min(), sizes.max())))
+    size = " to ".join(dict.fromkeys(number(value, ".2f") for value in (sizes.min(), sizes.max())))
     lost = "" if known.all() else ", left its bounds"
-    return f"{size}, {_text(phase(share)[known][-1], 0)}°{'*' if impure else ''}{lost}"
-
-
-def _text(value: float, digits: int) -> str:
-    return number(round(value, digits) + 0.0, f".{digits}f")  # no -0
+    return f"{size}, {number(phase(share)[known][-1], '.0f')}°{'*' if impure else ''}{lost}"
 
 
 def omct_figure(result: Omct) -> Figure:
@@ -292,7 +288,7 @@ def omct_figure(result: Omct) -> Figure:
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
             angle.plot(result.frequency, phase(responses[place]), **style)
         if any(np.isfinite(responses[place]).any() for responses in result.responses.values()):
-            modulus.set(xscale="log", yscale="log")
+            modulus.set(yscale="log")
             low, high = modulus.get_ylim()
             plain = FuncFormatter(lambda value, _: f"{value:g}")
             modulus.yaxis.set_major_formatter(plain)
@@ -304,9 +300,8 @@ def omct_figure(result: Omct) -> Figure:
         angle.set_ylabel("phase [deg]")
     for axis in axes.flat:
         axis.grid(True, which="both")
-        axis.tick_params(which="minor", labelsize=8)
     for axis in axes[-1]:
-        axis.set_xlabel("frequency [rad/s]")
+        look.frequency_axis(axis.xaxis, "rad/s")
     look.legend(figure)
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "

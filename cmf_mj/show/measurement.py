@@ -122,7 +122,7 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     coherence.set_ylim(0.0, 1.05)
     share = np.minimum(response.bound / np.abs(response.response), 0.99)
     look.plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
-    look.legend(gain)
+    look.legend(figure)
     return figure
 
 
@@ -246,7 +246,7 @@ def fit_figure(result: Identified) -> Figure:
     top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=f"model, {fit:.1f} %")
     bottom.plot(time[inside], (measured - modelled)[inside], color=look.BLUE)
     top.set_title(f"Motion of the validation run, {result.axis}")
-    look.legend(top, loc="upper right")
+    look.legend(figure)
     return figure
 
 
@@ -266,7 +266,7 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
         axis.vlines(residuals.lags * step, 0.0, values, color=look.DARK, linewidth=1.2)
         axis.axhline(0.0, color=look.DARK, linewidth=0.8)
         axis.set_title(title)
-    look.legend(auto, cross, loc="upper right")
+    look.legend(figure)
     return figure
 
 
@@ -298,7 +298,7 @@ def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> 
     look.plot_bode(gain, phase, curve, color=look.ORANGE, label=model.method)
     band = np.minimum(turn, np.pi)
     look.plot_band(gain, phase, curve, wide, band, color=look.ORANGE, label="95 % band")
-    look.legend(phase)
+    look.legend(figure)
     return figure
 
 
