@@ -322,7 +322,7 @@ def main() -> None:
         if source.is_file():
             shutil.copyfile(source, options.root / "docs" / target)
     for name in GALLERY:
-        source = options.root / f"docs/gallery/images/sphx_glr_plot_{name}_001.png"
+        source = options.root / f"docs/gallery/images/sphx_glr_plot_{name}_002.png"
         if source.is_file():
             shutil.copyfile(source, options.root / f"docs/images/gallery_{name}.png")
     print(f"refreshed {', '.join(page.name for page in pages(options.root))}")

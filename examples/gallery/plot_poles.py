@@ -31,5 +31,5 @@ axis.set(
     xlim=(-12, 1),
     ylim=(0, 18),
 )
-axis.legend()
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

@@ -30,7 +30,7 @@ FIGURES = {
     "identify": "fit residuals bode",
     "operate": "operation",
     "serve": "operation timing",
-    "replay": "run_original",
+    "replay": "run_model_following",
     "fly": "operation motion perceived comparison",
     "learn": "learning",
     "cue": "motion senses",

@@ -103,8 +103,7 @@ def limits_figure(results: Results) -> Figure:
                 across, up, ratio = answers.stability_map(results, x, y, law, dof)
                 if ratio.min() < 0.0 < ratio.max():
                     axis.contour(across, up, ratio.T, [0.0], colors=[colour], linewidths=1.6)
-                    column = (len(across) - _MARGIN) * laws.index(law) // len(laws)
-                    _name_side(axis, across, up, ratio, colour, column)
+                    _name_side(axis, across, up, ratio, colour, laws.index(law) / len(laws))
             ends = {"xlim": (across[0], across[-1]), "ylim": (up[0], up[-1])}
             axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof, **ends)
             if results.study.settings.unknowns[y].distribution == "loguniform":
@@ -117,15 +116,18 @@ def limits_figure(results: Results) -> Figure:
     return figure
 
 
-def _name_side(axis: Axes, across: Array, up: Array, ratio: Array, colour: str, at: int) -> None:
-    """Write "stable" on its side of a limit, where that crosses a column of the map."""
-    stable = ratio[at] > 0.0
-    for row in np.flatnonzero(stable[1:] != stable[:-1]):
-        high = stable[row + 1]
-        if row > _MARGIN if not high else row < up.size - _MARGIN:
-            beside: dict[str, Any] = {"va": "bottom"} if high else {"va": "top"}
-            style = beside | {"color": colour, "fontsize": 7}
-            axis.text(across[at], up[row], "stable", **style)
+def _name_side(
+    axis: Axes, across: Array, up: Array, ratio: Array, colour: str, share: float
+) -> None:
+    """Write "stable" on its side of a limit, at a share of the columns that it crosses."""
+    stable = ratio > 0.0
+    crossed = np.flatnonzero((stable != stable[:, :1]).any(axis=1)[:-_MARGIN])
+    for at in crossed[[int(share * crossed.size)]] if crossed.size else ():
+        for row in np.flatnonzero(stable[at, 1:] != stable[at, :-1]):
+            high = bool(stable[at, row + 1])
+            if _MARGIN < row < up.size - _MARGIN:
+                style: dict[str, Any] = {"va": "bottom" if high else "top", "color": colour}
+                axis.text(across[at], up[row], "stable", fontsize=7, **style)
 
 
 def span_figure(results: Results) -> Figure:
