@@ -15,10 +15,10 @@ from cmf_mj.show.look import frequency_axis
 
 size = 0.33 * 0.0254
 commands = {
+    "seven sines": signals.seven_sines("heave", size, 1),
     "chirp": signals.chirp("heave", size, duration=30.0),
     "noise": signals.noise("heave", size, duration=30.0, seed=1),
     "multisine": signals.multisine("heave", size, periods=2),
-    "seven sines": signals.seven_sines("heave", size, 1),
 }
 figure, axes = plt.subplots(4, 2, layout="constrained", figsize=(9, 8))
 for (name, command), (left, right) in zip(commands.items(), axes, strict=True):

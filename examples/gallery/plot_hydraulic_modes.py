@@ -19,8 +19,8 @@ for offset, cab in enumerate(("gfd", "rfd", "ifd")):
     where = np.arange(6) + 0.27 * (offset - 1)
     left.bar(where, modes.frequency_hz, 0.25, label=cab)
     right.bar(where, modes.leg_mass / 1000.0, 0.25)
-left.set(title="Natural frequency with valves shut", ylabel="[Hz]")
-right.set(title="Mass that a leg feels", ylabel="[t]")
+left.set(title="Natural frequency with valves shut", xlabel="mode", ylabel="[Hz]")
+right.set(title="Mass that a leg feels", xlabel="mode", ylabel="[t]")
 for axis in (left, right):
     axis.set_xticks(range(6), mode_names(modes), rotation=45, ha="right")
 figure.legend(loc="outside lower center", ncols=3)

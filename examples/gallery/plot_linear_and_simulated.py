@@ -31,5 +31,5 @@ for dof, colour in (("surge", "tab:blue"), ("heave", "tab:orange")):
 gain.set(title="Velocity feedback, 0.1 in", ylabel="gain [dB]", ylim=(-25, 15))
 phase.set(ylabel="phase [deg]", ylim=(-270, 10))
 frequency_axis(phase.xaxis)
-figure.legend(loc="outside lower center", ncols=4)
+figure.legend(loc="outside lower center", ncols=2)
 plt.show()

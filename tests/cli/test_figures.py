@@ -60,12 +60,15 @@ def test_every_command_that_draws_takes_format_and_size() -> None:
 @pytest.mark.parametrize(
     "words", [w if w in QUICK else pytest.param(w, marks=pytest.mark.slow) for w in FIGURES]
 )
-def test_a_command_writes_its_figures_as_asked(words: str, tmp_path: Path) -> None:
+def test_a_command_writes_its_figures_as_asked(
+    words: str, tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
     """SVG counts points, 72 an inch."""
     cmf(*line_of(words, tmp_path), "--figure-format", "svg", "--figure-size", "7x6")
-    drawn = [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
-    assert {path.stem for path in drawn} == set(FIGURES[words].split())
-    for path in drawn:
+    written = [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
+    assert {path.stem for path in written} == set(FIGURES[words].split())
+    assert set(drawn) == {path.name for path in written}
+    for path in written:
         size = re.search(r'<svg [^>]*width="(\w+)pt" height="(\w+)pt"', path.read_text())
         assert path.suffix == ".svg" and size and size.groups() == ("504", "432"), path
 
