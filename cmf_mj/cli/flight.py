@@ -176,17 +176,17 @@ def flight_command(
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
     """Fly a script with JSBSim, or say what is wrong with telemetry: axes, signs, units, gaps."""
+    from cmf_mj.core.result import number
     from cmf_mj.pilot.scripts import ScriptedFlight
     from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
     from cmf_mj.pilot.telemetry_check import check
 
     if form == "jsbsim":
         flight = ScriptedFlight(source, aircraft=aircraft, seed=seed).record()
-        x, y, z = flight.origin.lever_arm
+        x, y, z = (number(arm, ".2f") for arm in flight.origin.lever_arm)
         show(
             f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",
-            f"pilot's station from the centre of gravity: {x:.2f} m forward, {y:.2f} right, "
-            f"{z:.2f} down",
+            f"pilot's station from the centre of gravity: {x} m forward, {y} right, {z} down",
         )
     else:
         port = _port(source)

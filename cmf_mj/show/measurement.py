@@ -93,7 +93,7 @@ def measurement_table(measured: Measurement) -> Table:
     ]
     for at in measured.describing_function:
         where = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
-        value = f"{at.gain_db:.2f} dB, {at.phase_deg:.1f} deg"
+        value = f"{number(at.gain_db, '.2f dB')}, {number(at.phase_deg, '.1f deg')}"
         rows.append((f"describing function, {where}", value, "fundamental over the demand"))
     for amplitude, noise in measured.half_hertz_noise:
         name = f"half-hertz noise, {units.from_si(unit, amplitude):.3g} {unit}"
@@ -190,7 +190,11 @@ def _root_cells(root: Root, step: float) -> tuple[str, str, str]:
     slope = np.array([along.real, -along.imag])
     spread = np.sqrt(max(float(slope @ root.covariance @ slope), 0.0)) / (2.0 * np.pi)
     damping = -s.real / abs(s) if s != 0.0 else float("nan")
-    return f"{abs(s) / (2.0 * np.pi):.3f} Hz", f"{spread:.3f} Hz", f"damping ratio {damping:.3f}"
+    return (
+        f"{abs(s) / (2.0 * np.pi):.3f} Hz",
+        f"{spread:.3f} Hz",
+        f"damping ratio {number(damping, '.3f')}",
+    )
 
 
 def model_table(result: Identified) -> Table:
@@ -225,7 +229,11 @@ def model_table(result: Identified) -> Table:
             ("rise time", "rise_time", ".3f s", None),
         ):
             mine, theirs = (number(getattr(side, name), form) for side in loop)
-            off = f", error {100.0 * error:+.1f} %, law {result.law}" if error is not None else ""
+            off = (
+                f", error {number(100.0 * error, '+.1f %')}, law {result.law}"
+                if error is not None
+                else ""
+            )
             rows.append((f"closed loop, {label}", mine, "", f"measured {theirs}{off}"))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
