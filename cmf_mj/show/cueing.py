@@ -274,12 +274,16 @@ def _range(share: NDArray[np.complex128], impure: bool) -> str:
 
 
 def omct_figure(result: Omct) -> Figure:
-    """Modulus and phase of all tests over frequency."""
-    figure = look.new_figure(13.0, 15.0)
-    axes = figure.subplots(5, 4, sharex=True)
+    """Modulus and phase over frequency, of all tests that were made."""
+    every = np.isfinite(np.array(list(result.responses.values()))).any(axis=(0, 2))
+    tested = list(np.flatnonzero(every))
+    rows, wide = -(-len(tested) // 2), 2 * min(len(tested), 2)
+    figure = look.new_figure(3.25 * wide, 3.0 * rows + 0.6)
+    axes = figure.subplots(rows, wide, sharex=True, squeeze=False)
     colours = ("#999999", "#000000", *(colour for colour in look.COLOURS if colour != "#000000"))
-    for place, (driven, output) in enumerate(TESTS):
-        row, side = divmod(place, 2)
+    for at, place in enumerate(tested):
+        driven, output = TESTS[place]
+        row, side = divmod(at, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
         for index, (stage, responses) in enumerate(result.responses.items()):
@@ -287,12 +291,11 @@ def omct_figure(result: Omct) -> Figure:
             style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
             angle.plot(result.frequency, phase(responses[place]), **style)
-        if any(np.isfinite(responses[place]).any() for responses in result.responses.values()):
-            modulus.set(yscale="log")
-            low, high = modulus.get_ylim()
-            plain = FuncFormatter(lambda value, _: f"{value:g}")
-            modulus.yaxis.set_major_formatter(plain)
-            modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
+        modulus.set(yscale="log")
+        low, high = modulus.get_ylim()
+        plain = FuncFormatter(lambda value, _: f"{value:g}")
+        modulus.yaxis.set_major_formatter(plain)
+        modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if driven != output and driven in _ROTATIONS:
             modulus.axhline(STANDARD_GRAVITY * DEGREE, color=look.GREY, linestyle=":")
         ylabel = f"modulus [{name}]" if name else "modulus"
@@ -300,8 +303,11 @@ def omct_figure(result: Omct) -> Figure:
         angle.set_ylabel("phase [deg]")
     for axis in axes.flat:
         axis.grid(True, which="both")
-    for axis in axes[-1]:
-        look.frequency_axis(axis.xaxis, "rad/s")
+        axis.set_visible(axis.has_data())
+    for column in axes.T:
+        last = column[sum(axis.has_data() for axis in column) - 1]
+        look.frequency_axis(last.xaxis, "rad/s")
+        last.tick_params(labelbottom=True)
     look.legend(figure)
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "
