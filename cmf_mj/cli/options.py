@@ -114,8 +114,7 @@ def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
         more = {"figure_format": FigureFormat, "figure_size": FigureSize}
         extra = (Parameter(name, kind, default=None, annotation=one) for name, one in more.items())
         update_wrapper(drawn, function)
-        whole = own.replace(parameters=[*own.parameters.values(), *extra])
-        vars(drawn)["__signature__"] = whole
+        vars(drawn)["__signature__"] = own.replace(parameters=[*own.parameters.values(), *extra])
         return drawn
 
     return lambda name: lambda function: command(name)(decorated(function))

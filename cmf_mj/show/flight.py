@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -221,7 +222,8 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
     for label, errors in zip(("without", "with what was learnt"), others.T, strict=True):
         machines.semilogy(1e3 * errors, "o", label=label)
     machines.set(xlabel="other machine", ylabel=f"legs below {BAND:g} Hz, rms [mm]")
-    look.legend(trials, ratio, history, machines, above=True)
+    above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
+    look.legend(trials, ratio, history, machines, **above)
     figure.suptitle("Tracking error of a manoeuvre as it is learnt, and on other machines")
     return figure
 

@@ -55,46 +55,34 @@ FORMATS = ("png", "svg", "pdf")
 
 _PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
 """Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""
-_LEAST, _AT = 9.0, 1280.0
-"""Height of the smallest text of a picture so wide [px]."""
-_LEAST_PRINTED, _DPI = 6.0, 200
-"""Height of the smallest text [points], and dots an inch, of a figure with a size."""
+_LEAST, _LEAST_PRINTED, _DPI = 9.0 * 72.0 / 1280.0, 6.0, 200
+"""Height of the smallest text: 9 px of 1280 px across [points an inch]; of a figure with a size
+[points], with its dots an inch."""
+_PRINT: ContextVar[tuple[str | None, str | None]] = ContextVar("print", default=(None, None))
+"""Format and size of all figures that are written, if not as each is made."""
 
 
-class Print(NamedTuple):
-    """What all figures that are written are: by default as each is made."""
-
-    form: str | None = None
-    size: str | None = None
-
-    def inches(self, width: float, height: float) -> tuple[float, float]:
-        """Width and height of a figure that is made `width` by `height`."""
-        if self.size in (None, "page"):
-            fits = min(_PAGE[0] / width, _PAGE[1] / height) if self.size else 1.0
-            return fits * width, fits * height
-        if self.size == "slide":
-            return _SLIDE
-        try:
-            wide, high = map(float, str(self.size).lower().split("x"))
-        except ValueError:
-            wide = high = float("nan")
-        if not (2.0 <= wide <= 60.0 and 2.0 <= high <= 60.0):
-            allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
-            raise InputError(f"figure_size: {self.size!r} is refused; allowed: {allowed}")
-        return wide, high
-
-
-_PRINT: ContextVar[Print] = ContextVar("print", default=Print())  # noqa: B039, it is immutable
+def _inches(size: str | None, width: float, height: float) -> tuple[float, float]:
+    """Width and height of a figure that is made `width` by `height`."""
+    if size in (None, "page"):
+        fits = min(_PAGE[0] / width, _PAGE[1] / height) if size else 1.0
+        return fits * width, fits * height
+    try:
+        wide, high = _SLIDE if size == "slide" else map(float, str(size).lower().split("x"))
+    except ValueError:
+        wide = high = np.nan
+    if not (2.0 <= wide <= 60.0 and 2.0 <= high <= 60.0):
+        allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
+        raise InputError(f"figure_size: {size!r} is refused; allowed: {allowed}")
+    return wide, high
 
 
 @contextmanager
 def printed(form: str | None = None, size: str | None = None) -> Iterator[None]:
     """Write all figures in a format, png, svg or pdf, and in a size as `--figure-size` takes it."""
-    if form is not None:
-        check_name("figure_format", form, FORMATS)
-    chosen = Print(form, size)
-    chosen.inches(*_PAGE)
-    before = _PRINT.set(chosen)
+    check_name("figure_format", form or "png", FORMATS)
+    _inches(size, *_PAGE)
+    before = _PRINT.set((form, size))
     try:
         yield
     finally:
@@ -142,21 +130,18 @@ def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> No
     axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
-def legend(*where: Axes | Figure, above: bool = False, **options: Any) -> None:
-    """A small legend beside or above each of the axes; or below a figure's, a name once."""
+def legend(*where: Axes | Figure, **options: Any) -> None:
+    """A small legend beside each of the axes; or below all axes of a figure, a name once."""
     for each in where:
-        over: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 3}
-        beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        place = over if above else beside
+        place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         if isinstance(each, Figure):
             every = [axes.get_legend_handles_labels() for axes in each.axes]
             named = {name: line for one in every for line, name in zip(*one, strict=True)}
             named |= {line.get_label(): line for line in options.pop("handles", ())}
             wide = (4.0 + 0.6 * max(map(len, named), default=1)) * 8.0 / 72.0
-            lines = int(np.ceil(len(named) / max(each.get_figwidth() // wide, 1.0)))
-            columns = int(np.ceil(len(named) / max(lines, 1))) or 1
+            lines = np.ceil(len(named) / max(each.get_figwidth() // wide, 1.0))
             place = {"loc": "outside lower center", "handles": list(named.values())}
-            place |= {"labels": list(named), "ncols": columns}
+            place |= {"labels": list(named), "ncols": int(np.ceil(len(named) / max(lines, 1.0)))}
         each.legend(**{"fontsize": 8, "frameon": False, **place, **options})
 
 
@@ -252,16 +237,15 @@ def _numbers(axes: Axes) -> list[Text]:
     return texts + [t for axis in both for t in axis.get_ticklabels(which="both")]
 
 
-def _fit(figure: Figure) -> None:
+def _fit(figure: Figure, size: str | None) -> None:
     """Bring a figure to the size that is asked for, and its text to what can be read."""
-    own, size = figure.get_size_inches(), _PRINT.get().size
-    figure.set_size_inches(_PRINT.get().inches(*own))
+    own = figure.get_size_inches()
+    figure.set_size_inches(_inches(size, *own))
     scale = float(np.sqrt(np.prod(figure.get_size_inches() / own)))
-    least = _LEAST * 72.0 * figure.get_figwidth() / _AT
+    least = max(_LEAST * figure.get_figwidth(), _LEAST_PRINTED if size else 0.0)
     for text in figure.findobj(Text):
-        floor = least if size is None else max(least, _LEAST_PRINTED)
-        text.set_fontsize(max(scale * float(text.get_fontsize()), floor))
-    for line in figure.findobj(Line2D) if size is not None else ():
+        text.set_fontsize(max(scale * float(text.get_fontsize()), least))
+    for line in figure.findobj(Line2D):
         line.set_linewidth(scale * line.get_linewidth())
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         for label in axis.get_ticklabels()[:1]:  # those that are yet to be made are like it
@@ -277,7 +261,7 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     form, size = _PRINT.get()
     path = path if form is None else path.with_suffix(f".{form}")
     kind, dpi = path.suffix[1:], dpi if size is None else _DPI
-    _fit(figure)
+    _fit(figure, size)
     numbers = {id(text) for axes in figure.axes for text in _numbers(axes)}
     for text in figure.findobj(Text):
         text.set_parse_math(id(text) in numbers)  # a title with $ signs is no formula

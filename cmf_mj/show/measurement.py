@@ -190,11 +190,8 @@ def _root_cells(root: Root, step: float) -> tuple[str, str, str]:
     slope = np.array([along.real, -along.imag])
     spread = np.sqrt(max(float(slope @ root.covariance @ slope), 0.0)) / (2.0 * np.pi)
     damping = -s.real / abs(s) if s != 0.0 else float("nan")
-    return (
-        f"{abs(s) / (2.0 * np.pi):.3f} Hz",
-        f"{spread:.3f} Hz",
-        f"damping ratio {number(damping, '.3f')}",
-    )
+    hertz, damped = abs(s) / (2.0 * np.pi), number(damping, ".3f")
+    return f"{hertz:.3f} Hz", f"{spread:.3f} Hz", f"damping ratio {damped}"
 
 
 def model_table(result: Identified) -> Table:
@@ -229,11 +226,8 @@ def model_table(result: Identified) -> Table:
             ("rise time", "rise_time", ".3f s", None),
         ):
             mine, theirs = (number(getattr(side, name), form) for side in loop)
-            off = (
-                f", error {number(100.0 * error, '+.1f %')}, law {result.law}"
-                if error is not None
-                else ""
-            )
+            off = "" if error is None else f", error {number(100.0 * error, '+.1f %')}"
+            off += f", law {result.law}" if off else ""
             rows.append((f"closed loop, {label}", mine, "", f"measured {theirs}{off}"))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)

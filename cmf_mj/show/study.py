@@ -246,6 +246,7 @@ def ladder_figure(table: pa.Table) -> Figure:
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
     look.legend(figure)
+    figure.supxlabel("effect, with all before it", fontsize=9)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
