@@ -276,7 +276,7 @@ def _range(share: NDArray[np.complex128], impure: bool) -> str:
 def omct_figure(result: Omct) -> Figure:
     """Modulus and phase over frequency, of all tests that were made."""
     every = np.isfinite(np.array(list(result.responses.values()))).any(axis=(0, 2))
-    tested = list(np.flatnonzero(every))
+    tested = [int(place) for place in np.flatnonzero(every)]
     rows, wide = -(-len(tested) // 2), 2 * min(len(tested), 2)
     figure = look.new_figure(3.25 * wide, 3.0 * rows + 0.6)
     axes = figure.subplots(rows, wide, sharex=True, squeeze=False)

@@ -245,6 +245,8 @@ def _fit(figure: Figure, size: str | None) -> None:
     least = max(_LEAST * figure.get_figwidth(), _LEAST_PRINTED if size else 0.0)
     for text in figure.findobj(Text):
         text.set_fontsize(max(scale * float(text.get_fontsize()), least))
+    for title in figure.texts:
+        title.set_wrap(True)
     for line in figure.findobj(Line2D):
         line.set_linewidth(scale * line.get_linewidth())
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):

@@ -242,11 +242,11 @@ def ladder_figure(table: pa.Table) -> Figure:
             if name == "crosstalk":
                 axis.set_yscale("log")
                 axis.set_xticks(range(len(rungs)), rungs, rotation=90)
+                axis.set_xlabel("with all effects before")
         line[0].set_ylabel(title)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
     look.legend(figure)
-    figure.supxlabel("effect, with all before it", fontsize=9)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 

@@ -87,7 +87,8 @@ def tornado_figure(results: Results) -> Figure:
         axis.set_title(law.replace("_", "\n", 1), fontsize=8)
     axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
     legend(figure)
-    figure.supxlabel("least damping ratio, cab " + results.study.cabs[0].name.upper(), fontsize=9)
+    cab = results.study.cabs[0].name.upper()
+    axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}")
     figure.suptitle("Least damping ratio with one unknown at either end of its range", fontsize=10)
     return figure
 
