@@ -19,6 +19,7 @@ from cmf_mj.cli.options import argument, choice, name_or_file, new_file
 from cmf_mj.core.errors import require
 
 command = partial(app.command, rich_help_panel="Studies")
+drawing = options.drawing(command)
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
@@ -30,7 +31,7 @@ Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
 
-@command("study")
+@drawing("study")
 def study_command(
     context: Context,
     specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
@@ -119,7 +120,7 @@ def tune_command(
     )
 
 
-@command("certify")
+@drawing("certify")
 def certify_command(
     laws: Annotated[
         list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
@@ -229,7 +230,7 @@ def ledger_command(
     show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
 
 
-@reports.command("linear")
+@options.drawing(reports.command)("linear")
 def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
@@ -241,7 +242,7 @@ def linear_command(
     show(linear.equation_table(), linear.misprint_table(), rows, loops, written(paths, out))
 
 
-@reports.command("calibrate")
+@options.drawing(reports.command)("calibrate")
 def calibrate_command(
     tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
     rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,

@@ -22,6 +22,7 @@ from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.result import number
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant.parameters import load_hydraulics
@@ -159,11 +160,11 @@ def step_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     cases = figure.cases(runs)
     numbers = [
         f"{one.case.plant.replace('_', ' ')}: overshoot {100 * m.overshoot:.0f} %, damping ratio "
-        f"{m.damping_ratio:.2f}, steady-state error {100 * m.steady_state_error:.1f} %"
+        f"{m.damping_ratio:.2f}, steady-state error {number(100 * m.steady_state_error, '.1f %')}"
         for one, m in ((one, one.measures) for one in cases)
     ]
     errors = [
-        f"{one.case.law.title} {100 * one.measures.steady_state_error:.2f} %"
+        f"{one.case.law.title} {number(100 * one.measures.steady_state_error, '.2f %')}"
         for one in cases
         if one.measures.stable
     ]
@@ -356,15 +357,15 @@ def linear_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     if hardware.response is not None:
         plot_bode(gain, phase, hardware.response, label=_HARDWARE, color=GREY, linestyle=":")
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for number, colour in zip(figure.options["numbers"], COLOURS, strict=False):
-        models = velocity_models(runs, number).items()
+    for model, colour in zip(figure.options["numbers"], COLOURS, strict=False):
+        models = velocity_models(runs, model).items()
         for (name, velocity), style in zip(models, ("-", "--"), strict=True):
             closed = loop_response(closed_loop("velocity", velocity), lines)
             plot_bode(gain, phase, closed, label=name, color=colour, linestyle=style)
-        plot_printed(gain, phase, printed[f"linear_{number}"], colour)
+        plot_printed(gain, phase, printed[f"linear_{model}"], colour)
     gain.set(ylim=(-20.0, 10.0))
     phase.set(ylim=(-270.0, 20.0), xlim=(0.1, 10.0))
-    legend(gain)
+    legend(drawn)
     return drawn, {}
 
 

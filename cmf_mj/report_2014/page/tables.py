@@ -137,7 +137,7 @@ def _share(row: ResultRow, value: float, sign: str = "+") -> str:
 def computed_text(row: ResultRow, unit: str = "") -> str:
     """What is computed, with a unit if named; or why there is no number."""
     if row.computed == row.computed:
-        return f"{row.computed:.2f} {unit}".rstrip()
+        return number(row.computed, f".2f {unit}")
     return "none below 10 Hz" if row.stable else "unstable"
 
 
