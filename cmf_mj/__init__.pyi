@@ -29,6 +29,7 @@ from .machine.machine import Machine as Machine
 from .machine.machine import load_machine as load_machine
 from .plant.attach import attach_hydraulics as attach_hydraulics
 from .plant.hexapod import Hexapod as Hexapod
+from .plant.hinge import attach_to_hinges as attach_to_hinges
 from .plant.parameters import load_hydraulics as load_hydraulics
 from .plant.plant import Plant as Plant
 from .plant.single_legs import SingleLegs as SingleLegs
