@@ -48,7 +48,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
-from cmf_mj.facility.unknowns import Unknown
+from cmf_mj.facility.unknown import Unknown
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import load_machine

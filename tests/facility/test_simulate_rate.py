@@ -10,7 +10,6 @@ from cmf_mj import Hexapod, load_law, simulate
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
-from cmf_mj.facility.many import simulate_many
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine import models
@@ -18,6 +17,7 @@ from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
 from cmf_mj.signals.single import step
+from cmf_mj.studies.many import simulate_many
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
 

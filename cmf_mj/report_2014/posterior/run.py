@@ -31,7 +31,8 @@ from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
@@ -136,7 +137,7 @@ def load_posterior(
 
 def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
     for name, one in settings.unknowns.items():
-        if one.shape or one.low is None:
+        if one.shape() or one.low is None:
             raise InputError(f"unknowns.{name}: allowed: one number between bounds, low and high")
     if settings.draws & (settings.draws - 1):
         raise InputError(f"draws: {settings.draws} must be a power of 2, for Sobol's sequence")
