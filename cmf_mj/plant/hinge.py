@@ -46,6 +46,8 @@ _CLOSED = 1.5
 _SPARE = 0.05
 """Of the stroke beyond either end of the range, which the hinge's own stops keep free."""
 
+_AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+
 
 class HingeCylinder(NamedTuple):
     """A cylinder across a hinge; angles [rad] count from the middle of the range.
@@ -186,8 +188,7 @@ def _motor(model: mujoco.MjModel, hinge: str) -> float:
 
 
 def _motors(model: mujoco.MjModel, joint: int) -> list[int]:
-    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    at = np.isin(model.actuator_trntype, kinds) & (model.actuator_trnid[:, 0] == joint)
+    at = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == joint)
     return [int(index) for index in np.flatnonzero(at)]
 
 
@@ -224,7 +225,9 @@ def _join(
 ) -> None:
     """Take a hinge's motors away; add both sites, and the tendon between them."""
     joint, element = model.joint(hinge), spec.joint(hinge)
-    for motor in [spec.actuators[index] for index in _motors(model, joint.id)]:
+    for motor in [
+        one for one in spec.actuators if one.target == hinge and one.trntype in _AT_JOINT
+    ]:
         spec.delete(motor)
     element.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     axis, anchor, body = data.xaxis[joint.id], data.xanchor[joint.id], int(joint.bodyid[0])

@@ -118,6 +118,16 @@ def test_what_no_cylinder_fits_is_refused(hinges, how, said):
         attach_to_hinges(spec(), hinges, **how)
 
 
+def test_every_hinge_named_gets_its_own_cylinder():
+    second = '<body><joint name="elbow" axis="1 0 0" range="-1 1"/><geom size="0.1"/></body></body>'
+    pair = ARM.replace("</body>", second).replace("<motor", '<motor joint="elbow"/><motor', 1)
+    plant = attach_to_hinges(spec(text=pair), {"elbow": 50.0, "shoulder": None})
+    assert plant.actuators == ("elbow_cylinder", "shoulder_cylinder")
+    assert plant.model.nu == 3
+    areas = plant.hydraulics.cylinder.rod_area
+    assert areas[1] > areas[0]
+
+
 def test_hinges_without_torque_or_with_too_wide_a_range_are_refused():
     with pytest.raises(
         InputError, match="shoulder: a range of 171.9 deg is refused; allowed: .*150"
