@@ -15,7 +15,6 @@ from .core.errors import MissingExtraError as MissingExtraError
 from .core.errors import NoPoseError as NoPoseError
 from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
-from .facility.many import simulate_many as simulate_many
 from .facility.run import Run as Run
 from .facility.scenario import load_scenario as load_scenario
 from .facility.simulate import drive as drive
@@ -29,9 +28,11 @@ from .machine.machine import Machine as Machine
 from .machine.machine import load_machine as load_machine
 from .plant.attach import attach_hydraulics as attach_hydraulics
 from .plant.hexapod import Hexapod as Hexapod
+from .plant.hinge import attach_to_hinges as attach_to_hinges
 from .plant.parameters import load_hydraulics as load_hydraulics
 from .plant.plant import Plant as Plant
 from .plant.single_legs import SingleLegs as SingleLegs
 from .record.record import Record as Record
 from .signals.signal import Command as Command
 from .studies.comparison import compare as compare
+from .studies.many import simulate_many as simulate_many

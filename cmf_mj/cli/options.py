@@ -53,15 +53,25 @@ def choice(
         several = not isinstance(value, str)
         names = [part.strip() for text in value for part in text.split(",") if part.strip()]
         names = names if several else [value]
+        if source == LAWS:
+            names = [_law(ctx, name) for name in names]
         if not names:
             raise InputError(f"{param.name}: {value!r} names nothing; allowed: one name at least")
         if several and names == ["all"]:
             return names_in(every or source)
         for name in [] if free else names:
             check_name(param.name or "", name, names_in(source))
-        return names if several else value
+        return names if several else names[0]
 
     return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
+
+
+def _law(ctx: typer.Context, name: str) -> str:
+    """A law, where that of the machine of the option `machine` has a name of its own."""
+    from cmf_mj.control.law import law_on
+
+    machine = ctx.params.get("machine")
+    return name if machine is None else law_on(cmf_mj.load_machine(machine), name)
 
 
 def of_machine(source: str, metavar: str, text: str) -> Any:
@@ -165,7 +175,10 @@ OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the 
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
-OtherMachine = Annotated[str | None, name_or_file(MACHINES, "MACHINE", "replaces the scenario's")]
+_other = partial(Option, is_eager=True)
+OtherMachine = Annotated[
+    str | None, name_or_file(MACHINES, "MACHINE", "replaces the file's", make=_other)
+]
 OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenario's")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]

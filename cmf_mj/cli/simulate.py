@@ -283,6 +283,9 @@ def video_command(
 @command("studio")
 def studio_command(
     scenario: options.Scenario = "",
+    machine: options.OtherMachine = None,
+    law: options.OtherLaw = None,
+    cab: options.OtherCab = None,
     host: Annotated[str, Option(help="address to listen on")] = "127.0.0.1",
     port: Annotated[int, Option(help="TCP port; the next free one if it is taken")] = 8048,
     browse: Annotated[
@@ -297,11 +300,13 @@ def studio_command(
 
     for package in ("viser", "mjviser"):
         require(package, "studio")
+    from cmf_mj.show.studio.desk import first_scenario
     from cmf_mj.show.studio.server import Studio
 
     # A picture on its way to a tab that has just been closed is nothing to tell of.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    studio = Studio(host, port, cmf_mj.load_scenario(scenario) if scenario else None)
+    begun = cmf_mj.load_scenario(scenario) if scenario else first_scenario()
+    studio = Studio(host, port, _changed(begun, machine=machine, law=law, cab=cab))
     try:
         # A shell that starts it in the background would have it ignore Ctrl-C for good.
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -26,7 +26,10 @@ _READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
 _CONFIRMED = "axes whose -90 deg to confirm in the simulation, or `all`"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
-SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
+SomeCabs = Annotated[
+    list[str] | None,
+    name_or_file(options.CABS, "CABS", "instead of the study's", every="cli.options:ALL"),
+]
 SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
 Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
@@ -37,6 +40,7 @@ def study_command(
     context: Context,
     specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
     out: options.NamedOut = None,
+    machine: options.OtherMachine = None,
     laws: Laws = None,
     cabs: SomeCabs = None,
     dofs: SomeDofs = None,
@@ -55,7 +59,7 @@ def study_command(
 
     how: dict[str, Any] = {"jobs": os.cpu_count() or 1 if jobs is None else jobs}
     how |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
-    given = {"cabs": cabs, "dofs": dofs, "draws": draws}
+    given = {"machine": machine, "cabs": cabs, "dofs": dofs, "draws": draws}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     out = claim(context, out or Path("out") / Path(specification).stem)
     try:

@@ -343,11 +343,9 @@ def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[
 
 
 def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[str, ...]:
-    """Names of the shipped laws.
+    """Names of the shipped laws of a family.
 
-    Args:
-        family: `report`, its own in its order and then what this project added to its block;
-            `beyond`, the field's and the modal plan; or `all` of them.
+    `report`: its own in its order and then what this project added; `beyond`: others; or `all`.
 
     >>> cmf_mj.law_names()[:3]
     ('original', 'original_as_printed', 'velocity')
@@ -355,6 +353,12 @@ def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[st
     if family == "all":
         return law_names() + law_names("beyond")
     return tuple(_tables(family))
+
+
+def law_on(machine: Machine, name: str) -> str:
+    """What loads a law by name or file, the machine's own by the name in its file."""
+    plain = name not in law_names("all") and ".toml" not in name
+    return machine.law if plain and name == load_law(machine.law).name else name
 
 
 def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:

@@ -14,14 +14,15 @@ law's choice. Through ideal electronics, which are not active, readings and comm
 
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.compiled import allocating, compiled, inlined
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Seed, Settings, name_or
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics import servo_electronics as servo
@@ -85,6 +86,31 @@ class ElectronicsSettings(Settings):
         parts = self.of(machine)._asdict()
         dumped = {name: part.model_dump(mode="json") for name, part in parts.items()}
         return dumped | {"sensor_seed": self.seed or 0}
+
+
+ELECTRONICS = ("ideal", "noisy", "inertial")
+"""Electronics by name; `inertial` are noisy, of accelerometers that feel no gravity along six legs:
+for plants that are no motion base."""
+
+
+def load_electronics(choice: str | ElectronicsSettings | None) -> ElectronicsSettings | None:
+    """Electronics by name or as they are; `ideal` are none."""
+    if not isinstance(choice, str):
+        return choice
+    match check_name("electronics", choice, ELECTRONICS):
+        case "ideal":
+            return None
+        case "noisy":
+            return ElectronicsSettings()
+    changes = {"name": choice, "gravity": False}
+    return ElectronicsSettings(sensors=load_sensors("noisy").model_copy(update=changes))
+
+
+_NAMED: Any = ElectronicsSettings | Literal["ideal", "noisy", "inertial"] | None
+AnyElectronics = Annotated[
+    ElectronicsSettings | None, BeforeValidator(load_electronics, json_schema_input_type=_NAMED)
+]
+"""A field that takes them by name too."""
 
 
 class Electronics(NamedTuple):

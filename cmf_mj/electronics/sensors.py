@@ -298,7 +298,8 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
             raise InputError(f"{name}.gain_errors: {gains} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
         raise InputError(
-            f"position: shape is {truth.position.shape}; gravity along the legs needs (6,)"
+            f"position: shape is {truth.position.shape}; gravity along the legs needs (6,); "
+            "allowed: electronics 'inertial', which feel none"
         )
     axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
     felt = -STANDARD_GRAVITY * axes.direction[:, 2] if sensors.gravity else 0.0

@@ -1,21 +1,23 @@
-"""Gymnasium environments of machines with hydraulics; importing this registers them.
+"""Gymnasium environments of machines with hydraulics; importing this registers the motion base's.
 
 >>> import gymnasium, cmf_mj.environments
->>> env = gymnasium.make("cmf_mj/Excavator-v0", task="reach")
+>>> env = gymnasium.make("cmf_mj/Hexapod-v0")
 >>> observation, info = env.reset(seed=1)
 >>> observation.shape, env.action_space.shape
-((16,), (3,))
+((24,), (6,))
 """
 
 from cmf_mj.core.errors import require
 
 gymnasium = require("gymnasium", "rl")
 
-for _name, _module in {"Hexapod": "hexapod", "Excavator": "excavator"}.items():
-    _id = f"cmf_mj/{_name}-v0"
-    if _id not in gymnasium.registry:
-        gymnasium.register(
-            _id,
-            entry_point=f"cmf_mj.environments.{_module}:{_name}Env",
-            vector_entry_point=f"cmf_mj.environments.vector:{_module}s",
-        )
+from cmf_mj.environments.environment import MachineEnv, ObservedQuantity  # noqa: E402
+
+__all__ = ["MachineEnv", "ObservedQuantity"]
+
+if "cmf_mj/Hexapod-v0" not in gymnasium.registry:
+    gymnasium.register(
+        "cmf_mj/Hexapod-v0",
+        entry_point="cmf_mj.environments.hexapod:HexapodEnv",
+        vector_entry_point="cmf_mj.environments.vector:hexapods",
+    )

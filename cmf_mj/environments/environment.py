@@ -1,25 +1,35 @@
-"""What the environments share: a session that runs a step at a time, observations, rendering."""
+"""Any plant as a Gymnasium environment: a session that runs a step of control frames at a time.
 
+What an action does, what is seen, the reward, what a run is about and how machines differ are
+arguments; without them an action is the valve commands, or with a law the extensions demanded, and
+the cylinders are seen.
+"""
+
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.control.law import Law
-from cmf_mj.core.arrays import real
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.arrays import real, whole
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import MOST_FRAMES
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
 FRAMES = 64
-"""Control frames of a step: 1/32 s."""
+"""Control frames of a step, by default: 1/32 s at 2048 Hz."""
 
 LOST = 100.0
 """Taken off the reward of a run that leaves the machine's physical bounds."""
@@ -35,6 +45,22 @@ class ObservedQuantity(NamedTuple):
     unit: str
     width: int  #: Numbers.
     largest: float  #: Beyond it the observation is held.
+    of: Callable[[Any], ArrayLike]  #: The numbers, of the environment.
+
+
+def of_cylinders(plant: Plant) -> tuple[ObservedQuantity, ...]:
+    """Extension, velocity and pressure difference of each cylinder."""
+    count, reach = plant.legs, 1.25 * float(plant.hydraulics.cylinder.half_stroke.max())
+
+    def across(env: MachineEnv) -> Array:
+        pressure = env.running.dynamics.state.pressure
+        return 1e-6 * (pressure[:, CAP] - pressure[:, ROD])
+
+    return (
+        ObservedQuantity("leg_extension", "m", count, reach, lambda env: env.extension),
+        ObservedQuantity("leg_velocity", "m/s", count, 2.0, lambda env: env.running.memory.mean),
+        ObservedQuantity("pressure_difference", "MPa", count, 50.0, across),
+    )
 
 
 def checked(name: str, actions: Any, space: gym.Space[Any]) -> Array:
@@ -47,52 +73,124 @@ def checked(name: str, actions: Any, space: gym.Space[Any]) -> Array:
 
 
 class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """A machine in steps of 64 control frames.
+    """A plant in steps of some control frames.
 
-    A subclass says what an action does (`_command`), what is seen (`_look`) and its reward
-    (`_judge`).
+    >>> from cmf_mj.environments import MachineEnv
+    >>> def still(env, action):  # extensions near the middle; the task never ends
+    ...     return -float(np.abs(env.extension).sum()), False
+    >>> env = MachineEnv(cmf_mj.SingleLegs(), reward=still, frames=128, seconds=2.0)
+    >>> seen, info = env.reset(seed=0)
+    >>> env.step(0.1 * np.ones(6))[0].shape
+    (18,)
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": ["rgb_array"],
-        "render_fps": 32,
-    }
-    quantities: tuple[ObservedQuantity, ...]
-    """Names, units and order of the observation."""
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}  # type: ignore[misc]
 
     def __init__(
-        self, plant: Plant, law: Law | None, actions: int, seconds: float, render_mode: str | None
+        self,
+        plant: Plant,
+        law: str | Path | Law | None = None,
+        *,
+        reward: Callable[[Any, Array], tuple[float, bool]],
+        act: Callable[[Any, Array], ArrayLike] | None = None,
+        actions: int | None = None,
+        quantities: Sequence[ObservedQuantity] | None = None,
+        begin: Callable[[Any, Any], None] | None = None,
+        start: ArrayLike | None = None,
+        unknowns: Unknowns | None = None,
+        frames: int = FRAMES,
+        seconds: float = 4.0,
+        render_mode: str | None = None,
     ) -> None:
-        """Make the spaces; `seconds` is the longest run."""
+        """Make the spaces; the functions are called with the environment.
+
+        Args:
+            plant: any; `unknowns` draw another from it for each run.
+            law: what the extensions of the table are demanded of; None for valve commands.
+            reward: of the step that an action made, and whether the task is done.
+            act: the table of a step, (frames, n), of actions from -1 to 1; by default valve
+                commands held, or extensions in half strokes, approached in a straight line.
+            actions: numbers of an action, by default one a cylinder.
+            quantities: what is seen, in this order; default `of_cylinders`.
+            begin: called by each reset with its options, to draw what the run is about by
+                `env.np_random`; what it puts in `env.info` is handed out.
+            start: configuration that runs begin in, at rest; default the model's own.
+            unknowns: what differs from run to run.
+            frames: control frames of a step.
+            seconds: longest run, then truncated [s].
+            render_mode: `rgb_array`, or None.
+
+        Raises:
+            InputError: an argument out of range, named.
+        """
         if render_mode is not None:
             check_name("render_mode", render_mode, self.metadata["render_modes"])
-        self.plant, self.law, self.render_mode = plant, law, render_mode
+        self.plant, self._nominal, self._unknowns = plant, plant, unknowns
+        self.law = self._nominal_law = None if law is None else load_law(law)
+        self.render_mode, self._reward, self._act, self._begin = render_mode, reward, act, begin
+        self.frames, self._start = whole("frames", frames, 1, MOST_FRAMES), start
         if not 0.0 < real("seconds", seconds) * plant.machine.rate <= MOST_FRAMES:
             allowed = f"above 0, up to {MOST_FRAMES} frames"
             raise InputError(f"seconds: {seconds} is refused; allowed: {allowed}")
-        self.steps = max(round(seconds * plant.machine.rate / FRAMES), 1)
+        self.steps = max(round(seconds * plant.machine.rate / self.frames), 1)
         """Steps after which a run is truncated."""
+        self.period = self.frames * plant.machine.frame
+        """Length of a step [s]."""
+        self.metadata = {**self.metadata, "render_fps": max(round(1.0 / self.period), 1)}  # type: ignore[misc]
+        self.quantities = tuple(of_cylinders(plant) if quantities is None else quantities)
+        """Names, units and order of the observation."""
         largest = np.concatenate([np.full(q.width, q.largest) for q in self.quantities])
         self._high = high = largest.astype(np.float32)
         self.observation_space = gym.spaces.Box(-high, high)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (actions,))
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (plant.legs if actions is None else actions,))
         self.session: Session | None = None
+        self.info: dict[str, Any] = {}
+        """What a reset and a step hand out beside the observation."""
         self._renderer: mujoco.Renderer | None = None
 
-    def begin(self, extension: Array, start: Any) -> None:
-        """Start a session at rest at the actuators' extensions, at a configuration of the plant."""
-        self.table = np.tile(0.0 * extension if self.law is None else extension, (FRAMES, 1))
-        frame = self.plant.machine.frame
+    @property
+    def running(self) -> Session:
+        """The session; a step before the first reset is refused."""
+        if self.session is None:
+            raise gym.error.ResetNeeded("step: reset the environment first")
+        return self.session
+
+    @property
+    def extension(self) -> Array:
+        """True extensions [m], (n,)."""
+        return self.running.memory.extension
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin at rest, on a machine drawn from the unknowns."""
+        super().reset(seed=seed)
+        self.info = {}
+        if self._begin is not None:
+            self._begin(self, options)
+        elif options:
+            raise InputError(f"options: {options!r} is refused; allowed: none")
+        if self._unknowns is not None:
+            own = self._unknowns.on(self._nominal)
+            values = own.streams(int(self.np_random.integers(2**31)), 0)
+            self.plant = own.apply(values, self._nominal)
+            if self._nominal_law is not None:
+                self.law = own.apply(values, self._nominal_law)
+        self.plant.start(self._start)
+        self._asked = self.plant.extensions()
+        table = 0.0 * self._asked if self.law is None else self._asked
+        self.table = np.tile(table, (self.frames, 1))
         run = Run(
             plant=self.plant,
             law=self.law,
             source=from_table(self.table),
-            start=start,
-            duration=self.steps * FRAMES * frame,
-            record_every=FRAMES,
+            start=self._start,
+            duration=self.steps * self.period,
+            record_every=self.frames,
         )
-        self.session = run.session(keep=FRAMES * frame)
+        self.session = run.session(keep=self.period)
         self._done = False
+        return self.observation(), deepcopy(self.info)
 
     @staticmethod
     def chosen(options: Any, name: str, drawn: Array, most: float) -> Array:
@@ -110,46 +208,37 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Run 64 control frames."""
-        session = self.session
-        if session is None or self._done or session.frame >= session.frames:
+        """Run the control frames of a step."""
+        session = self.running
+        if self._done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
         acted = np.clip(checked("action", action, self.action_space), -1.0, 1.0)
-        self._command(acted)
-        left = ""
+        self.table[:] = self._held(acted) if self._act is None else self._act(self, acted)
+        left: dict[str, Any] = {}
         try:
-            session.run(FRAMES)
+            session.run(self.frames)
         except OutOfBounds as end:
-            left = str(end)
+            left["left"] = str(end)
         seen = self.observation()
-        reward, done = self._judge(acted)
-        info = self._info() | ({"left": left} if left else {})
+        reward, done = self._reward(self, acted)
         if left:
             self.session, reward, done = None, -LOST, True
         self._done = done
-        return seen, reward, done, session.frame >= session.frames, info
+        return seen, reward, done, session.frame >= session.frames, deepcopy(self.info) | left
+
+    def _held(self, action: Array) -> Array:
+        """The table without `act`."""
+        if self.law is None:
+            return action
+        before, self._asked = self._asked, action * self.plant.hydraulics.cylinder.half_stroke
+        share = np.arange(1, self.frames + 1)[:, None] / self.frames
+        return np.asarray(before + share * (self._asked - before))
 
     def observation(self) -> NDArray[np.float32]:
         """What is seen, held within its bounds; what is no number is 0."""
-        assert self.session is not None
-        seen = np.concatenate(self._look(self.session))
+        seen = np.concatenate([np.atleast_1d(quantity.of(self)) for quantity in self.quantities])
         seen[np.isnan(seen)] = 0.0
         return np.asarray(np.clip(seen, -self._high, self._high), dtype=np.float32)
-
-    def _command(self, action: Array) -> None:
-        """Write the table of the next step."""
-        raise NotImplementedError
-
-    def _look(self, session: Session) -> tuple[Array, ...]:
-        """The parts of the observation."""
-        raise NotImplementedError
-
-    def _judge(self, action: Array) -> tuple[float, bool]:
-        """Reward of a step, and whether the task is done."""
-        raise NotImplementedError
-
-    def _info(self) -> dict[str, Any]:
-        return {}
 
     def render(self) -> Any:
         """A picture of the machine, (480, 640, 3)."""

@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law
 from cmf_mj.core.errors import NoPoseError, check_name
-from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, ObservedQuantity
-from cmf_mj.facility.session import Session
+from cmf_mj.environments.environment import Array, MachineEnv, ObservedQuantity, of_cylinders
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
@@ -39,13 +37,6 @@ _RESIDUAL = 0.2
 class HexapodEnv(MachineEnv):
     """The motion base under a law, or at its valves."""
 
-    quantities = (
-        ObservedQuantity("leg_extension", "m", 6, 1.2),
-        ObservedQuantity("leg_velocity", "m/s", 6, 2.0),
-        ObservedQuantity("pressure_difference", "MPa", 6, 50.0),
-        ObservedQuantity("pose_error", "m, rad", 6, 2.0),
-    )
-
     def __init__(
         self,
         action: str = "pose",
@@ -56,49 +47,46 @@ class HexapodEnv(MachineEnv):
         seconds: float = 4.0,
         render_mode: str | None = None,
     ) -> None:
-        """Choose what an action is; `unknowns` draw another machine for each run."""
-        self.action = check_name("action", action, ACTIONS)
-        self._cab, self._oil, self._unknowns = load_cab(cab), load_hydraulics(hydraulics), unknowns
-        loaded = None if action == "valves" else load_law(law)
-        plant = Hexapod(self._cab, self._oil)
-        super().__init__(plant, loaded, 6, seconds, render_mode)
+        """Choose what an action is; `unknowns` draw another machine for each run.
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin at rest at neutral; `options` may hold the `target` pose (6,) [m, rad]."""
-        super().reset(seed=seed)
+        The options of a reset may hold the `target` pose (6,) [m, rad].
+        """
+        self.action = check_name("action", action, ACTIONS)
+        plant = Hexapod(load_cab(cab), load_hydraulics(hydraulics))
+        missing = ObservedQuantity("pose_error", "m, rad", 6, 2.0, HexapodEnv._missing)
+        super().__init__(
+            *(plant, None if action == "valves" else law),
+            reward=HexapodEnv._judge,
+            act=None if action == "valves" else HexapodEnv._ramp,
+            quantities=(*of_cylinders(plant), missing),
+            begin=HexapodEnv._aim,
+            unknowns=unknowns,
+            seconds=seconds,
+            render_mode=render_mode,
+        )
+
+    def _aim(self, options: Any) -> None:
         drawn = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
         self.target = self.chosen(options, "target", drawn, self.quantities[3].largest)
-        if self._unknowns is not None:
-            unknowns = self._unknowns
-            values = unknowns.streams(int(self.np_random.integers(2**31)), 0)
-            cab = unknowns.apply(values, self._cab)
-            self.plant = Hexapod(cab, unknowns.apply(values, self._oil))
-        self.begin(np.zeros(6), None)
-        self._asked = np.zeros(6)
-        return self.observation(), {"target": self.target.copy()}
+        self.info["target"] = self.target.copy()
+        self._pose = np.zeros(6)
 
-    def _command(self, action: Array) -> None:
-        if self.action == "valves":
-            self.table[:] = action
-            return
+    def _ramp(self, action: Array) -> Array:
         aim = action * _REACH
         if self.action == "residual":
             aim = self.target + _RESIDUAL * aim
-        ramp = np.arange(1, FRAMES + 1)[:, None] / FRAMES
-        self.table[:] = pose_to_legs(self._asked + ramp * (aim - self._asked), self.plant.machine)
-        self._asked = aim
+        share = np.arange(1, self.frames + 1)[:, None] / self.frames
+        table = pose_to_legs(self._pose + share * (aim - self._pose), self.plant.machine)
+        self._pose = aim
+        return table
 
-    def _look(self, session: Session) -> tuple[Array, ...]:
-        memory, pressure = session.memory, session.dynamics.state.pressure
-        across = 1e-6 * (pressure[:, 0] - pressure[:, 1])
+    def _missing(self) -> Array:
         self._apart = np.zeros(6)
-        if np.isfinite(memory.extension).all():
+        if np.isfinite(self.extension).all():
             with suppress(NoPoseError):
-                self._apart = self.target - legs_to_pose(memory.extension, self.plant.machine)
-        return memory.extension, memory.mean, across, self._apart
+                self._apart = self.target - legs_to_pose(self.extension, self.plant.machine)
+        return self._apart
 
     def _judge(self, action: Array) -> tuple[float, bool]:
         error = self._apart / 0.1
-        return -float(error @ error + 0.01 * action @ action) * FRAMES / 2048.0, False
+        return -float(error @ error + 0.01 * action @ action) * self.period, False

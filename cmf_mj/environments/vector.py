@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.arrays import whole
 from cmf_mj.environments.environment import MachineEnv, checked
-from cmf_mj.environments.excavator import ExcavatorEnv
 from cmf_mj.environments.hexapod import HexapodEnv
 
 if TYPE_CHECKING:
@@ -69,10 +68,6 @@ class ThreadVectorEnv(_Side):
         self._pool.shutdown()
 
 
-def _made(kind: Any, num_envs: int = 1, threads: int | None = None, **options: Any) -> Any:
-    return ThreadVectorEnv(partial(kind, **options), num_envs, threads=threads)
-
-
-hexapods: Callable[..., ThreadVectorEnv] = partial(_made, HexapodEnv)
-excavators: Callable[..., ThreadVectorEnv] = partial(_made, ExcavatorEnv)
-"""What `gymnasium.make_vec` calls."""
+def hexapods(num_envs: int = 1, threads: int | None = None, **options: Any) -> ThreadVectorEnv:
+    """What `gymnasium.make_vec` calls."""
+    return ThreadVectorEnv(partial(HexapodEnv, **options), num_envs, threads=threads)

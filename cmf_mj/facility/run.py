@@ -27,7 +27,7 @@ from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Arguments, Seed, in_range, name_or
 from cmf_mj.core.units import LONGEST, MOST_FRAMES, RATE
-from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.chain import AnyElectronics
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import Ring
 from cmf_mj.facility.pace import Pace
@@ -100,8 +100,8 @@ class Run(Arguments):
     demand, else the model's own; with a host the pose at which the demand begins."""
     events: Annotated[tuple[Event, ...], BeforeValidator(listed)] = plural("event", "events")
     """Failures on the time line."""
-    electronics: ElectronicsSettings | None = None
-    """Noisy sensors and servo electronics; default ideal ones."""
+    electronics: AnyElectronics = None
+    """Sensors and servo electronics: `noisy`, or chosen part by part; default `ideal` ones."""
     protection: Annotated[str | ProtectionSettings, name_or(ProtectionSettings)] | None = None
     """Fault detection that makes an emergency stop, `default` or a file; default none."""
     operation: HostChain | None = None

@@ -26,7 +26,7 @@ def simulate(
     *,
     legs: bool = False,
     protection: str | Path | ProtectionSettings | None = None,
-    electronics: ElectronicsSettings | None = None,
+    electronics: str | ElectronicsSettings | None = None,
     **options: Any,
 ) -> Record:
     """Run a control law on a plant and record all signals.
@@ -43,7 +43,8 @@ def simulate(
         legs: whether `command` are extensions.
         protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
             tell the `fault` and its time. Default none.
-        electronics: sensors, converters and servo electronics; default ideal, to the bit.
+        electronics: sensors, converters and servo electronics: `noisy`, `inertial` for a plant that
+            is no motion base, or `ElectronicsSettings`; default `ideal`, to the bit.
         **options: `start`, by default the command's first pose, with `legs` the model's `qpos0`
             (`plant.configuration` gives that of extensions); `events` on the time line;
             `record_every`, keep one frame in this many; `command_delay`, frames from a DCL frame

@@ -13,166 +13,44 @@
     payload.density                            mass and inertia of platform and cab
     law.derivative_pole                        any number of a law; machine.legs.half_stroke, any of
     electronics.leg_position.gain_errors.*     a machine; of each sensor of a channel
+    model.body.torso.mass                      of a plant's MuJoCo model, with the inertia as above;
+    model.joint.knee.damping                   of bodies mass and inertia, of joints damping,
+    model.geom.foot.friction                   stiffness, frictionloss, armature, of geoms friction
 
-An unknown lies between bounds, or deviates from what is nominal. With u from 0 to 1, z normal and
-cut off at `LIMIT` deviations, s the deviation,
-
-    uniform     low + u (high - low)     or  x = s (2 u - 1)        normal     x = s z
-    loguniform  low (high / low)^u                                  lognormal  1 + x = exp(s z)
-
-It is the number itself (`value`), a `factor` on the nominal one, for a deviation 1 + x, or an
-`offset` to it. Points of the unit cube come from a sampler, `cube`, or for each name a stream of
-its own, `streams`, so that an unknown added later leaves the others as they were.
+What is known of one is an `Unknown`. Points of the unit cube come from a sampler, `cube`, or for
+each name a stream of its own, `streams`, so that an unknown added later leaves the others as they
+were. Which actuators there are the plant says: `Unknowns.on(plant)`, by default the legs of a
+motion base.
 """
 
-import re
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Any, Self, TypeVar, cast
 
+import mujoco
 import numpy as np
 import tomlkit
-from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
-from scipy import stats
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from cmf_mj.control.law import Law
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, read_toml, user_file, validated
-from cmf_mj.electronics.sensors import CHANNELS, SensorSettings
+from cmf_mj.electronics.sensors import SensorSettings
+from cmf_mj.facility.unknown import DERIVED, LEGS, Unknown
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
-from cmf_mj.plant.parameters import (
-    ACTUATOR_FIELDS,
-    OF_THE_SUPPLY,
-    VALVE_FIELDS,
-    VALVES,
-    HydraulicParameters,
-)
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters import OF_THE_SUPPLY, VALVES, HydraulicParameters
+from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
-Part = TypeVar("Part", bound=Settings)
-
-LIMIT = 2.0
-"""Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
-
-LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
-
-_DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
-"""What goes with another number too, and the number of the set that it changes."""
-
-_FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
-
-
-_NO_NUMBERS = {"name", "supply", "actuators"}
-_PATH = re.compile(
-    rf"hydraulics\.({'|'.join(HydraulicParameters.model_fields.keys() - _NO_NUMBERS)}|supply)"
-    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.({'|'.join([*ACTUATOR_FIELDS, *_DERIVED])})"
-    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
-    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)"
-    r"|legs\.mass|payload\.density"
-    rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
-    rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
-    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6*])"
-)
-
-
-class Unknown(Settings):
-    """A number, or one of each leg or valve, and what is known of it."""
-
-    path: str  #: As the head of this module lists them.
-    distribution: Literal["uniform", "loguniform", "normal", "lognormal"] = "uniform"
-    low: float | None = None  #: Lower bound, in `unit`.
-    high: float | None = None  #: Upper bound.
-    deviation: Annotated[float, Field(gt=0.0)] | None = None
-    """In the stead of bounds: half width of a uniform distribution, standard deviation of a normal
-    one before it is cut off, that of the logarithm; in `unit`."""
-    unit: str = "%"  #: As in the files; 1 for a factor between bounds.
-    effect: Literal["value", "factor", "offset"] = "factor"
-    status: Literal["stated", "derived", "calibrated", "assumed"] = "assumed"
-    """How the range is known."""
-    source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "Unknown":
-        units.factor(self.unit)
-        if not _PATH.fullmatch(self.path):
-            raise InputError(
-                f"path: {self.path!r} is refused; allowed: hydraulics.FIELD, "
-                "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
-                "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
-            )
-        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
-            raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
-        log, low, high = self.distribution == "loguniform", self.low, self.high
-        if self.deviation is None and "normal" not in self.distribution:
-            if low is None or high is None or not low < high or (log and low <= 0.0):
-                raise InputError(
-                    f"{low} to {high} is refused; low must be less than high, and greater than 0 "
-                    "on a log scale"
-                )
-        elif self.deviation is None or log or self.effect == "value" or (low, high) != (None, None):
-            raise InputError(
-                "deviation: goes with uniform, normal or lognormal and the effects factor or "
-                "offset, without low and high"
-            )
-        elif self.effect == "factor" and self.half >= 1.0:
-            raise InputError(f"deviation: {self.deviation:g} {self.unit} must be less than 1")
-        return self
-
-    @property
-    def half(self) -> float:
-        """The deviation in SI."""
-        return units.to_si(self.unit, self.deviation or 0.0)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of its values on a machine."""
-        legs = (len(LEGS),) if "*" in self.path.split(".") else ()
-        valves = (len(VALVES),) if ".valve_*." in self.path else ()
-        return legs + valves + ((3,) if self.path.endswith(".centre_of_mass") else ())
-
-    def at(self, quantile: ArrayLike) -> Array:
-        """The value below which a share of them lies: in `unit`, a factor, an offset in SI."""
-        share = np.asarray(quantile)
-        if self.low is not None and self.high is not None:
-            if self.distribution == "loguniform":
-                value = self.low * (self.high / self.low) ** share
-            else:
-                value = self.low + (self.high - self.low) * share
-            return units.to_si(self.unit, value) if self.effect == "offset" else np.asarray(value)
-        if self.distribution == "uniform":
-            off = self.half * (2.0 * share - 1.0)
-        else:
-            off = self.half * stats.truncnorm.ppf(share, -LIMIT, LIMIT)
-        off = np.expm1(off) if self.distribution == "lognormal" else off
-        return np.asarray(1.0 + off if self.effect == "factor" else off)
-
-    def number(self, nominal: Any, value: Any) -> Any:
-        """A number in SI with a value of the unknown."""
-        if self.effect == "value":
-            return units.to_si(self.unit, value)
-        return nominal * value if self.effect == "factor" else nominal + value
-
-    def changed(self, nominal: Quantity, value: float) -> dict[str, Any]:
-        """A quantity with a value of the unknown, as files state it."""
-        unit = nominal.unit
-        match self.effect:
-            case "value":
-                unit = self.unit
-            case "offset":
-                value = nominal.value + value * (1.0 / units.factor(unit))
-            case _:
-                value = nominal.value * value
-        return {"value": value, "unit": unit, "status": self.status, "source": self.source}
-
+Part = TypeVar("Part", bound=Settings | Plant)
 
 Values = Mapping[str, Any]
 """Values of unknowns by name: numbers, or arrays where each leg or valve has its own."""
@@ -211,9 +89,22 @@ class Unknowns(dict[str, Unknown]):
     1.002
     """
 
+    legs: tuple[str, ...] = LEGS
+    """Names of the actuators that `*` stands for."""
+
+    def on(self, plant: Plant) -> Self:
+        """The same with the actuators of a plant."""
+        made = type(self)(self)
+        made.legs = plant.actuators
+        return made
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the values by name."""
+        return {name: one.shape(len(self.legs)) for name, one in self.items()}
+
     def split(self, points: Array) -> dict[str, Array]:
         """Coordinates of points (..., n) by name, (..., numbers of it)."""
-        sizes = [int(np.prod(one.shape)) for one in self.values()]
+        sizes = [int(np.prod(shape)) for shape in self.shapes().values()]
         parts = np.split(points, np.cumsum(sizes)[:-1], axis=-1)
         return dict(zip(self, parts, strict=True))
 
@@ -224,20 +115,20 @@ class Unknowns(dict[str, Unknown]):
 
     def shaped(self, parts: Mapping[str, Array]) -> dict[str, Any]:
         """Values of one machine in the shapes that `apply` takes."""
-        shapes = {name: one.shape for name, one in self.items()}
+        shapes = self.shapes()
         return {k: v.reshape(shapes[k]) if shapes[k] else v.item() for k, v in parts.items()}
 
     def draw(self, sampler: str, count: int, seed: Any) -> list[dict[str, Any]]:
         """Values of so many machines; see `cube`."""
-        size = sum(int(np.prod(one.shape)) for one in self.values())
+        size = sum(int(np.prod(shape)) for shape in self.shapes().values())
         return [self.at(point) for point in cube(sampler, count, size, seed)]
 
     def streams(self, seed: int, draw: int) -> dict[str, Any]:
         """Values of a machine, each name from a stream keyed by seed, draw and name."""
         values = {}
-        for name, one in self.items():
+        for name, shape in self.shapes().items():
             key = np.random.SeedSequence(seed, spawn_key=(draw, zlib.crc32(name.encode())))
-            values[name] = one.at(np.random.default_rng(key).random(one.shape))
+            values[name] = self[name].at(np.random.default_rng(key).random(shape))
         return values
 
     def of(self, row: Values) -> dict[str, Any]:
@@ -253,11 +144,14 @@ class Unknowns(dict[str, Unknown]):
         return {p.split(".")[1]: values[known] for p, known in asked.items() if p.endswith(end)}
 
     def apply(self, values: Values, part: Part, name: str | None = None) -> Part:
-        """A cab, hydraulic set, law, machine or set of sensors with these values.
+        """A plant, cab, hydraulic set, law, machine or set of sensors with these values.
 
         What `values` leave out changes nothing. Laws take a changed cab for the nominal one. `name`
-        is that of the new part. Raises `InputError` for a number that the part cannot have.
+        is that of the new part; a plant keeps its own. Raises `InputError` for a number that the
+        part cannot have.
         """
+        if isinstance(part, Plant):
+            return cast("Part", self.on(part)._plant(values, part))
         roots = next(roots for kind, roots in _ROOTS.items() if isinstance(part, kind))
         found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
         given = {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
@@ -265,7 +159,7 @@ class Unknowns(dict[str, Unknown]):
             return part
         match part:
             case HydraulicParameters():
-                made: Any = _hydraulics(given, part, name or part.name)
+                made: Any = _hydraulics(given, part, name or part.name, self.legs)
             case Cab():
                 made = _cab(given, part, name or f"{part.name}_drawn")
             case _:
@@ -273,6 +167,16 @@ class Unknowns(dict[str, Unknown]):
                 for path, (one, value) in given.items():
                     made = _replaced(made, path.split(".")[1:], one, value)
         return cast("Part", made)
+
+    def _plant(self, values: Values, plant: Plant) -> Plant:
+        oil, cab = self.apply(values, plant.parameters), plant.cab_parameters
+        if isinstance(plant, Hexapod) and cab is not None:
+            carried = self.apply(values, cab)
+            if carried is not cab:
+                plant = Hexapod(carried, oil, timestep=plant.model.opt.timestep)
+        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
+        given = {path: entry for path, entry in found.items() if path.startswith("model.")}
+        return plant.changed(oil, lambda model: _edit(model, given))
 
     def save(self, path: Path) -> Path:
         """Write a file that `load_unknowns` reads."""
@@ -290,7 +194,24 @@ _ROOTS: dict[type[Settings], tuple[str, ...]] = {
 _Given = Mapping[str, tuple[Unknown, Any]]
 
 
-def _hydraulics(given: _Given, base: HydraulicParameters, name: str) -> HydraulicParameters:
+def _edit(model: mujoco.MjModel, given: _Given) -> None:
+    """Change the numbers of a MuJoCo model; a mass with its inertia, which may be unknown too."""
+    for path, (one, value) in given.items():
+        _, kind, name, field = path.split(".")
+        try:
+            entry = getattr(model, kind)(name)
+        except KeyError as error:
+            raise InputError(f"{path}: {error.args[0]}") from None
+        number = getattr(entry, field)[: 1 if field == "friction" else None]
+        before = number.copy()
+        number[:] = one.number(before, value)
+        if field == "mass" and f"model.body.{name}.inertia" not in given:
+            entry.inertia[:] *= number / before
+
+
+def _hydraulics(
+    given: _Given, base: HydraulicParameters, name: str, legs: Sequence[str]
+) -> HydraulicParameters:
     """A hydraulic set: first what all have in common, then what actuators have of their own."""
     table = base.model_dump(exclude_none=True)
     ratio = {"supply_pressure": 1.0, "bulk_modulus": 1.0}
@@ -308,9 +229,9 @@ def _hydraulics(given: _Given, base: HydraulicParameters, name: str) -> Hydrauli
     scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}
     for path, (one, value) in own.items():
         _, _, who, *valve, asked = path.split(".")
-        names, valves = LEGS if who == "*" else (who,), VALVES if "valve_*" in valve else valve
+        names, valves = legs if who == "*" else (who,), VALVES if "valve_*" in valve else valve
         rows = np.reshape(value, (len(names), max(1, len(valves)))) * scale.get(asked, 1.0)
-        field = _DERIVED.get(asked, asked)
+        field = DERIVED.get(asked, asked)
         for actuator, row in zip(names, rows, strict=True):
             changes = table["actuators"].setdefault(actuator, {})
             for which, x in zip(valves or [""], row, strict=True):

@@ -21,7 +21,7 @@ while the mass changes is that of the base in proportion to the mass; so is that
 What is drawn and where the pilot sits stay as in the base, a cab of the same machine.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -232,6 +232,13 @@ def load_cab(
         return _own(carrier, names[0] if source is None else str(source))
     user = user_set("cab", names, source, fixed=("base", "nominal", "machine"))
     return _overlaid(_own(carrier, user.base), user.name, user.changes, user.where)
+
+
+def load_cabs(names: Sequence[str], machine: Machine) -> tuple[Cab, ...]:
+    """Cabs of a machine, of `all` that it has, by default its first."""
+    known = tuple(machine.cabs)
+    chosen = known if list(names) == ["all"] else tuple(names) or known[:1]
+    return tuple(load_cab(name, machine) for name in chosen)
 
 
 def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:

@@ -93,12 +93,7 @@ def equipped(
 
     Arguments and refusals are those of `attach_hydraulics`.
     """
-    try:
-        given = isinstance(model, mujoco.MjSpec)
-        spec: mujoco.MjSpec = model if given else mujoco.MjSpec.from_file(str(model))
-    except (ValueError, OSError) as error:
-        raise InputError(f"model: {model} cannot be read: {error}") from None
-    spec, parameters = spec.copy(), load_hydraulics(hydraulics)
+    spec, parameters = opened(model), load_hydraulics(hydraulics)
     if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
     lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
@@ -109,6 +104,16 @@ def equipped(
         )
     neutral = {name: _fit(spec, name, retracted, parameters) for name, retracted in lengths.items()}
     return spec, parameters, neutral
+
+
+def opened(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
+    """A copy of an editable model, or what its file holds."""
+    try:
+        if not isinstance(model, mujoco.MjSpec):
+            return mujoco.MjSpec.from_file(str(model))
+    except (ValueError, OSError) as error:
+        raise InputError(f"model: {model} cannot be read: {error}") from None
+    return model.copy()
 
 
 def _fit(

@@ -14,12 +14,13 @@ per unit actuator velocity, and
 The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
+import copy
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -304,6 +305,20 @@ class Plant:
     def _reset(self) -> None:
         mujoco.mj_resetData(self.model, self.data)
         self.started += 1
+
+    def changed(
+        self, hydraulics: HydraulicParameters, edit: Callable[[mujoco.MjModel], None]
+    ) -> Self:
+        """The same plant with another hydraulic set, and numbers of its model edited."""
+        made = copy.deepcopy(self)
+        for taken in ("digest", "_described"):
+            made.__dict__.pop(taken, None)
+        made.parameters = hydraulics
+        step = float(made.model.opt.timestep)
+        made.hydraulics = make_hydraulics(hydraulics, made.actuators, step)
+        edit(made.model)
+        mujoco.mj_setConst(made.model, made.data)
+        return made
 
     def mechanics(self) -> Stepper:
         """Views and addresses for the compiled loop; valid from a `start` to the next."""

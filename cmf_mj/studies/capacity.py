@@ -37,7 +37,7 @@ from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command
+from cmf_mj.signals.signal import Command, commanded
 from cmf_mj.studies.failure import Peak, extreme
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
@@ -99,9 +99,9 @@ LEAST_PRESSURE = 0.8
 """Least manifold pressure, as a share of the set pressure."""
 
 _SATURATED = 1.0 - 1e-9
-_FRAMES = 4
-"""Every fourth control frame makes a row of the record: 512 Hz at the CMF, whose fastest mode is at
-some 15 Hz."""
+_ROWS = 512
+"""Rows of the record in a second, about: every fourth control frame at the CMF, whose fastest mode
+is at some 15 Hz."""
 
 
 class Flow(NamedTuple):
@@ -132,7 +132,7 @@ class CapacityResult(NamedTuple):
     peak_command: NDArray[np.float64]
     """Largest compensator output, before the clamp, as a fraction, (n,)."""
     least_margin: Peak  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
-    record: Record  #: The run, every fourth control frame.
+    record: Record  #: The run, at about 512 Hz.
 
 
 CAPACITY = (
@@ -205,17 +205,16 @@ def capacity(
 ) -> CapacityResult:
     """Run a manoeuvre and say whether the supply holds through it.
 
-    `command` is a `Command` or platform poses (N, 6) [m, rad], z down, within the operational
-    limits. Poses are at 2048 Hz; for a machine of another control rate `Command.from_pose` makes a
-    `Command` of them. A `plant` runs instead of one of `cab` and `hydraulics`. `least_pressure` is
-    gauge [Pa], by default 80 % of the set pressure. Raises FloatingPointError where the state
-    leaves its physical bounds.
+    `command` is a `Command` or platform poses (N, 6) at the machine's control rate [m, rad], z
+    down, within the operational limits. A `plant` runs instead of one of `cab` and `hydraulics`.
+    `least_pressure` is gauge [Pa], by default 80 % of the set pressure. Raises FloatingPointError
+    where the state leaves its physical bounds.
     """
-    demanded = command if isinstance(command, Command) else Command.from_pose(command)
     machine = Hexapod(cab, hydraulics) if plant is None else plant
+    demanded = commanded(command, machine.machine.rate)
     check_limits(demanded, machine=machine.machine)
     allowed = least_allowed(machine.parameters, least_pressure)
-    record = simulate(machine, law, demanded, record_every=_FRAMES)
+    record = simulate(machine, law, demanded, record_every=max(1, machine.machine.rate // _ROWS))
     supply = machine.hydraulics.supply
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")

@@ -45,7 +45,8 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, NotLinearError
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
 from cmf_mj.machine.motion_limits import load_motion_limits

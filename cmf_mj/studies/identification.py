@@ -78,7 +78,8 @@ def identify(
 
     The last record validates, the others are fitted jointly; of a single one the first `SHARE` is
     fitted. `axis` is surge to yaw, or leg_1 and so on; `method` is `arx` or `oe`. Default orders
-    are the fewest parameters of an ARX grid within 0.2 % of the best validation fit. `law` drove
+    are the fewest parameters of an ARX grid within 0.2 % of the best validation fit, without poles
+    at the Nyquist frequency, which no machine has and given orders are refused for. `law` drove
     the records, by default the shipped one they name; `step` is a step under it, to compare the
     loop's damping with.
     """
@@ -87,12 +88,18 @@ def identify(
         raise InputError("records: none given; at least one is needed")
     series = [experiment(record, axis) for record in records]
     *estimation, validation = series if len(series) > 1 else series[0].split(SHARE)
-    selection = None
+    fit, selection = {"arx": arx, "oe": output_error}[method], None
     if orders is None:
         selection = select_orders(estimation, validation, **_GRID)
         orders = selection.best().orders
-    fit = {"arx": arx, "oe": output_error}[method]
     model = fit(estimation, Orders(*orders))
+    while poles := model.nyquist_poles:
+        left = () if selection is None else selection.without(model.orders)
+        if not left:
+            where = f"a pole at {poles[0]:.3f}, the Nyquist frequency of {0.5 / model.step:g} Hz"
+            raise InputError(f"orders: {tuple(orders)} put {where}; allowed: others")
+        selection = Selection(left)
+        model = fit(estimation, selection.best().orders)
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]
     recorded = records[-1].metadata.get("law")

@@ -44,14 +44,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law, law_on, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
-from cmf_mj.facility.unknowns import Unknown
-from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.machine.cab import Cab, load_cab, load_cabs
 from cmf_mj.machine.geometry import DOFS, dof_unit
-from cmf_mj.machine.machine import load_machine
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of, load_hydraulics
@@ -155,7 +155,7 @@ class StudySettings(Settings):
     method: Method
     laws: Annotated[list[str], Field(min_length=1)]
     """Names, TOML files, or one of several laws of a file, file.toml:name."""
-    cabs: list[str] = []  #: Names or TOML files; default the machine's first.
+    cabs: list[str] = []  #: Names or TOML files, `all` alone; default the machine's first.
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
@@ -259,17 +259,21 @@ def load_study(
     table, where = study_table(source)
     table |= changes or {}
     with within(where):
-        loaded = None if laws is None else tuple(load_law(law) for law in laws)
+        machine = load_machine(table.get("machine", CMF))
+        loaded = None if laws is None else _laws(laws, machine)
         if loaded is not None:
             table["laws"] = [law.name for law in loaded]
         settings = validated(StudySettings, table, where)
         _check(settings)
-        chosen = loaded or tuple(load_law(law) for law in settings.laws)
-        machine = load_machine(settings.machine)
-        cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or tuple(machine.cabs)[:1])
+        chosen = loaded or _laws(settings.laws, machine)
+        cabs = load_cabs(settings.cabs, machine)
         for field, named in (("laws", chosen), ("cabs", cabs)):
             check_distinct(field, [one.name for one in named])
         return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
+
+
+def _laws(laws: Sequence[str | Law], machine: Machine) -> tuple[Law, ...]:
+    return tuple(load_law(law_on(machine, one) if isinstance(one, str) else one) for one in laws)
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:

@@ -68,3 +68,13 @@ def test_the_trained_policy_digs_faster_within_proof(
     law, policy = (float(value) for value in re.findall(r"after ([\d.]+) s", text))
     pressures = [float(value) for value in re.findall(r"pressure ([\d.]+) of proof", text)]
     assert "0 left" in text and policy < 0.6 * law and max(pressures) < 1.0
+
+
+@pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_hopper_hops_on_machines_that_differ(
+    train: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["hop.py", *([] if train else ["--generations", "0"])])
+    text = printed("hop", capsys)
+    unseen, many = (int(value) for value in re.findall(r"(\d+) of \d+ hop", text))
+    assert unseen >= 9 and many >= 180

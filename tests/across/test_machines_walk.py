@@ -16,7 +16,7 @@ def listed() -> dict[tuple[str, str], tuple[str, str]]:
     """How each pair of command and machine ended when all were walked, and why."""
     with (ROOT / "docs" / "data" / "machines.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    return {(row["command"], row["machine"]): (row["ended"], row["reason"]) for row in rows}
+    return {(row["command"], row["machine"]): (row["ended"], row["said"]) for row in rows}
 
 
 @pytest.mark.slow

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pyarrow.parquet
 import pytest
 from shared import cmf
 from typer.main import get_command
 
-from cmf_mj import Hexapod
+from cmf_mj import Hexapod, Run
 from cmf_mj.cli.common import app
+from cmf_mj.studies.settings import load_study
 
 TAKING = ("cab", "cabs", "hydraulics")
 
@@ -55,3 +57,53 @@ def test_a_new_machine_writes_over_no_file(tmp_path: Path) -> None:
 def test_commands_that_build_a_machine_take_one(command: str) -> None:
     parameters = [p.name for p in get_command(app).commands[command].params]  # type: ignore[attr-defined]
     assert "machine" in parameters and set(TAKING) & set(parameters)
+
+
+def test_the_law_of_a_machine_file_goes_by_its_name(tmp_path: Path) -> None:
+    """`cmf list machines` names it; the machine's file says where it is."""
+    how = ("--machine", "lab", "--dofs", "heave", "--out", tmp_path)
+    said = cmf("linearize", "--law", "lab_plan", *how)
+    assert said == cmf("linearize", *how)
+    assert "'lab_plan' is not one of" in cmf("linearize", "--law", "lab_plan", code=2)
+    assert "'lab_pla' is not one of" in cmf("linearize", "--law", "lab_pla", *how, code=2)
+
+
+def test_a_study_knows_laws_and_cabs_of_any_machine(tmp_path: Path) -> None:
+    table = {"title": "own", "method": "linear", "machine": "lab", "laws": ["lab_plan"]}
+    study = load_study(table | {"cabs": ["all"]})
+    assert [one.name for one in (*study.laws, *study.cabs)] == ["lab_plan", "payload"]
+    file = tmp_path / "own.toml"
+    file.write_text('title = "own"\nmethod = "linear"\nlaws = ["velocity"]\n')
+    how = ("--jobs", 1, "--backend", "threading", "--out", tmp_path / "out")
+    said = cmf("study", file, "--machine", "lab", "--laws", "lab_plan", "--cabs", "all", *how)
+    assert "lab_plan" in said
+    rows = pyarrow.parquet.read_table(tmp_path / "out" / "results.parquet")
+    assert set(rows["cab"].to_pylist()) == {"payload"}
+
+
+def test_the_studio_takes_machine_law_and_cab(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[Run] = []
+
+    class Served:
+        url = "http://nowhere"
+
+        def __init__(self, host: str, port: int, scenario: Run) -> None:
+            begun.append(scenario)
+
+        def stop(self) -> None:
+            pass
+
+    def ended(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cmf_mj.show.studio.server.Studio", Served)
+    monkeypatch.setattr("signal.signal", ended)  # as Ctrl-C
+    cmf("studio", "--machine", "lab", "--no-open")
+    cmf("studio", "--machine", "lab", "--law", "velocity", "--cab", "payload", "--no-open")
+    cmf("studio", "--machine", "simona", "--law", "simona_plan", "--no-open")
+    cmf("studio", "heave_sine", "--cab", "rfd", "--no-open")
+    laws = [one.begun_law().name for one in begun]
+    assert laws == ["lab_plan", "velocity", "simona_plan", "velocity"]
+    carried = [(one.carried.machine.name, one.carried.name) for one in begun]
+    assert carried == [("lab", "payload"), ("lab", "payload"), ("simona", "srs"), ("cmf", "rfd")]
+    assert "cab: 'gfd'" in cmf("studio", "--machine", "lab", "--cab", "gfd", "--no-open", code=2)

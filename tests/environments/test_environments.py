@@ -5,52 +5,64 @@ import warnings
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import cmf_mj.environments
-from cmf_mj import InputError, load_law, pose_to_legs, simulate
-from cmf_mj.environments.environment import FRAMES
-from cmf_mj.environments.excavator import ExcavatorEnv
+from cmf_mj import InputError, attach_hydraulics, drive, load_law, pose_to_legs, simulate
+from cmf_mj.environments import MachineEnv, ObservedQuantity
 from cmf_mj.environments.hexapod import HexapodEnv
 from cmf_mj.environments.vector import ThreadVectorEnv, hexapods
 from cmf_mj.facility.session import OutOfBounds, Session
-from cmf_mj.facility.unknowns import load_unknowns
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns, load_unknowns
 from cmf_mj.plant.hexapod import Hexapod
 
 UNKNOWNS = load_unknowns("valve_gains")
+PRESS = """
+<mujoco model="press">
+  <worldbody><light pos="0 -3 4"/>
+    <body name="load"><joint name="ram" type="slide" axis="0 0 1" range="0 1.9304"/>
+      <geom type="box" size="0.5 0.5 0.1" mass="3000"/></body>
+    <body name="other" pos="2 0 0"><joint name="side" type="slide" axis="1 0 0" range="0 1.9304"/>
+      <geom type="box" size="0.5 0.5 0.1" mass="1000"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def press(law: str | None = None, **options: Any) -> MachineEnv:
+    """Two cylinders in the middle of their strokes; the reward is the first's extension."""
+    plant = attach_hydraulics(mujoco.MjSpec.from_string(PRESS), ["ram", "side"])
+    how: dict[str, Any] = {"start": plant.configuration([0.0, 0.0]), "seconds": 1.0}
+    how["reward"] = lambda env, _: (env.extension[0], False)
+    return MachineEnv(plant, law, **how | options)
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("Hexapod", {}),
-        ("Hexapod", {"action": "valves"}),
-        ("Hexapod", {"action": "residual", "unknowns": UNKNOWNS}),
-        ("Excavator", {}),
-        ("Excavator", {"task": "reach"}),
-    ],
+    "options", [{}, {"action": "valves"}, {"action": "residual", "unknowns": UNKNOWNS}, None]
 )
-def test_the_checker_has_no_warning(name: str, options: dict[str, Any]) -> None:
-    env = gymnasium.make(f"cmf_mj/{name}-v0", **options)
+def test_the_checker_has_no_warning(options: dict[str, Any] | None) -> None:
+    env: Any = press() if options is None else gymnasium.make("cmf_mj/Hexapod-v0", **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped, skip_render_check=True)
-    width = sum(quantity.width for quantity in env.unwrapped.quantities)  # type: ignore[attr-defined]
+    width = sum(quantity.width for quantity in env.unwrapped.quantities)
     assert env.observation_space.shape == (width,)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["Hexapod", "Excavator"])
-def test_a_picture_shows_the_machine(name: str) -> None:
-    env = gymnasium.make(f"cmf_mj/{name}-v0", render_mode="rgb_array", seconds=1.0)
+@pytest.mark.parametrize("own", [False, True])
+def test_a_picture_shows_the_machine(own: bool) -> None:
+    how: dict[str, Any] = {"render_mode": "rgb_array", "seconds": 1.0}
+    env: Any = press(**how) if own else gymnasium.make("cmf_mj/Hexapod-v0", **how)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(env.unwrapped)
+        check_env(env.unwrapped, skip_render_check=own)
     env.reset(seed=0)
     picture = env.render()
-    assert picture.shape == (480, 640, 3) and picture.std() > 5.0  # type: ignore[union-attr]
+    assert picture.shape == (480, 640, 3) and picture.std() > 5.0
     env.close()
 
 
@@ -141,20 +153,79 @@ def test_unknowns_draw_another_machine_for_each_run() -> None:
     assert (seen[0] == seen[2]).all() and (seen[0] != seen[1]).any()
 
 
-def test_the_excavator_reaches_a_place_and_its_reward_counts_it() -> None:
-    env = ExcavatorEnv("reach", seconds=20.0)
+@pytest.mark.parametrize("law", [None, "velocity"])
+def test_a_step_is_the_frames_of_a_run(law: str | None) -> None:
+    """To the bit: valve commands of `drive`, or straight lines of extensions of `simulate`."""
+    env, actions = press(law, frames=40), [[0.1, -0.2], [0.3, 0.0], [-0.05, 0.2]]
+    env.reset(seed=0)
+    ends, rewards = [], []
+    for action in actions:
+        rewards.append(env.step(np.array(action, dtype=np.float32))[1])
+        ends.append(env.extension.copy())
+    given = np.array(actions, dtype=np.float32).astype(float)
+    plant, start = env.plant, env._start
+    if law is None:
+        rows = np.vstack([np.repeat(given, 40, axis=0), given[-1:]])
+        record = drive(plant, rows, start=start, command_delay=1)
+    else:
+        half, share = plant.hydraulics.cylinder.half_stroke, np.arange(1, 41)[:, None] / 40
+        plant.start(start)
+        knots = np.vstack([plant.extensions(), given * half])
+        lines = [a + share * (b - a) for a, b in zip(knots[:-1], knots[1:], strict=True)]
+        # A run engages on its first row, an environment at its start.
+        rows = np.vstack([*lines, knots[-1:]])
+        record = simulate(plant, law, rows, legs=True, start=start)
+    same = np.array_equal if law is None else lambda a, b: np.abs(a - b).max() < 1e-4
+    for step, end in enumerate(ends, start=1):
+        assert same(record["leg_extension"][40 * step - 1], end)
+    assert rewards == [end[0] for end in ends]
+
+
+def test_any_plant_is_drawn_again_for_each_run() -> None:
+    """At open valves speeds go with valve gains; the plant given stays as it was."""
+    speed = Unknown(path="hydraulics.actuators.*.leg_speed", deviation=20.0, source="test")
+    env = press(unknowns=Unknowns(speed=speed))
+    seen = []
+    for seed in (1, 2, 1):
+        env.reset(seed=seed)
+        here = [env.step(np.array([0.0, 0.3], dtype=np.float32))[0] for _ in range(16)][-1]
+        gain = env.plant.parameters.actuator("side")["leg_speed"].si
+        seen.append((here.tobytes(), here[1] / gain))
+    assert seen[0] == seen[2] and seen[0][0] != seen[1][0]
+    assert seen[0][1] == pytest.approx(seen[1][1], rel=0.05)
+
+
+def test_a_task_draws_itself_sees_and_ends() -> None:
+    """A place to reach: drawn by the seed, handed out, seen as what is left to it."""
+
+    def aim(env: Any, options: Any) -> None:
+        drawn = env.np_random.uniform(0.05, 0.1, 1)
+        env.place = env.chosen(options, "place", drawn, 0.5)[0]
+        env.info["place"] = env.place
+
+    def left(env: Any) -> float:
+        return float(env.place - env.extension[1])
+
+    env = press(
+        begin=aim,
+        actions=1,
+        act=lambda env, action: np.concatenate([[0.0], action]),
+        quantities=[ObservedQuantity("left", "m", 1, 1.0, left)],
+        reward=lambda env, _: (-abs(left(env)), abs(left(env)) < 0.01),
+        seconds=4.0,
+    )
     seen, info = env.reset(seed=5)
-    worth, steps, done, cut = 0.0, 0, False, False
+    assert seen == pytest.approx([info["place"]], abs=1e-6) and 0.05 < info["place"] < 0.1
+    done = cut = False
     while not (done or cut):
-        towards = np.clip(2.0 * (seen[9:12] - seen[6:9]), -0.5, 0.5)
-        seen, reward, done, cut, info = env.step(towards)
-        worth, steps = worth + reward, steps + 1
-    assert done and info["places_left"] == 0
-    assert info["time"] == pytest.approx(steps * FRAMES / 2048)
-    assert worth == pytest.approx(10.0 - info["time"], abs=0.5)  # less pressure above half of proof
+        seen, reward, done, cut, info = env.step(np.clip(5.0 * seen, -1.0, 1.0))
+    assert done and abs(seen[0]) < 0.01 and reward == pytest.approx(-abs(seen[0]), abs=1e-6)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset the environment first"):
+        env.step(np.zeros(1))
+    assert env.reset(seed=1, options={"place": [0.2]})[1] == {"place": 0.2}
 
 
-@pytest.mark.parametrize("make", [ExcavatorEnv, HexapodEnv])
+@pytest.mark.parametrize("make", [press, HexapodEnv])
 def test_an_action_is_finite_numbers_and_is_refused_before_it_moves_anything(make: Any) -> None:
     env = make(seconds=1.0)
     env.reset(seed=1)
@@ -166,22 +237,12 @@ def test_an_action_is_finite_numbers_and_is_refused_before_it_moves_anything(mak
     env.step(np.zeros(count))
 
 
-def test_a_step_after_the_end_asks_for_a_reset() -> None:
-    env = ExcavatorEnv("reach", seconds=20.0)
-    env.reset(seed=5, options={"places": env.places[:1]})
-    assert env.step(np.zeros(3))[2]
-    with pytest.raises(gymnasium.error.ResetNeeded, match="reset the environment first"):
-        env.step(np.zeros(3))
-    env.reset(seed=5)
-    assert not env.step(np.zeros(3))[2]
-
-
 def test_wrong_options_are_refused_by_name() -> None:
     for make, words in (
         (lambda: HexapodEnv(seconds=-1.0), r"seconds: -1\.0 is refused; allowed: above 0"),
-        (lambda: ExcavatorEnv(seconds=float("nan")), "seconds: nan is refused"),
+        (lambda: press(seconds=float("nan")), "seconds: nan is refused"),
+        (lambda: press(frames=0), "frames: 0 is refused"),
         (lambda: HexapodEnv("lever"), "action: 'lever'"),
-        (lambda: ExcavatorEnv("swim"), "task: 'swim'"),
         (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),
         (lambda: HexapodEnv(seconds=float("inf")), "seconds: inf is refused"),
         (lambda: HexapodEnv(seconds="2"), "seconds: holds <U1"),  # type: ignore[arg-type]
@@ -203,9 +264,7 @@ def test_wrong_options_are_refused_by_name() -> None:
         (HexapodEnv, {"target": None}, "target: holds object"),
         (HexapodEnv, {"Target": [0.0] * 6}, "options: .*Target.* allowed: .*'target'"),
         (HexapodEnv, [1], r"options: \[1\] is refused"),
-        (ExcavatorEnv, {"places": []}, r"places: \[\] is refused"),
-        (ExcavatorEnv, {"places": [[0.0, 0.0]]}, r"places: .* shape \(4, 3\)"),
-        (ExcavatorEnv, {"places": [[np.nan] * 3]}, "places: .* is refused"),
+        (press, {"target": [0.0] * 6}, "options: .* is refused; allowed: none"),
     ],
 )
 def test_wrong_options_of_a_reset_are_refused_by_name(make: Any, options: Any, words: str) -> None:
@@ -229,14 +288,14 @@ def test_a_vector_steps_all_its_environments_or_none(actions: Any) -> None:
 
 def test_vectors_are_made_by_gymnasium() -> None:
     made = gymnasium.make_vec(
-        "cmf_mj/Excavator-v0",
+        "cmf_mj/Hexapod-v0",
         num_envs=2,
         vectorization_mode="vector_entry_point",
         seconds=0.0625,
     )
-    assert isinstance(made.unwrapped, ThreadVectorEnv) and cmf_mj.environments
+    assert isinstance(made.unwrapped, ThreadVectorEnv)
     made.reset(seed=0)
-    ends = [made.step(np.zeros((2, 3), dtype=np.float32)) for _ in range(3)]
+    ends = [made.step(np.zeros((2, 6), dtype=np.float32)) for _ in range(3)]
     assert [end[3].tolist() for end in ends] == [[False] * 2, [True] * 2, [False] * 2]
     made.close()
 

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, load_law, simulate
+from cmf_mj import Hexapod, load_cab, load_law, simulate
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
-from cmf_mj.facility.many import simulate_many
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.machine import models
@@ -18,6 +17,10 @@ from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
 from cmf_mj.signals.single import step
+from cmf_mj.studies.capacity import capacity
+from cmf_mj.studies.case import make_case
+from cmf_mj.studies.identification import identify, simulated_records
+from cmf_mj.studies.many import simulate_many
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
 
@@ -130,3 +133,17 @@ def test_a_scenario_runs_at_the_rate_of_its_machine(tmp_path: Path) -> None:
     meant = 0.005 * (1.0 - np.cos(np.pi * time)) * np.sin(4.0 * np.pi * time)
     np.testing.assert_allclose(record["demand_pose"][:500, 2], meant, rtol=0, atol=1e-12)
     assert np.abs(record["demand_pose"][700:]).max() == 0.0
+
+
+def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
+    """1000 Hz is no multiple of 64: the lag's pole is found at 66.7 Hz, to its 3 Hz."""
+    own = machine(1000)
+    case = make_case("velocity", "heave", "single_legs", load_cab("deck", own))
+    found = identify(simulated_records(case), "heave")
+    assert found.model.step == pytest.approx(0.015)
+    corner = [-np.log(r.value.real) / 0.015 for r in found.model.poles() if r.value.imag == 0.0]
+    assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
+    plant, poses = Hexapod(machine=own), np.zeros((1000, 6))
+    held = capacity(poses, plant=plant)
+    assert held.record.rate == 1000.0 and held.record.time[-1] == pytest.approx(0.999)
+    assert held.holds

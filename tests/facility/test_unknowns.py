@@ -3,23 +3,18 @@
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from scipy import stats
 
-from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law, load_machine
+from cmf_mj import Hexapod, attach_hydraulics, load_cab, load_hydraulics, load_law, load_machine
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.sensors import load_sensors, make_sensors, sense_history
-from cmf_mj.facility.unknowns import (
-    LEGS,
-    LIMIT,
-    Unknown,
-    Unknowns,
-    cube,
-    load_unknowns,
-)
+from cmf_mj.facility.unknown import LEGS, LIMIT, Unknown
+from cmf_mj.facility.unknowns import Unknowns, cube, load_unknowns
 from cmf_mj.plant.parameters import OF_THE_SUPPLY, HydraulicParameters
 from cmf_mj.studies.settings import load_study
 
@@ -208,6 +203,54 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     assert load_unknowns(saved) == mixed
     with pytest.raises(ValueError, match="unknowns: 'none' is not one of valve_gains"):
         load_unknowns("none")
+
+
+BALANCE = """
+<mujoco model="balance">
+  <worldbody>
+    <body name="load"><joint name="ram" type="slide" axis="0 0 1" range="0 1.9304"/>
+      <geom name="box" type="box" size="0.5 0.5 0.1" mass="3000"/></body>
+    <body name="other" pos="2 0 0"><joint name="side" type="slide" axis="0 0 1" range="0 1.9304"/>
+      <geom type="box" size="0.5 0.5 0.1" mass="1000"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_any_plant_is_drawn_with_its_own_actuators_and_masses() -> None:
+    """Drawn weights are what the cylinders carry; the plant drawn from stays as it was."""
+    plant = attach_hydraulics(mujoco.MjSpec.from_string(BALANCE), ["ram", "side"])
+    each = Unknowns(
+        mass=unknown("model.body.load.mass"),
+        leak=unknown(),
+        bias=unknown(FLOWS),
+        drag=unknown("model.joint.side.damping", effect="value", low=5.0, high=6.0, unit="1"),
+        speed=unknown("hydraulics.actuators.side.leg_speed"),
+    )
+    drawn = each.on(plant).streams(3, 1)
+    assert drawn["leak"].shape == (2,) and drawn["bias"].shape == (2, 2)
+    made = each.apply(drawn, plant)
+    assert made.static_load() == pytest.approx([3000.0 * 9.81 * drawn["mass"], 9810.0], rel=1e-12)
+    assert plant.static_load() == pytest.approx([3000.0 * 9.81, 9810.0], rel=1e-12)
+    ratio = made.model.body("load").inertia / plant.model.body("load").inertia
+    np.testing.assert_allclose(ratio, drawn["mass"], rtol=1e-12)
+    assert 5.0 <= made.model.joint("side").damping[0] <= 6.0
+    speeds = [made.parameters.actuator(name)["leg_speed"].si for name in plant.actuators]
+    assert speeds[1] / speeds[0] == pytest.approx(drawn["speed"])
+    assert made.digest != plant.digest
+    again = each.apply(drawn, plant)
+    assert again.digest == made.digest and again.parameters == made.parameters
+    with pytest.raises(ValueError, match="model.body.lead.mass: .*lead"):
+        Unknowns(x=unknown("model.body.lead.mass")).apply({"x": 1.1}, plant)
+
+
+def test_a_motion_base_is_drawn_with_its_cab() -> None:
+    heavy = Unknowns(mass=unknown("cab.mass"), gain=unknown("hydraulics.leg_speed"))
+    made = heavy.apply({"mass": 1.2, "gain": 0.9}, Hexapod("rfd"))
+    cab = load_cab("rfd")
+    assert made.cab_parameters.mass.si == pytest.approx(1.2 * cab.mass.si)
+    assert made.parameters.leg_speed.si == pytest.approx(0.9 * HARDWARE.leg_speed.si)
+    assert made.law_key == cab
 
 
 def sensors_with(errors: np.ndarray) -> Any:

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,13 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from cmf_mj.analysis.identification.data import Experiment
+from cmf_mj.analysis.identification.estimation import arx
 from cmf_mj.cli.common import app
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.show.measurement import model_table, orders_table, save_identification
+from cmf_mj.studies import identification
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.identification import (
     Identified,
@@ -126,3 +130,32 @@ def test_bad_methods_and_signals_are_named(records: list[Record]) -> None:
         identify([], "heave")
     with pytest.raises(ValueError, match="signal: 'hum' is not one of multisine"):
         excitation("hum", "heave")
+
+
+def test_a_pole_at_the_nyquist_frequency_is_refused_and_other_orders_are_taken(
+    records: list[Record], identified: Identified, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """y+ = -0.98 y + u alternates; no continuous system does."""
+    drive = np.random.default_rng(0).normal(size=400)
+    out = np.zeros(400)
+    for k in range(399):
+        out[k + 1] = -0.98 * out[k] + drive[k]
+    names = {"input_names": ("u",), "output_names": ("y",)}
+    run = Experiment(drive, out, 1.0 / 64.0, input_units=("1",), output_units=("m/s",), **names)
+    alternating = arx(run, (1, 1, 1))
+    assert alternating.nyquist_poles == pytest.approx((-0.98,))
+    assert identified.model.nyquist_poles == ()
+    tried = []
+
+    def fit(series, orders):
+        tried.append(orders)
+        model = arx(series, orders)
+        return model if len(tried) > 1 else replace(alternating, orders=orders)
+
+    monkeypatch.setattr(identification, "arx", fit)
+    other = identify(records, "heave", method="arx")
+    assert len(tried) == 2 and other.model.orders == tried[1] != tried[0]
+    assert other.selection.best().orders == tried[1]
+    tried.clear()
+    with pytest.raises(ValueError, match=r"orders: \(4, 3, 1\) put .* Nyquist frequency of 32 Hz"):
+        identify(records, "heave", method="arx", orders=(4, 3, 1))

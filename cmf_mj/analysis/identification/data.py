@@ -5,7 +5,7 @@ sampling instants this command jumps; its band-limited value there is the mean o
 
     u(t[k]) = (c[k-d] + c[k-d-1]) / 2,    d = command_delay of the run
 
-which is exact to (pi f / 2048)^2 / 2. A model identified from u to the legs therefore holds neither
+which is exact to (pi f / rate)^2 / 2. A model identified from u to the legs therefore holds neither
 the computing frame nor the hold, as a linear plant of `cmf_mj.analysis.linear` does.
 
 Degrees of freedom: any leg signal s (n,) of the loop, commands and velocities alike, is mapped by
@@ -24,7 +24,6 @@ from scipy import interpolate, signal
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.units import RATE as FRAMES
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
@@ -34,7 +33,8 @@ from cmf_mj.record.record import Record
 Real = NDArray[np.float64]
 
 RATE = 64.0
-"""Default sampling rate [Hz], half the facility recorder's: the legs' modes lie below 15 Hz, and a
+"""Default sampling rate [Hz], half the facility recorder's, or the least one above it that divides
+the record's into whole samples: the legs' modes lie below 15 Hz, and a
 model at a rate far above what is excited learns little and suffers much from noise."""
 
 RECORDER = 128.0
@@ -172,7 +172,7 @@ def experiment(
     axes: str | Sequence[str],
     *,
     outputs: str | Sequence[str] = "leg_velocity",
-    rate: float = RATE,
+    rate: float | None = None,
     detrend: bool = True,
 ) -> Experiment:
     """Valve command to leg signals along legs or degrees of freedom, decimated, without their mean.
@@ -188,15 +188,17 @@ def experiment(
     """
     names = [axes] if isinstance(axes, str) else list(axes)
     channels = [outputs] if isinstance(outputs, str) else list(outputs)
+    rate = _nearest(record, RATE) if rate is None else rate
     factor = round(record.rate / rate)
     if factor < 1 or abs(record.rate / rate - factor) > 1e-9:
         raise InputError(f"rate: {rate} Hz; the record's {record.rate} Hz must be a multiple of it")
     needed = dict.fromkeys(("valve_command", "leg_reference", "leg_position", *channels))
     legs = {channel: record[channel] for channel in needed}
     frames = int(record.metadata.get("command_delay", 1))
-    legs["valve_command"] = _at_valve(legs["valve_command"], frames, record.rate)
-    legs = {channel: decimated(values, factor) for channel, values in legs.items()}
     machine = recorded_machine(record.metadata)
+    samples = record.rate / machine.rate
+    legs["valve_command"] = _at_valve(legs["valve_command"], frames, samples)
+    legs = {channel: decimated(values, factor) for channel, values in legs.items()}
     along = {channel: _along(legs, channel, names, machine) for channel in needed}
     measured = Experiment(
         input=along["valve_command"],
@@ -216,10 +218,18 @@ def experiment(
     return measured.detrended() if detrend else measured
 
 
-def _at_valve(command: Real, frames: int, rate: float) -> Real:
-    """Band-limited value of the delayed, zero-order-hold command at the sampling instants."""
+def _nearest(record: Record, rate: float) -> float:
+    """The rate, or the least above it that is a whole part of a record's; at most the record's."""
+    return record.rate / max(1, int(record.rate // rate))
+
+
+def _at_valve(command: Real, frames: int, samples: float) -> Real:
+    """Band-limited value of the delayed, zero-order-hold command at the sampling instants.
+
+    A control frame has so many `samples`.
+    """
     place = np.arange(command.shape[0], dtype=float)
-    late = np.clip(place - (frames + 0.5) * rate / FRAMES, 0.0, None)
+    late = np.clip(place - (frames + 0.5) * samples, 0.0, None)
     return np.asarray(interpolate.make_interp_spline(place, command, k=3, axis=0)(late))
 
 
@@ -236,10 +246,7 @@ def plant_response(record: Record, axis: str) -> FrequencyResponse:
     Lines lie in the band of the excitation, in SI per full command; the coherence is the lesser of
     reference to input and reference to output. Raises `InputError` without excitation.
     """
-    # The analysis rate, or the record's where it is lower or no multiple.
-    factor = record.rate / RECORDER
-    rate = RECORDER if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
-    series = experiment(record, axis, rate=rate)
+    series = experiment(record, axis, rate=_nearest(record, RECORDER))
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
     to_input, to_output = (

@@ -176,6 +176,10 @@ class Selection(NamedTuple):
             return min(good, key=lambda c: (c.parameters, -c.fit))
         return min(pool, key=lambda c: c.aic if criterion == "aic" else c.bic)
 
+    def without(self, orders: Orders) -> tuple[Candidate, ...]:
+        """The other candidates."""
+        return tuple(c for c in self.candidates if c.orders != orders)
+
 
 def select_orders(
     estimation: Experiment | Sequence[Experiment],

@@ -28,6 +28,9 @@ Complex = NDArray[np.complex128]
 STABILITY = 1e-9
 """Distance from the unit circle below which a pole counts as on it, not outside."""
 
+AT_NYQUIST = 0.1
+"""Distance from -1 within which a real pole is at the Nyquist frequency."""
+
 
 class Orders(NamedTuple):
     """Orders of an ARX or output-error model."""
@@ -130,6 +133,12 @@ class PolynomialModel:
         """Poles outside the unit circle, of all rows."""
         roots = [np.roots(a) for a in self.denominators]
         return tuple(complex(p) for r in roots for p in r if abs(p) > 1.0 + STABILITY)
+
+    @property
+    def nyquist_poles(self) -> tuple[float, ...]:
+        """Real poles within `AT_NYQUIST` of -1, which alternate: no continuous system has them."""
+        roots = np.concatenate([np.roots(a) for a in self.denominators])
+        return tuple(float(p.real) for p in roots if p.imag == 0.0 and abs(p + 1.0) < AT_NYQUIST)
 
     def stabilised(self) -> "PolynomialModel":
         """Poles p outside the unit circle put at 1 / conj(p), gain kept at every frequency.

@@ -25,7 +25,8 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Name, Settings, read_toml, validated
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine

@@ -28,7 +28,8 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
-from cmf_mj.facility.unknowns import Unknown, Unknowns
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.studies.case import make_case

@@ -31,9 +31,11 @@ from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.unknowns import Unknown, Unknowns
-from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.cab import Cab, load_cabs
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.posterior import evidence, sampling
@@ -136,7 +138,7 @@ def load_posterior(
 
 def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
     for name, one in settings.unknowns.items():
-        if one.shape or one.low is None:
+        if one.shape() or one.low is None:
             raise InputError(f"unknowns.{name}: allowed: one number between bounds, low and high")
     if settings.draws & (settings.draws - 1):
         raise InputError(f"draws: {settings.draws} must be a power of 2, for Sobol's sequence")
@@ -144,7 +146,7 @@ def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> P
         raise InputError(f"simulated: {settings.simulated} must be at most kept, {settings.kept}")
     chosen = tuple(load_law(law) for law in (settings.laws if laws is None else laws))
     check_distinct("laws", [law.name for law in chosen])
-    cabs = tuple(load_cab(cab) for cab in settings.cabs)
+    cabs = load_cabs(settings.cabs, load_machine())
     study = PosteriorStudy(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
     for end in (0.0, 1.0):  # bounds that no machine can have are refused here
         values = study.values(np.full(len(settings.unknowns), end))

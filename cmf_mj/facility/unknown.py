@@ -1,0 +1,143 @@
+"""What is known of one number of a machine that nobody knows exactly.
+
+An unknown lies between bounds, or deviates from what is nominal. With u from 0 to 1, z normal and
+cut off at `LIMIT` deviations, s the deviation,
+
+    uniform     low + u (high - low)     or  x = s (2 u - 1)        normal     x = s z
+    loguniform  low (high / low)^u                                  lognormal  1 + x = exp(s z)
+
+It is the number itself (`value`), a `factor` on the nominal one, for a deviation 1 + x, or an
+`offset` to it.
+"""
+
+import re
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+from scipy import stats
+
+from cmf_mj.control.law import Law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Settings
+from cmf_mj.electronics.sensors import CHANNELS
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.parameters import ACTUATOR_FIELDS, VALVE_FIELDS, VALVES, HydraulicParameters
+
+Array = NDArray[np.float64]
+
+LIMIT = 2.0
+"""Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
+
+LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
+
+DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
+"""What goes with another number too, and the number of the set that it changes."""
+
+_FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
+
+_NO_NUMBERS = {"name", "supply", "actuators"}
+_PATH = re.compile(
+    rf"hydraulics\.({'|'.join(HydraulicParameters.model_fields.keys() - _NO_NUMBERS)}|supply)"
+    rf"|hydraulics\.actuators\.(\*|[^.*]+)\.({'|'.join([*ACTUATOR_FIELDS, *DERIVED])})"
+    rf"|hydraulics\.actuators\.(\*|[^.*]+)\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
+    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)"
+    r"|legs\.mass|payload\.density"
+    r"|model\.(body\.[^.*]+\.(mass|inertia)|geom\.[^.*]+\.friction"
+    r"|joint\.[^.*]+\.(damping|stiffness|frictionloss|armature))"
+    rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
+    rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6*])"
+)
+
+
+class Unknown(Settings):
+    """A number, or one of each leg or valve, and what is known of it."""
+
+    path: str  #: As the head of `facility.unknowns` lists them.
+    distribution: Literal["uniform", "loguniform", "normal", "lognormal"] = "uniform"
+    low: float | None = None  #: Lower bound, in `unit`.
+    high: float | None = None  #: Upper bound.
+    deviation: Annotated[float, Field(gt=0.0)] | None = None
+    """In the stead of bounds: half width of a uniform distribution, standard deviation of a normal
+    one before it is cut off, that of the logarithm; in `unit`."""
+    unit: str = "%"  #: As in the files; 1 for a factor between bounds.
+    effect: Literal["value", "factor", "offset"] = "factor"
+    status: Literal["stated", "derived", "calibrated", "assumed"] = "assumed"
+    """How the range is known."""
+    source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Unknown":
+        units.factor(self.unit)
+        if not _PATH.fullmatch(self.path):
+            raise InputError(
+                f"path: {self.path!r} is refused; allowed: hydraulics.FIELD, "
+                "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
+                "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
+            )
+        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
+            raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
+        log, low, high = self.distribution == "loguniform", self.low, self.high
+        if self.deviation is None and "normal" not in self.distribution:
+            if low is None or high is None or not low < high or (log and low <= 0.0):
+                raise InputError(
+                    f"{low} to {high} is refused; low must be less than high, and greater than 0 "
+                    "on a log scale"
+                )
+        elif self.deviation is None or log or self.effect == "value" or (low, high) != (None, None):
+            raise InputError(
+                "deviation: goes with uniform, normal or lognormal and the effects factor or "
+                "offset, without low and high"
+            )
+        elif self.effect == "factor" and self.half >= 1.0:
+            raise InputError(f"deviation: {self.deviation:g} {self.unit} must be less than 1")
+        return self
+
+    @property
+    def half(self) -> float:
+        """The deviation in SI."""
+        return units.to_si(self.unit, self.deviation or 0.0)
+
+    def shape(self, actuators: int = len(LEGS)) -> tuple[int, ...]:
+        """Shape of its values on a machine of so many actuators."""
+        legs = (actuators,) if "*" in self.path.split(".") else ()
+        valves = (len(VALVES),) if ".valve_*." in self.path else ()
+        return legs + valves + ((3,) if self.path.endswith(".centre_of_mass") else ())
+
+    def at(self, quantile: ArrayLike) -> Array:
+        """The value below which a share of them lies: in `unit`, a factor, an offset in SI."""
+        share = np.asarray(quantile)
+        if self.low is not None and self.high is not None:
+            if self.distribution == "loguniform":
+                value = self.low * (self.high / self.low) ** share
+            else:
+                value = self.low + (self.high - self.low) * share
+            return units.to_si(self.unit, value) if self.effect == "offset" else np.asarray(value)
+        if self.distribution == "uniform":
+            off = self.half * (2.0 * share - 1.0)
+        else:
+            off = self.half * stats.truncnorm.ppf(share, -LIMIT, LIMIT)
+        off = np.expm1(off) if self.distribution == "lognormal" else off
+        return np.asarray(1.0 + off if self.effect == "factor" else off)
+
+    def number(self, nominal: Any, value: Any) -> Any:
+        """A number in SI with a value of the unknown."""
+        if self.effect == "value":
+            return units.to_si(self.unit, value)
+        return nominal * value if self.effect == "factor" else nominal + value
+
+    def changed(self, nominal: Quantity, value: float) -> dict[str, Any]:
+        """A quantity with a value of the unknown, as files state it."""
+        unit = nominal.unit
+        match self.effect:
+            case "value":
+                unit = self.unit
+            case "offset":
+                value = nominal.value + value * (1.0 / units.factor(unit))
+            case _:
+                value = nominal.value * value
+        return {"value": value, "unit": unit, "status": self.status, "source": self.source}

@@ -1,0 +1,246 @@
+"""Hinges with motors become hydraulic cylinders: where to attach them, and how large they are.
+
+A cylinder joins a point A of the parent body to a point B of the hinge's body, at an arm b from the
+axis. With the range of the hinge 2 h about its middle, A lies on the line through both end places
+of B, beyond the first of them, so that with L strokes from A to there
+
+    stroke  s = 2 b sin h,   length at the ends  L s and (L + 1) s,
+    a^2 = b^2 (cos^2 h + (1 + 2 L)^2 sin^2 h),   A's angle to B in the middle  cos m = b cos h / a
+
+At the angle q from the middle the length l and the lever arm r are, with p = m + q,
+
+    l^2 = a^2 + b^2 - 2 a b cos p,   r = dl/dq = a b sin p / l
+
+and r is least at both ends, b cos h. There the weaker side, the rod's, gives the torque T at a
+standstill: Ar = T / (b cos h (Ps - Pt Ac / Ar)). The bore goes with 1/sqrt(b) and the stroke with
+b; b is chosen so that a stroke has `SLENDER` bores.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import merged, validated
+from cmf_mj.plant.attach import attach_hydraulics, opened
+from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant.plant import Plant
+
+SLENDER = 5.0
+"""Bores in a stroke, by default."""
+
+_SLENDER = 2.0, 12.0
+"""Least and most: below there is no room for piston and glands, above the rod buckles."""
+
+_WIDEST = np.deg2rad(150.0)
+"""Widest range [rad]; the lever arm is a quarter of its largest there."""
+
+_CLOSED = 1.5
+"""L, strokes from A to B at the near end: a stroke of oil, and half as much of metal."""
+
+_SPARE = 0.05
+"""Of the stroke beyond either end of the range, which the hinge's own stops keep free."""
+
+_AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+
+
+class HingeCylinder(NamedTuple):
+    """A cylinder across a hinge; angles [rad] count from the middle of the range.
+
+    >>> from cmf_mj.plant.hinge import HingeCylinder
+    >>> across = HingeCylinder(half_range=0.5, arm=0.1)
+    >>> float(across.length(0.5) - across.length(-0.5)) / across.stroke
+    1.0
+    """
+
+    half_range: float  #: h [rad].
+    arm: float  #: b, from the axis to the point on the hinge's body [m].
+
+    @property
+    def stroke(self) -> float:
+        """Travel over the range [m]."""
+        return 2.0 * self.arm * np.sin(self.half_range)
+
+    @property
+    def base(self) -> float:
+        """From the axis to the point on the parent [m]."""
+        across = (1.0 + 2.0 * _CLOSED) * np.sin(self.half_range)
+        return float(self.arm * np.hypot(np.cos(self.half_range), across))
+
+    @property
+    def middle(self) -> float:
+        """Angle between both points at the middle [rad]."""
+        return float(np.arccos(self.arm * np.cos(self.half_range) / self.base))
+
+    def length(self, angle: ArrayLike) -> NDArray[np.float64]:
+        """From point to point [m]."""
+        product = 2.0 * self.base * self.arm * np.cos(self.middle + np.asarray(angle))
+        return np.asarray(np.sqrt(self.base**2 + self.arm**2 - product))
+
+    def lever(self, angle: ArrayLike) -> NDArray[np.float64]:
+        """Torque per force [m]."""
+        product = self.base * self.arm * np.sin(self.middle + np.asarray(angle))
+        return np.asarray(product / self.length(angle))
+
+
+def attach_to_hinges(
+    model: str | Path | mujoco.MjSpec,
+    hinges: Sequence[str] | Mapping[str, float | None],
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    *,
+    arms: Mapping[str, float] | None = None,
+    against: Sequence[str] = (),
+    **options: Any,
+) -> Plant:
+    """Put a hydraulic cylinder in the place of each motor of some hinges of a MuJoCo model.
+
+    Sites, tendons and sizes of the cylinders are as the head of `cmf_mj/plant/hinge.py` says; B
+    lies towards the centre of mass of the hinge's body. A cylinder is named `HINGE_cylinder`.
+
+    Args:
+        model: path of an MJCF file, or an `MjSpec`, which is left as it is.
+        hinges: names of hinge joints with a range, or a mapping from them to the torque [N m] that
+            a cylinder gives at a standstill either way, anywhere in the range; None, as in a plain
+            list, for that of the motor or of `actuatorfrcrange`. Motors of these hinges go.
+        hydraulics: a set whose supply feeds the cylinders; bores, rods (in the set's proportion)
+            and strokes are replaced.
+        arms: b by hinge [m], where it is not to follow from the torque.
+        against: hinges that turn to negative angles as their cylinder extends.
+        **options: `payload` and `timestep`, as for `attach_hydraulics`.
+
+    Raises:
+        InputError: a hinge, torque, range or arm that no cylinder fits, with what is allowed.
+
+    >>> door = mujoco.MjSpec.from_string('''<mujoco model="door"><worldbody><body>
+    ...   <joint name="hinge" axis="0 0 1" range="-45 45"/><geom size="0.1" pos="0.5 0 0"/>
+    ... </body></worldbody></mujoco>''')
+    >>> plant = cmf_mj.attach_to_hinges(door, {"hinge": 5e3})
+    >>> plant.actuators
+    ('hinge_cylinder',)
+    """
+    spec, parameters = opened(model), load_hydraulics(hydraulics)
+    if isinstance(hinges, str) or not hinges:
+        raise InputError(f"hinges: {hinges!r} names no hinges; allowed: a list")
+    torques = dict(hinges) if isinstance(hinges, Mapping) else dict.fromkeys(hinges)
+    arms = arms or {}
+    for field, names in (("arms", arms), ("against", against)):
+        if odd := sorted(set(names) - torques.keys()):
+            raise InputError(f"{field}: {odd[0]!r} is not one of {', '.join(torques)}")
+    compiled = spec.compile()
+    data = mujoco.MjData(compiled)
+    mujoco.mj_forward(compiled, data)
+    changes, cylinders = dict[str, Any](), dict[str, float | None]()
+    for hinge, torque in torques.items():
+        half = _half_range(compiled, hinge)
+        asked = _motor(compiled, hinge) if torque is None else torque
+        chosen, bore = _sized(hinge, half, asked, parameters, arms.get(hinge))
+        _join(spec, compiled, data, hinge, chosen, -1.0 if hinge in against else 1.0)
+        name, scale = f"{hinge}_cylinder", bore / parameters.bore_diameter.si
+        said = {"unit": "m", "status": "derived", "source": f"{asked:g} N m about {hinge}"}
+        changes[name] = {
+            "bore_diameter": {"value": bore, **said},
+            "rod_diameter": {"value": scale * parameters.rod_diameter.si, **said},
+            "half_stroke": {"value": (0.5 + _SPARE) * chosen.stroke, **said},
+        }
+        cylinders[name] = (_CLOSED - _SPARE) * chosen.stroke
+    table = parameters.model_dump(exclude_none=True)
+    table["actuators"] = merged(table["actuators"], changes, 1)
+    fitted = validated(HydraulicParameters, table, f"{parameters.name} on hinges")
+    return attach_hydraulics(spec, cylinders, fitted, **options)
+
+
+def _half_range(model: mujoco.MjModel, hinge: str) -> float:
+    """Half of a hinge's range [rad]."""
+    kind = mujoco.mjtJoint.mjJNT_HINGE
+    known = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == kind]
+    if hinge not in known:
+        raise InputError(f"hinges: {hinge!r} is not one of the hinges {', '.join(known) or 'none'}")
+    joint = model.joint(hinge)
+    width = float(np.ptp(joint.range)) if model.jnt_limited[joint.id] else np.inf
+    if not 0.0 < width <= _WIDEST:
+        raise InputError(
+            f"{hinge}: a range of {np.rad2deg(width):.4g} deg is refused; allowed: above 0, up to "
+            f"{np.rad2deg(_WIDEST):.0f} deg"
+        )
+    return 0.5 * width
+
+
+def _motor(model: mujoco.MjModel, hinge: str) -> float:
+    """Largest torque of a hinge's motors, or what the hinge lets through [N m]."""
+    joint, most = model.joint(hinge), 0.0
+    for index in _motors(model, joint.id):
+        motor, force = model.actuator(index), np.inf
+        if model.actuator_ctrllimited[index] and not motor.biastype[0]:
+            force = float(abs(motor.gainprm[0]) * np.abs(motor.ctrlrange).max())
+        if model.actuator_forcelimited[index]:
+            force = min(force, float(np.abs(motor.forcerange).max()))
+        most += force * float(abs(motor.gear[0]))
+    if model.jnt_actfrclimited[joint.id]:
+        most = min(most or np.inf, float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
+    if not 0.0 < most < np.inf:
+        raise InputError(f"{hinge}: has no motor of limited torque; allowed: a torque, in N m")
+    return most
+
+
+def _motors(model: mujoco.MjModel, joint: int) -> list[int]:
+    at = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == joint)
+    return [int(index) for index in np.flatnonzero(at)]
+
+
+def _sized(
+    hinge: str, half: float, torque: float, oil: HydraulicParameters, arm: float | None
+) -> tuple[HingeCylinder, float]:
+    """A cylinder for a torque [N m] over a range, and its bore [m]."""
+    if not 0.0 < torque < np.inf:
+        raise InputError(f"{hinge}: a torque of {torque} N m is refused; allowed: above 0")
+    pressure = oil.supply_pressure.si - oil.return_pressure.si * oil.cap_area / oil.rod_area
+    if pressure <= 0.0:
+        raise InputError(f"return_pressure: {oil.return_pressure} leaves the rod's side no force")
+    # The bore with an arm of 1 m; at another its square goes with 1 / arm.
+    area = torque / (np.cos(half) * pressure)
+    bore = oil.bore_diameter.si * float(np.sqrt(area / oil.rod_area))
+    slender = np.array([_SLENDER[0], SLENDER, _SLENDER[1]])
+    least, usual, most = map(float, (slender * bore / (2.0 * np.sin(half))) ** (2 / 3))
+    chosen = usual if arm is None else arm
+    if not least <= chosen <= most:
+        raise InputError(
+            f"arms: {hinge} {chosen} m is refused: its cylinder would not have {_SLENDER[0]:g} to "
+            f"{_SLENDER[1]:g} bores in a stroke; allowed: {least:.4g} to {most:.4g} m"
+        )
+    return HingeCylinder(half, chosen), bore / float(np.sqrt(chosen))
+
+
+def _join(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    hinge: str,
+    cylinder: HingeCylinder,
+    sense: float,
+) -> None:
+    """Take a hinge's motors away; add both sites, and the tendon between them."""
+    joint, element = model.joint(hinge), spec.joint(hinge)
+    for motor in [
+        one for one in spec.actuators if one.target == hinge and one.trntype in _AT_JOINT
+    ]:
+        spec.delete(motor)
+    element.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    axis, anchor, body = data.xaxis[joint.id], data.xanchor[joint.id], int(joint.bodyid[0])
+    limb = data.xipos[body] - anchor
+    limb = limb - axis * (axis @ limb)
+    if np.linalg.norm(limb) < 1e-9:
+        limb = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    limb = limb / np.linalg.norm(limb)
+    off = float(np.mean(joint.range)) - float(data.qpos[joint.qposadr[0]])
+    back = Rotation.from_rotvec(axis * (off - sense * cylinder.middle)).apply(limb)
+    tendon = spec.add_tendon(name=f"{hinge}_cylinder")
+    ends = (int(model.body_parentid[body]), back, cylinder.base), (body, limb, cylinder.arm)
+    for (owner, along, far), part in zip(ends, ("parent", "child"), strict=True):
+        place = data.xmat[owner].reshape(3, 3).T @ (anchor + far * along - data.xpos[owner])
+        site = element.parent if part == "child" else element.parent.parent
+        tendon.wrap_site(site.add_site(name=f"{hinge}_{part}", pos=place).name)
