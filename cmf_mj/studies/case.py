@@ -53,8 +53,8 @@ STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE
 FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0
 """Durations of the chirp [s]."""
 
-RECORD_EVERY = 16
-"""Frames between samples of a run: 128 Hz, the facility's recorder."""
+RECORDER = 128
+"""Samples of a run in a second, at least: the rate of the facility's recorder [Hz]."""
 
 
 def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
@@ -113,23 +113,23 @@ class Case:
         """A new plant."""
         return make_plant(self.plant, self.cab, self.hydraulics, self.on)
 
-    def run(
-        self, command: Command, plant: Plant | None = None, *, every: int = RECORD_EVERY
-    ) -> Record:
+    def run(self, command: Command, plant: Plant | None = None, *, rate: int = RECORDER) -> Record:
         """Simulate a command.
 
-        `command` is added to the pose of the case; the record has a sample every `every` frames.
+        `command` is added to the pose of the case; the record has `rate` samples a second, or as
+        few more as whole control frames make.
         """
+        plant = self.build() if plant is None else plant
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
         moved = Command(pose, command.signal, command.seed)
         return Run(
-            plant=self.build() if plant is None else plant,
+            plant=plant,
             law=self.law,
             source=moved,
             electronics=self.electronics,
             command_delay=self.command_delay,
-            record_every=every,
+            record_every=max(1, plant.machine.rate // rate),
         ).record()
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
@@ -137,7 +137,7 @@ class Case:
         machine = self.build() if plant is None else plant
         duration = QUICK_SWEEP if self.quick else FULL_SWEEP
         sweep = self.run(signals.chirp(self.dof, self.size, duration=duration), machine)
-        return sweep, self.run(self.step(), machine, every=RECORD_EVERY // 2)
+        return sweep, self.run(self.step(), machine, rate=2 * RECORDER)
 
     def step(self) -> Command:
         """The report's step, in proportion to the chirp."""

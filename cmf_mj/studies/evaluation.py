@@ -160,7 +160,7 @@ def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]
     rows = []
     for i, dof in enumerate(DOFS):
         command = signals.step(dof, float(sizes[i]) * STEP_PER_AMPLITUDE)
-        step = step_metrics(case.run(command, plant, every=8))
+        step = step_metrics(case.run(command, plant, rate=256))
         widths, gains = None, _NONE
         if measured is not None:
             response = np.asarray(measured.frdata)

@@ -221,7 +221,7 @@ def _thresholds(case: Case, plant: Plant) -> Iterator[Threshold]:
     unit = by_kind(case.dof, 1.0, units.DEGREE * 5.0)
     for size in (0.05 * unit, 0.1 * unit, 0.5 * unit):
         command = composite.acceleration_step(case.dof, size, hold=0.5)
-        record = case.run(command, plant, every=4)
+        record = case.run(command, plant, rate=512)
         reached = dof_accelerations(record)[:, DOFS.index(case.dof)]
         yield Threshold(size, metrics.dynamic_threshold(reached, record.rate, size, 1.0))
 

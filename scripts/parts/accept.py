@@ -124,7 +124,7 @@ def measured(run: Run) -> tuple[Run, Found]:
     """Chirp and step of a run; the step alone of a group of steps."""
     case = run.case
     if run.group == "steps":
-        step = step_metrics(case.run(case.step(), every=8))._replace(stable=True)
+        step = step_metrics(case.run(case.step(), rate=256))._replace(stable=True)
         return run, Found(joined(None, step), float("nan"))
     ends = asymptotes(case.build(), case.dof, case.pose).saturation(case.size)
     return run, Found(measure_records(*case.sweep_and_step(), segment=case.segment), ends)

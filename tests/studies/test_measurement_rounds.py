@@ -16,7 +16,7 @@ from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
-from cmf_mj.studies.case import AMPLITUDE, RECORD_EVERY, make_case
+from cmf_mj.studies.case import AMPLITUDE, RECORDER, make_case
 from cmf_mj.studies.measurement import facility_session
 
 
@@ -39,7 +39,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
     plant = build()
 
     def run(command: signals.Command) -> Record:
-        return simulate(plant, "velocity", command, record_every=RECORD_EVERY)
+        return simulate(plant, "velocity", command, record_every=plant.machine.rate // RECORDER)
 
     steps = np.arange(1.8, 3.7, 0.3)
     read = [read_facility_csv(path) for path in written(plant.name, tmp_path)]

@@ -279,7 +279,7 @@ def simulated_stability(
     def run(cab_and_dof: tuple[str, str]) -> StepVerdict:
         cab, dof = cab_and_dof
         case = make_case(law, dof, cab=cab, hydraulics=hydraulics)
-        metrics = step_metrics(case.run(case.step(), every=8))
+        metrics = step_metrics(case.run(case.step(), rate=256))
         return StepVerdict(cab, dof, metrics.stable, metrics.residual)
 
     return on_threads(run, list(product(study.stable_cabs, dofs)), jobs)

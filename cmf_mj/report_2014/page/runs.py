@@ -28,7 +28,7 @@ from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
-from cmf_mj.studies.case import RECORD_EVERY, CaseResult, dof_amplitude, make_case, run_case
+from cmf_mj.studies.case import RECORDER, CaseResult, dof_amplitude, make_case, run_case
 from cmf_mj.studies.identification import Identified, identify
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record
         return run_case(make_case(spec.law, spec.dof, *machine, quick=quick))
     plant, commands = make_plant(*machine), _commands(spec, quick, seed)
     felt = spec.signal.startswith("felt")
-    how: dict[str, Any] = {"record_every": RECORD_EVERY}
+    how: dict[str, Any] = {"record_every": RATE // RECORDER}
     if felt or spec.signal in ("rise", "sine_5_hz"):
         how["record_every"] = 1
     if felt:

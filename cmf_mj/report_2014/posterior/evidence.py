@@ -164,7 +164,7 @@ def oscillation_g(
     ratio = supply_pressure / parameters.supply_pressure.value
     changed = _SUPPLY.apply({"ratio": ratio}, parameters)
     case = make_case("force", "heave", "single_legs", hydraulics=changed)
-    return limit_cycle(case.run(case.step(), every=1))[2]
+    return limit_cycle(case.run(case.step(), rate=RATE))[2]
 
 
 def oscillation_likelihood(
