@@ -117,9 +117,11 @@ class Case:
         """Simulate a command.
 
         `command` is added to the pose of the case; the record has `rate` samples a second, or as
-        few more as whole control frames make.
+        few more as make them and the control frames whole numbers.
         """
         plant = self.build() if plant is None else plant
+        frames = plant.machine.rate
+        every = next((n for n in range(frames // rate, 1, -1) if frames % n == 0), 1)
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
         moved = Command(pose, command.signal, command.seed)
@@ -129,7 +131,7 @@ class Case:
             source=moved,
             electronics=self.electronics,
             command_delay=self.command_delay,
-            record_every=max(1, plant.machine.rate // rate),
+            record_every=every,
         ).record()
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:

@@ -28,6 +28,7 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
