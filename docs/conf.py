@@ -15,6 +15,7 @@ import gc
 import logging
 import os
 import re
+import sys
 import tomllib
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -26,6 +27,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.addnodes import toctree
 from sphinx.domains.python import PythonDomain
 
+sys.path.insert(0, str(Path(__file__).parent))  # thumbnails.py
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 gc.set_threshold(200_000, 20, 100)  # pages are large trees, walked often for little garbage
 
@@ -51,6 +53,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "filename_pattern": "plot_",
     "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("thumbnails",),
     "min_reported_time": 1000,
     "show_memory": False,
     "show_signature": False,

@@ -17,6 +17,7 @@ and what the process grew by meanwhile. --plain adds the CPU time of a Numba wit
 --flight adds the seconds flown per second of one processor, washout, whole facility, record and
 comparison of what is felt included, and that time over as many bare steps. --study adds the cost of
 a linear case of the `mismatch` study, and the processor time of one process over that of two.
+--exports adds the CPU time of a first FMU with nothing kept, and that of others over it.
 """
 
 import argparse
@@ -45,7 +46,7 @@ from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate, simula
 from cmf_mj.core.files import write_json, write_text
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME, RATE
-from cmf_mj.facility import loop, session
+from cmf_mj.facility import loop
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import fly
@@ -93,11 +94,11 @@ def loop_seconds(plant: Hexapod, law: str, command: signals.Command) -> tuple[fl
         inside[0] += time.thread_time() - begin
         return result
 
-    session.run = run  # type: ignore[attr-defined]
+    loop.run = run
     try:
         whole = _timed(lambda: simulate(plant, law, command, record_every=16))
     finally:
-        session.run = compiled  # type: ignore[attr-defined]
+        loop.run = compiled
     return whole, inside[0]
 
 
@@ -206,6 +207,37 @@ def flying(repeat: int, bare: Callable[[int], float]) -> dict[str, float]:
     return {"flight_real_time_factor": round(max(factors), 2), "flight": round(min(ratios), 3)}
 
 
+EXPORTS = """
+import json, os, sys
+from pathlib import Path
+from cmf_mj import Hexapod, SingleLegs, load_machine
+from cmf_mj.export.fmu import export_fmu
+from cmf_mj.export.library import export_law, export_library
+times = [sum(os.times()[:4])]
+lab, out = Hexapod(machine="lab"), Path(sys.argv[1])
+for work in (
+    lambda: export_fmu(Hexapod(), "velocity", out / "first.fmu"),
+    lambda: export_fmu(lab, lab.machine.law, out / "other.fmu", fmi=3),
+    lambda: export_library(lab, None, out / "machine"),
+    lambda: export_library(SingleLegs(), None, out / "legs"),
+    lambda: export_law("modal_plan", out / "law"),
+):
+    work()
+    times.append(sum(os.times()[:4]))
+print(json.dumps(times))
+"""
+
+
+def exporting() -> dict[str, float]:
+    """CPU time of a first FMU with nothing kept [s], and the longest of four others over it."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/compiled"}
+        command = [sys.executable, "-c", EXPORTS, folder]
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    first, *others = np.diff(json.loads(done.stdout.splitlines()[-1]))
+    return {"export_s": round(first, 1), "export_again": round(max(others) / first, 4)}
+
+
 def studying(repeat: int) -> dict[str, float]:
     """Linear cases of four machines of the `mismatch` study in one process and in two."""
     study = load_study("mismatch", changes={"draws": 4, "cabs": ["gfd"], "simulate_every": 0})
@@ -252,6 +284,8 @@ def table(result: dict[str, Any]) -> Table:
         "flight": "a flight's time over as many bare steps of the headless model",
         "study_case_s": "a linear case of the `mismatch` study, processor time [s]",
         "study_two_processes": "processor time of one process over that of two",
+        "export_s": "first FMU with nothing kept [s]",
+        "export_again": "the longest of four further exports over it",
         "exudyn_equal_step": "Exudyn's CPU time over ours, steps of 1/2048 s",
         "exudyn_at_our_error": "the same at the error of our step of 1/2048 s",
         "exudyn_at_1_um": "the same at an error of at most 1 um",
@@ -278,6 +312,7 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true", help="also against plain njit")
     parser.add_argument("--flight", action="store_true", help="also a flight")
     parser.add_argument("--study", action="store_true", help="also a study in two processes")
+    parser.add_argument("--exports", action="store_true", help="also exports")
     parser.add_argument("--out", type=Path, help="folder for bench.json and the table bench.md")
     options = parser.parse_args()
     if options.repeat < 1 or options.seconds < 1.0:
@@ -334,6 +369,8 @@ def main() -> None:
             result |= flying(3, lambda count: bare_seconds(headless, load, count))
     if options.study:
         result |= studying(options.repeat)
+    if options.exports:
+        result |= exporting()
     if options.exudyn:
         result |= against_exudyn(options.repeat)
     print(json.dumps(result, indent=2))

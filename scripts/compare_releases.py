@@ -27,6 +27,8 @@ import pyarrow.parquet as pq
 from compare_behaviour import export, run_case, runs_of
 from numpy.typing import NDArray
 
+from cmf_mj.show.look import frequency_axis
+
 TOLERANCE = 1e-3
 """Largest difference that needs no explanation, of what the channel spans in the case."""
 
@@ -142,13 +144,15 @@ def figure(found: list[Difference], base: str, path: Path) -> None:
             for part, (ax, unit) in enumerate(
                 zip(column, ("gain [dB]", "phase [deg]"), strict=True)
             ):
-                ax.semilogx(d.before[0], d.before[1][:, part], color=color, lw=4, alpha=0.3)
-                ax.semilogx(d.after[0], d.after[1][:, part], color=color, lw=0.9)
+                ax.plot(d.before[0], d.before[1][:, part], color=color, lw=4, alpha=0.3)
+                ax.plot(d.after[0], d.after[1][:, part], color=color, lw=0.9)
                 ax.set_title(f"{place}, {unit}", fontsize=8)
-        column[1].set_xlabel("Hz", fontsize=7)
+        for ax in column:
+            frequency_axis(ax.xaxis)
+        column[0].set_xlabel("")
     for law, color in zip(LAWS, ("C0", "C1", "C2", "C3"), strict=True):
         axes[0, 0].plot([], [], color=color, lw=0.9, label=law)
-    axes[0, 0].legend(fontsize=5)
+    page.legend(loc="outside lower center", ncols=len(LAWS), fontsize=8)
     for d, ax in zip(shown, axes[2:].flat, strict=False):
         chosen = 0
         if d.before[1].shape == d.after[1].shape:
@@ -160,7 +164,7 @@ def figure(found: list[Difference], base: str, path: Path) -> None:
         color = "#a50f15" if d.share > TOLERANCE else "black"
         ax.set_title(f"{d.case}\n{d.channel}, {100.0 * d.share:.2g} %", fontsize=7, color=color)
     for ax in axes.flat:
-        ax.tick_params(labelsize=6)
+        ax.tick_params(labelsize=7)
         ax.set_visible(bool(ax.lines))
     page.suptitle(f"{base} (broad) and this release (thin); time in s, values in SI", fontsize=9)
     path.parent.mkdir(parents=True, exist_ok=True)

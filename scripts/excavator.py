@@ -17,6 +17,7 @@ from cmf_mj.core import units
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine import models
 from cmf_mj.plant.hydraulics import ENERGIES
+from cmf_mj.show.look import legend
 from cmf_mj.signals.composite import waypoints
 
 CYLINDERS = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
@@ -142,7 +143,7 @@ def draw(plant: Plant, record: Record, file: Path) -> None:
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(loc="best", ncols=4, fontsize="small", framealpha=0.9)
+            legend(axis)
     axes[-1].set_xlabel("time [s]")
     figure.savefig(file, dpi=110)
 

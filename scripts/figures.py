@@ -37,7 +37,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film import FilmSettings, film
-from cmf_mj.show.look import save_figure
+from cmf_mj.show.look import legend, save_figure
 from cmf_mj.show.operation import overview_figure
 from cmf_mj.show.stage import FilmStage
 
@@ -125,7 +125,7 @@ def draw_limits(limiter: Limiter) -> Figure:
             for sign in (-1.0, 1.0):
                 axis.axhline(sign * bounds[row] / unit, color="0.3", linewidth=0.8, linestyle=":")
         axes[row, 0].set_ylim(*(s * 1.35 * bounds[row] / unit for s in (-1.0, 1.0)))
-    axes[0, 0].legend(fontsize=8, loc="lower right", framealpha=0.9)
+    legend(figure)
     return figure
 
 
@@ -189,7 +189,7 @@ def draw_lurch(runs: dict[str, Operation], wait: float) -> Figure:
         axis.set_ylabel(label)
         axis.axvline(wait, color="0.3", linestyle=":")
         axis.grid(True, color="0.9", linewidth=0.6)
-    axes[0].legend(fontsize=8)
+    legend(figure)
     axes[0].set_title(f"raise from the stops, requested after {wait:g} s")
     axes[2].set(xlabel="time [s]", xlim=(wait - 1.0, wait + 12.0))
     return figure

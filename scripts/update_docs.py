@@ -39,6 +39,7 @@ from cmf_mj.core import units
 from cmf_mj.core.quantity import quantity_table
 from cmf_mj.core.result import Table
 from cmf_mj.report_2014.ledger import LedgerEntry, figures_text, load_ledger
+from cmf_mj.show.linearization import mode_names
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = (
@@ -159,9 +160,10 @@ def modes_neutral() -> str:
     rows: list[tuple[str, ...]] = []
     for cab in load_machine("cmf").cabs:
         found = Hexapod(cab).hydraulic_modes()
-        for i, (frequency, mass) in enumerate(zip(found.frequency_hz, found.leg_mass, strict=True)):
+        modes = zip(mode_names(found), found.frequency_hz, found.leg_mass, strict=True)
+        for name, frequency, mass in modes:
             mass = units.from_si("lbm", mass)
-            rows.append((cab, str(i + 1), f"{frequency:.2f}", f"{mass:.0f}", f"{mass / 1e3:.1f}"))
+            rows.append((cab, name, f"{frequency:.2f}", f"{mass:.0f}", f"{mass / 1e3:.1f}"))
     return csv_text([("cab", "mode", "frequency [Hz]", "leg mass [lbm]", "[klbm]"), *rows])
 
 
@@ -320,7 +322,7 @@ def main() -> None:
         if source.is_file():
             shutil.copyfile(source, options.root / "docs" / target)
     for name in GALLERY:
-        source = options.root / f"docs/gallery/images/sphx_glr_plot_{name}_001.png"
+        source = options.root / f"docs/gallery/images/sphx_glr_plot_{name}_002.png"
         if source.is_file():
             shutil.copyfile(source, options.root / f"docs/images/gallery_{name}.png")
     print(f"refreshed {', '.join(page.name for page in pages(options.root))}")

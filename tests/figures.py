@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.text import Text
 
 
 def curves(axes: Axes) -> list[tuple[Any, Any]]:
@@ -50,5 +52,44 @@ def check_readable(figure: Figure, name: str) -> None:
         )
         shown = [in_view(axes, x, y) for x, y in curves(axes)]
         assert not shown or max(shown) > 0.5, f"{where}: curves lie outside, shares {shown}"
+        check_decades(axes, where)
     labels = [axes.get_xlabel() for axes in drawn] + [figure.get_supxlabel()]
     assert any(labels), f"{name}: no abscissa has a name"
+    check_texts(figure, name)
+    check_legends(figure, name)
+
+
+def check_decades(axes: Axes, where: str) -> None:
+    """An axis of frequency is logarithmic, with ticks 1, 2, 5 of decades as plain numbers."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_label_text().startswith("frequency [") and axes.get_label() != "<colorbar>":
+            assert axis.get_scale() == "log", f"{where}: frequency is not logarithmic"
+            low, high = axis.get_view_interval()
+            for tick in axis.get_majorticklocs():
+                assert f"{tick:.0e}"[0] in "125", f"{where}: a tick at {tick}"
+                if low <= tick <= high:
+                    assert axis.get_major_formatter()(tick, 0) == f"{tick:g}"
+
+
+def check_texts(figure: Figure, name: str) -> None:
+    """No text is under 9 px high where the picture is 1280 px wide; zero has no minus sign."""
+    shown = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text()]
+    pixels = 1280.0 / 72.0 / figure.get_figwidth()
+    for text in shown:
+        assert text.get_fontsize() * pixels > 8.99, f"{name}: {text.get_text()!r} is too small"
+        assert not re.search(r"(?<![\w.])[-\u2212]0(\.0*)?(?![\d.])", text.get_text()), text
+
+
+def check_legends(figure: Figure, name: str) -> None:
+    """A legend lies on no curve."""
+    boxes = [each.get_window_extent() for each in figure.findobj(Legend)]
+    for axes in figure.axes:
+        for x, y in curves(axes):
+            inside = axes.bbox.padded(0.5)
+            points = [
+                p for p in axes.transData.transform(np.transpose([x, y])) if inside.contains(*p)
+            ]
+            for box in boxes:
+                assert not any(box.contains(*point) for point in points), (
+                    f"{name}: legend on a curve"
+                )

@@ -31,6 +31,11 @@ EQ_4_1 = np.roots([1, 491.9, 1.481e4, 2.488e6, 4.526e7, 8.755e6, 4.32e4])
 """Poles of Eq 4.1 from its printed denominator: -471.24, -0.807 +- 70.999j, -18.85, -0.190, ..."""
 
 
+def nearest(roots: np.ndarray, target: complex) -> complex:
+    """The root that is closest to a number."""
+    return complex(roots[np.argmin(np.abs(roots - target))])
+
+
 def changed(
     source: str | HydraulicParameters, **values: float | str | tuple[float, str]
 ) -> HydraulicParameters:

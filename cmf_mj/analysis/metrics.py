@@ -6,12 +6,11 @@ Amplitudes are peak values, `rms` is root mean square over whole cycles.
 
 Delays between two signals:
 
-correlation_delay   lag of the largest cross-correlation: the mean delay over the band of a
-stationary signal
-transient_delay     shift of the largest correlation coefficient: a slow transient, unlike a
-stationary signal, pulls the peak of a cross-correlation towards where more
-of it overlaps
-phase_delay         -arg(after / before) / w of complex amplitudes at w; adds up along a chain
+- `correlation_delay`, lag of the largest cross-correlation: the mean delay over the band of a
+  stationary signal.
+- `transient_delay`, shift of the largest correlation coefficient: a slow transient, unlike a
+  stationary signal, pulls the peak of a cross-correlation towards where more of it overlaps.
+- `phase_delay`, -arg(after / before) / w of complex amplitudes at w; adds up along a chain.
 """
 
 from typing import NamedTuple

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cmf_mj.studies.case import Case
 
 command = partial(app.command, rich_help_panel="Analyse")
+drawing = options.drawing(command)
 
 _METHODS = "arx (least squares) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
@@ -34,7 +35,7 @@ _METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Sign
 _ESTIMATOR = "analysis.spectra:Estimator"
 
 
-@command("linearize")
+@drawing("linearize")
 def linearize_command(
     plant: options.PlantName = "hexapod",
     machine: options.Machine = "cmf",
@@ -57,7 +58,7 @@ def linearize_command(
     show(report.pole_table(study), report.loop_table(study), written(paths, out))
 
 
-@command("modes")
+@drawing("modes")
 def modes_command(
     machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
@@ -91,7 +92,7 @@ def modes_command(
     show(report.range_table(ranges), written(paths, out))
 
 
-@command("measure")
+@drawing("measure")
 def measure_command(
     files: options.Recordings = None,
     simulate: options.Simulate = False,
@@ -157,7 +158,7 @@ def parse_orders(text: str) -> tuple[int, int, int]:
     return na, nb, nk
 
 
-@command("identify")
+@drawing("identify")
 def identify_command(
     files: options.Recordings = None,
     simulate: options.Simulate = False,

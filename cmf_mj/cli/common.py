@@ -84,11 +84,11 @@ def target(file: Path | None) -> Path | None:
     return None if file is None else check_target(file)
 
 
-def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False) -> None:
-    """Print tables and text, never narrower than `width`, or so wide that no cell is folded."""
+def show(*parts: RenderableType, unfolded: bool = False) -> None:
+    """Print tables and text, never narrower than a line, or so wide that no cell is folded."""
     from rich.console import Console
 
-    console = Console()
+    console, width = Console(), TEXT_WIDTH
     if unfolded:
         tables = [part for part in parts if not isinstance(part, str)]
         width = max(Console(width=1000).measure(table).maximum for table in tables)

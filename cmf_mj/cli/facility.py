@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cmf_mj.machine.cab import Cab
 
 command = partial(app.command, rich_help_panel="Facility")
+drawing = options.drawing(command)
 
 BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}
 """Operating states in which a run may begin."""
@@ -85,7 +86,7 @@ def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = 
     return stream if rate is None else resample(stream, rate)
 
 
-@command("serve")
+@drawing("serve")
 def serve_command(
     port: Annotated[int, Option(help="UDP port; 0 takes a free one")] = 2048,
     bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
@@ -162,7 +163,7 @@ def serve_command(
     show(*tables, *doubts, _end(operation), written(paths))
 
 
-@command("operate")
+@drawing("operate")
 def operate_command(
     file: StreamFile,
     rate: FrameRate = None,
@@ -214,7 +215,7 @@ def host_command(
     )
 
 
-@command("replay")
+@drawing("replay")
 def replay_command(
     recording: Annotated[Path, Argument(help="Parquet or facility CSV")],
     law: options.OtherLaw = None,

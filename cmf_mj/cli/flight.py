@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cmf_mj.pilot.flight import Flight
 
 command = partial(app.command, rich_help_panel="Flight")
+drawing = options.drawing(command)
 
 _FLIGHTS, _SCRIPTS = "pilot.flight:flight_names", "pilot.scripts:SCRIPTS"
 _FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
@@ -36,7 +37,7 @@ def _port(source: str) -> int | None:
     return int(source) if source.isascii() and source.isdigit() else None
 
 
-@command("fly")
+@drawing("fly")
 def fly_command(
     flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", _FLOWN, free=True)],
     form: From = None,
@@ -101,7 +102,7 @@ def fly_command(
     show(f"written to {out}: {len(paths)} files")
 
 
-@command("learn")
+@drawing("learn")
 def learn_command(
     flight: ShippedFlight,
     law: options.Law = "velocity",
@@ -175,17 +176,17 @@ def flight_command(
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
     """Fly a script with JSBSim, or say what is wrong with telemetry: axes, signs, units, gaps."""
+    from cmf_mj.core.result import number
     from cmf_mj.pilot.scripts import ScriptedFlight
     from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
     from cmf_mj.pilot.telemetry_check import check
 
     if form == "jsbsim":
         flight = ScriptedFlight(source, aircraft=aircraft, seed=seed).record()
-        x, y, z = flight.origin.lever_arm
+        x, y, z = (number(arm, ".2f") for arm in flight.origin.lever_arm)
         show(
             f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",
-            f"pilot's station from the centre of gravity: {x:.2f} m forward, {y:.2f} right, "
-            f"{z:.2f} down",
+            f"pilot's station from the centre of gravity: {x} m forward, {y} right, {z} down",
         )
     else:
         port = _port(source)
@@ -208,7 +209,7 @@ Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")
 LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
 
 
-@command("cue")
+@drawing("cue")
 def cue_command(
     flight: ShippedFlight,
     washout: options.Washout = "simona",
@@ -245,7 +246,7 @@ def cue_command(
     show(report.error_table(flown), excursion, written(paths))
 
 
-@command("omct")
+@drawing("omct")
 def omct_command(
     laws: options.Laws = options.VELOCITY,
     washout: options.Washout = "simona",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, update_wrapper
+from inspect import Parameter, signature
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, get_args
@@ -109,6 +110,26 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     return [cmf_mj.load_cab(name, machine) for name in (machine.cabs if everything else names)]
 
 
+def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
+    """As `command`, for commands that draw: they take format and size of their figures."""
+
+    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+        def drawn(figure_format: str | None, figure_size: str | None, **named: Any) -> None:
+            from cmf_mj.show.look import printed
+
+            with printed(figure_format, figure_size):
+                function(**named)
+
+        own, kind = signature(function, eval_str=True), Parameter.KEYWORD_ONLY
+        more = {"figure_format": FigureFormat, "figure_size": FigureSize}
+        extra = (Parameter(name, kind, default=None, annotation=one) for name, one in more.items())
+        update_wrapper(drawn, function)
+        vars(drawn)["__signature__"] = own.replace(parameters=[*own.parameters.values(), *extra])
+        return drawn
+
+    return lambda name: lambda function: command(name)(decorated(function))
+
+
 name_or_file = partial(choice, free=True)
 """As `choice`, for names and files."""
 
@@ -138,6 +159,7 @@ CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
 OIL, MACHINES = "plant.parameters:HYDRAULICS", "machine.models:machine_names"
 SCENARIOS = "facility.scenario:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
+_FORMATS = "of figures: png (default), svg or pdf"
 _WASHOUTS, _SHIPPED = "pilot.washout_settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
 _MANY_LAWS = "laws by name or TOML file; `all` of the report"
 
@@ -172,6 +194,8 @@ Jobs = Annotated[
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
+FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORMATS)]
+FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]

@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from cmf_mj.plant.events import Event
 
 command = partial(app.command, rich_help_panel="Simulate")
+drawing = options.drawing(command)
 
 _DEFAULT_LAWS = ["velocity", "position_error_rate", "acceleration"]
 _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
-    "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]"
+    "time [s], surge, sway, heave [m], roll, pitch, yaw [rad]"
 )
 _SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
@@ -47,7 +48,7 @@ def _changed(scenario: Any, **fields: object) -> Any:
     return scenario_of(scenario.table() | changes, "options")
 
 
-@command("run")
+@drawing("run")
 def run_command(
     context: Context,
     scenario: options.Scenario = "",
@@ -76,7 +77,7 @@ def run_command(
     show(written(paths))
 
 
-@command("compare")
+@drawing("compare")
 def compare_command(
     laws: options.Laws = _DEFAULT_LAWS,
     dofs: options.Dofs = options.ALL,
@@ -137,7 +138,7 @@ def events_of(
     return events
 
 
-@command("failure")
+@drawing("failure")
 def failure_command(
     event: Annotated[list[str], argument("plant.events:KINDS", "EVENT", "what fails, or `all`")],
     dof: options.Dof = "heave",
@@ -179,7 +180,7 @@ def failure_command(
     )
 
 
-@command("capacity")
+@drawing("capacity")
 def capacity_command(
     signal: Annotated[str, name_or_file(_SIGNALS, "SIGNAL", _MOTIONS)] = "sine",
     dof: options.Dof = "heave",

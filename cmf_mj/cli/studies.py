@@ -19,9 +19,11 @@ from cmf_mj.cli.options import argument, choice, name_or_file, new_file
 from cmf_mj.core.errors import require
 
 command = partial(app.command, rich_help_panel="Studies")
+drawing = options.drawing(command)
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
+_CONFIRMED = "axes whose -90 deg to confirm in the simulation, or `all`"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[
@@ -33,7 +35,7 @@ Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
 
-@command("study")
+@drawing("study")
 def study_command(
     context: Context,
     specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
@@ -93,10 +95,12 @@ def tune_command(
     friction: options.Friction = None,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
+    dofs: Annotated[list[str], choice(options.DOFS, "DOFS", _CONFIRMED)] = options.ALL,
     target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
-    """Search the gains of a form of law over all cabs and degrees of freedom."""
+    """Search the gains of a form of law over all cabs and axes, and simulate its -90 deg."""
     from cmf_mj.machine.models import CMF
+    from cmf_mj.studies.tuning.confirm import confirm
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
@@ -118,12 +122,13 @@ def tune_command(
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "
         f"-90 deg {reached.phase_hz.min():.2f} Hz, peak {reached.peak_db.max():.2f} dB, "
-        f"overshoot {100.0 * reached.overshoot.max():.1f} %",
+        f"overshoot {100.0 * reached.overshoot.max():.1f} %; {result.verdict}",
+        confirm(law, cabs, stated, dofs),
         f"{result.evaluations} laws tried; written to {target}",
     )
 
 
-@command("certify")
+@drawing("certify")
 def certify_command(
     laws: Annotated[
         list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
@@ -233,7 +238,7 @@ def ledger_command(
     show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
 
 
-@reports.command("linear")
+@options.drawing(reports.command)("linear")
 def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
@@ -245,7 +250,7 @@ def linear_command(
     show(linear.equation_table(), linear.misprint_table(), rows, loops, written(paths, out))
 
 
-@reports.command("calibrate")
+@options.drawing(reports.command)("calibrate")
 def calibrate_command(
     tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
     rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,

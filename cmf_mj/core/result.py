@@ -57,15 +57,20 @@ Cell = str | float | None
 def number(value: Cell, form: str = "") -> str:
     """A cell as text, a dash for NaN and None; a unit may follow the format after a space.
 
-    >>> number(0.1234, ".1f %"), number(float("nan"), ".1f %"), number("unstable", ".1f %")
-    ('0.1 %', '-', 'unstable')
+    What rounds to zero has no minus sign.
+
+    >>> number(-0.01, ".1f %"), number(float("nan"), ".1f %"), number("unstable", ".1f %")
+    ('0.0 %', '-', 'unstable')
     """
     if isinstance(value, str):
         return value
     if value is None or value != value:
         return "-"
     spec, _, unit = form.partition(" ")
-    return f"{value:{spec}} {unit}".rstrip()
+    text = f"{value:{spec}}"
+    if not set(text) & set("123456789i"):  # the last is of inf
+        text = f"{abs(value):{spec}}"
+    return f"{text} {unit}".rstrip()
 
 
 @dataclass(frozen=True)

@@ -257,7 +257,7 @@ def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
 def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> None:
     """Write inputs, and what the Python loop makes of them, at every communication point."""
     points = np.arange(int(_SECONDS * _STEPS) + 1)
-    frame = np.round(points * frozen.plant.machine.rate / _STEPS).astype(np.int64)
+    frame = np.floor(points * frozen.plant.machine.rate / _STEPS + 0.5).astype(np.int64)  # as C
     inputs = [variable for variable in listed if variable.causality == "input"]
     given = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
     given[:, 2 if frozen.chain else 0] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3

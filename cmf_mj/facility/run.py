@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
@@ -34,6 +34,7 @@ from cmf_mj.facility.pace import Pace
 from cmf_mj.facility.session import Session
 from cmf_mj.facility.settings import (
     Change,
+    Due,
     Gains,
     HostChain,
     Outputs,
@@ -59,7 +60,6 @@ from cmf_mj.plant.hexapod import PLANTS, make_plant
 from cmf_mj.plant.parameters import fitting, hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Motion
 
 _IN_NO_FILE: Any = Field(None, exclude=True)
 
@@ -274,13 +274,6 @@ class Run(Arguments):
         )
 
 
-class _Due(NamedTuple):
-    frame: int
-    change: Change
-    motion: Motion | None
-    law: Law | None  #: That the change names, read when it was applied.
-
-
 class SignalSession(Session):
     """A session on signals: change it as it goes, and take away what was done."""
 
@@ -334,12 +327,7 @@ class SignalSession(Session):
         A law takes over as `control.engage` says, signals as `LayeredDemand` says. A change with a
         time is refused.
         """
-        for field in ("at", "frame"):
-            if getattr(change, field) is not None:
-                raise InputError(
-                    f"{field}: {getattr(change, field)} is refused; a change applied live happens "
-                    "in the next frame"
-                )
+        change.check_live()
         at = sum(due.frame <= self.frame for due in self._due)
         coming = list(self._due)
         coming.insert(at, self._checked(self.frame, change, load_law))
@@ -369,21 +357,21 @@ class SignalSession(Session):
             said["scenario"] = done.table()
         return said | super().describe()
 
-    def _checked(self, frame: int, change: Change, load: Any) -> _Due:
+    def _checked(self, frame: int, change: Change, load: Any) -> Due:
         """The change with its motion, after a check that all of it is possible."""
         run, signal = self._begun_as, change.signal
         check_change(change, run.plant, run.operation is not None)
         motion = None if signal is None else added(signal, run.seed, self.rate)
-        return _Due(frame, change, motion, None if change.law is None else load(change.law))
+        return Due(frame, change, motion, None if change.law is None else load(change.law))
 
-    def _laws(self, coming: Sequence[_Due]) -> list[Law]:
+    def _laws(self, coming: Sequence[Due]) -> list[Law]:
         """The law after each of the coming changes; one may make the next impossible."""
         laws = [] if self._engaged is None else [self._engaged]
         for due in coming:
             laws.append(bound(changed_law(laws[-1], due.change, due.law), self.plant))
         return laws[1:]
 
-    def _happen(self, due: _Due) -> None:
+    def _happen(self, due: Due) -> None:
         change = due.change
         self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
         if change.law is not None or change.gains:

@@ -32,7 +32,7 @@ from cmf_mj.plant.events import MOST_FORCE, Event, Failure
 from cmf_mj.plant.hexapod import PLANTS, make_plant
 from cmf_mj.plant.parameters import fitting
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.signal import plain
+from cmf_mj.signals.signal import Motion, plain
 
 Gains = dict[str, Any]
 """Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
@@ -126,6 +126,23 @@ class Change(Settings):
         if self.at is None:
             raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
         return round(self.at * rate)
+
+    def check_live(self) -> None:
+        """Refuse a time: a change applied live happens in the next frame."""
+        for field, value in (("at", self.at), ("frame", self.frame)):
+            if value is not None:
+                raise InputError(
+                    f"{field}: {value} is refused; a change applied live happens in the next frame"
+                )
+
+
+class Due(NamedTuple):
+    """A change that is still to happen, and what was made of it when it was announced."""
+
+    frame: int
+    change: Change
+    motion: Motion | None  #: Sum of its signals.
+    law: Law | None  #: That it names.
 
 
 class RequestAt(Settings):

@@ -25,6 +25,7 @@ _REJOIN = {
     "status": "assumed",
     "source": "half closes in on the demand, half follows the demand's own acceleration",
 }
+"""Share of the acceleration with which a limited leg closes in on its demand, see `limits.Leg`."""
 
 
 def load_motion_limits(

@@ -1,10 +1,13 @@
 """From the motion at a pilot's station in flight to frames of a host.
 
+With f the specific force and w the angular rate at the station in flight, K gains and lim limits,
+
     f1 = lim(K f (f - f0)) + f0,    f0 = (0, 0, -g),    w1 = lim(K w w)
 
-are scaled and limited; their algorithm, classical or optimal, gives the attitude A of the simulator
-and the displacement d of the pilot's station in it, each with two derivatives. The platform's
-centroid then moves so that the station at the lever arm r does that:
+are what the algorithm, classical or optimal, takes in. It gives the attitude A of the simulator and
+the displacement d of the pilot's station in it, each with two derivatives. The platform's centroid
+then moves so that the station at the lever arm r does that, with T from simulator to inertial axes
+and w from here on the simulator's angular velocity:
 
     p = d - (T - 1) r,    p' = d' - T (w x r),    p'' = d'' - T (w' x r + w x (w x r))
 
@@ -30,14 +33,14 @@ from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
 from cmf_mj.pilot.washout_settings import ClassicalSettings, WashoutSettings, load_washout
 
 
-class Cueing(NamedTuple):
-    """A washout at work; arrays of its state are overwritten by each frame."""
+class RunningWashout(NamedTuple):
+    """What compiled code has of a washout; arrays of its state are overwritten by each frame."""
 
     gain: NDArray[np.float64]  #: Gains of specific force and angular rate, (6,).
     force_limit: float  #: [m/s^2].
     rate_limit: float  #: [rad/s].
     station: NDArray[np.float64]  #: r [m], (3,).
-    interval: float  #: T [s].
+    interval: float  #: Between samples [s].
     algorithm: Classical | Optimal
     angular: NDArray[np.float64]  #: Attitude of the simulator and two derivatives, (3, 3).
     linear: NDArray[np.float64]  #: Displacement of the pilot's station and two derivatives, (3, 3).
@@ -45,7 +48,10 @@ class Cueing(NamedTuple):
 
 
 def move(algorithm, *sample):  # type: ignore[no-untyped-def]
-    """One sample of either algorithm; arguments as for `move_classical`."""
+    """One sample of either algorithm, which compiled code chooses by its type, see below.
+
+    Arguments are those of `move_classical`.
+    """
     (move_classical if isinstance(algorithm, Classical) else move_optimal)(algorithm, *sample)
 
 
@@ -56,14 +62,14 @@ def _compiled_move(algorithm, *sample):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def scaled(cueing, specific_force, angular_rate, force, rate):  # type: ignore[no-untyped-def]
+def scaled(running, specific_force, angular_rate, force, rate):  # type: ignore[no-untyped-def]
     """Write f1 and w1, (3,) each."""
     for axis in range(3):
         rest = -STANDARD_GRAVITY if axis == 2 else 0.0
-        beyond = cueing.gain[axis] * (specific_force[axis] - rest)
-        force[axis] = rest + min(max(beyond, -cueing.force_limit), cueing.force_limit)
-        turned = cueing.gain[3 + axis] * angular_rate[axis]
-        rate[axis] = min(max(turned, -cueing.rate_limit), cueing.rate_limit)
+        beyond = running.gain[axis] * (specific_force[axis] - rest)
+        force[axis] = rest + min(max(beyond, -running.force_limit), running.force_limit)
+        turned = running.gain[3 + axis] * angular_rate[axis]
+        rate[axis] = min(max(turned, -running.rate_limit), running.rate_limit)
 
 
 @allocating
@@ -76,9 +82,9 @@ def euler_rates_of(roll, pitch, rate, out):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def place_platform(cueing, motion):  # type: ignore[no-untyped-def]
+def place_platform(running, motion):  # type: ignore[no-untyped-def]
     """Write pose, velocity and acceleration of the centroid, (3, 6)."""
-    station, angular, linear = cueing.station, cueing.angular, cueing.linear
+    station, angular, linear = running.station, running.angular, running.linear
     omega, alpha = np.empty(3), np.empty(3)
     body_rates(angular[0], angular[1], angular[2], omega, alpha)
     turn = rotation(angular[0, 0], angular[0, 1], angular[0, 2])
@@ -94,30 +100,30 @@ def place_platform(cueing, motion):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def step(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+def step(running, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
     """One host frame of the specific force and angular rate at the pilot's station, (3,) each.
 
     Overwrites pose, velocity and acceleration of the platform, (3, 6).
     """
     force, rate, euler_rates, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    scaled(cueing, specific_force, angular_rate, force, rate)
+    scaled(running, specific_force, angular_rate, force, rate)
     # The attitude at this frame, but for terms of third order in the interval.
-    span, angular = cueing.interval, cueing.angular
+    span, angular = running.interval, running.angular
     roll = angular[0, 0] + span * (angular[1, 0] + 0.5 * span * angular[2, 0])
     pitch = angular[0, 1] + span * (angular[1, 1] + 0.5 * span * angular[2, 1])
     euler_rates_of(roll, pitch, rate, euler_rates)
     for axis in range(3):
-        slopes[axis] = (euler_rates[axis] - cueing.euler_rates[axis]) / span
-    cueing.euler_rates[:] = euler_rates
-    move(cueing.algorithm, euler_rates, slopes, force, angular, cueing.linear)
-    place_platform(cueing, motion)
+        slopes[axis] = (euler_rates[axis] - running.euler_rates[axis]) / span
+    running.euler_rates[:] = euler_rates
+    move(running.algorithm, euler_rates, slopes, force, angular, running.linear)
+    place_platform(running, motion)
 
 
 @allocating
-def _run(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
-    place_platform(cueing, motion[0])
+def _run(running, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+    place_platform(running, motion[0])
     for row in range(1, specific_force.shape[0]):
-        step(cueing, specific_force[row], angular_rate[row], motion[row])
+        step(running, specific_force[row], angular_rate[row], motion[row])
 
 
 class Washout:
@@ -149,7 +155,7 @@ class Washout:
             algorithm = make_classical(self.settings, 1.0 / rate)
         else:
             algorithm = make_optimal(self.settings, 1.0 / rate)
-        self._cueing = Cueing(
+        self._running = RunningWashout(
             self.settings.gains,
             limits.force_limit.si,
             limits.rate_limit.si,
@@ -170,7 +176,7 @@ class Washout:
         flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
-        _run(self._cueing, flown.specific_force, flown.angular_rate, out)
+        _run(self._running, flown.specific_force, flown.angular_rate, out)
         return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
 
     def flown(self, motion: PilotMotion) -> PilotMotion:
@@ -182,19 +188,19 @@ class Washout:
 
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
-        cueing, force, rate = self._cueing, np.empty(3), np.empty(3)
+        running, force, rate = self._running, np.empty(3), np.empty(3)
         felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
-        scaled(cueing, *felt, force, rate)
+        scaled(running, *felt, force, rate)
         # The attitude depends on the force only, the Euler rates on the attitude.
-        for roll, pitch in ((0.0, 0.0), cueing.angular[0, :2]):
-            euler_rates_of(roll, pitch, rate, cueing.euler_rates)
-            cueing.algorithm.settle(cueing.euler_rates, force)
+        for roll, pitch in ((0.0, 0.0), running.angular[0, :2]):
+            euler_rates_of(roll, pitch, rate, running.euler_rates)
+            running.algorithm.settle(running.euler_rates, force)
             # At rest a step with the same inputs changes nothing; it reads the outputs.
-            rest = (cueing.euler_rates, np.zeros(3), force)
-            move(cueing.algorithm, *rest, cueing.angular, cueing.linear)
+            rest = (running.euler_rates, np.zeros(3), force)
+            move(running.algorithm, *rest, running.angular, running.linear)
         self._sequence = 0
         motion = np.empty((3, 6))
-        place_platform(cueing, motion)
+        place_platform(running, motion)
         return HostFrame(0, 0.0, *motion)
 
     def frame(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
@@ -206,6 +212,6 @@ class Washout:
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))
         felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
-        step(self._cueing, *felt, motion)
+        step(self._running, *felt, motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)

@@ -24,12 +24,13 @@ cap through an orifice that lowers the settle load at the settle speed, the rod 
 mean deflection z. With v the sliding speed,
 
     dz/dt = v - |v| z / Z(v),    Z(v) = d (1 + (Fb / Fc - 1) exp(-(v / vs)^2))
-    F = (Fc / d) (z + t dz/dt) + b v
+    F = (Fc / d) (z + t exp(-(v / vs)^2) dz/dt) + b v
 
 Fc is the Coulomb force, Fb the breakaway force, vs the Stribeck speed, d the presliding travel, t
-a damping time that keeps a sticking contact from ringing. A load below Fb stops at a deflection of
-about d and stays; above it the contact slips. z follows its equation exactly for a constant speed
-over a step, so that no step is too long. Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995).
+a damping time, which keeps a sticking contact from ringing and counts less the faster it slides. A
+load below Fb stops at a deflection of about d and stays; above it the contact slips. z follows its
+equation exactly for a constant speed over a step, so that no step is too long. Source: Canudas de
+Wit, Olsson, Astrom, Lischinsky (1995).
 
 A contact has no slope at rest, but two about motions that are stated. Legs that move much less than
 d stick: F = (Fc / d) (x + t v). Legs that slide through many d, at the speed V sin(w t), feel on
@@ -194,9 +195,8 @@ def holding_pressures(
     Loads (n,) that press the leg together are positive; the cylinder is one, or one for each.
     Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Without leakage any pair with the
     right force stays, and with leakage and equal areas none does: then the valve's own null
-    p_cap + p_rod = Ps + Pt is taken. The pair is kept
-    between return and supply pressure as far as the load allows; loads beyond the stall forces are
-    refused.
+    p_cap + p_rod = Ps + Pt is taken. The pair is kept between return and supply pressure as far as
+    the load allows; loads beyond the stall forces are refused.
     """
     loads = np.atleast_1d(np.asarray(load, dtype=float))
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area

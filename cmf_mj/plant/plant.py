@@ -309,7 +309,7 @@ class Plant:
     def changed(
         self, hydraulics: HydraulicParameters, edit: Callable[[mujoco.MjModel], None]
     ) -> Self:
-        """The same plant with another hydraulic set, and numbers of its model edited."""
+        """The same plant with another set of `hydraulics`, its MuJoCo model changed by `edit`."""
         made = copy.deepcopy(self)
         for taken in ("digest", "_described"):
             made.__dict__.pop(taken, None)

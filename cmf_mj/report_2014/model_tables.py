@@ -189,7 +189,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     axis.set(
         xlabel="time after the step [s]", ylabel="leg position over demand", title=f"Step, {law}"
     )
-    legend(gain, axis)
+    legend(bode, step)
     return bode, step
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
 from cmf_mj.core.result import Result
@@ -62,9 +61,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     valve.set_ylim(0.0, 110.0)
     if network:
         _network((pressure, *between), result, parameters)
-    for axis in (motion, pressure, *between[:1]):
-        axis.margins(y=0.2)
-        look.legend(axis, loc="upper right", ncols=4, framealpha=0.9)
+    look.legend(motion, pressure, *between[:1])
     motion.set_xlim(time[0], time[-1])
     return figure
 
@@ -98,7 +95,7 @@ def envelope_figure(plant: Plant, dofs: Sequence[str]) -> Figure:
     figure = look.new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
     for place, dof in enumerate(dofs, start=1):
         _envelope_panel(figure.add_subplot(rows, columns, place), asymptotes(plant, dof))
-    look.legend(figure, ncols=columns)
+    look.legend(figure)
     name = " ".join(filter(None, (plant.cab.upper(), plant.parameters.name)))
     figure.suptitle(f"{name}: largest sustained sine, closed forms of its limits")
     return figure
@@ -125,11 +122,9 @@ def _envelope_panel(axis: Axes, closed: Asymptotes) -> None:
         if np.isfinite(values).all():
             style: dict[str, Any] = {"color": colour, "linestyle": line, "label": title}
             axis.plot(frequency, values, linewidth=1.0, **style)
-    axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
-    for ticks in (axis.xaxis, axis.yaxis):
-        ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ticks.set_major_formatter("{x:g}")
-    axis.minorticks_off()
+    for ticks in (axis.yaxis, axis.xaxis):
+        look.frequency_axis(ticks)
+    axis.set(ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
 
 
 def save_capacity(

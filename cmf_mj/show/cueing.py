@@ -160,7 +160,7 @@ def motion_figure(flown: Cue) -> Figure:
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
-    look.legend(*axes[3:].flat, ncols=3)
+    look.legend(*axes[3:].flat)
     if flown.limited.any():
         for axis in axes[3:].flat:
             look.shade(axis, time, flown.limited)
@@ -234,9 +234,9 @@ def omct_table(result: Omct) -> Table:
             test = name if stage == "demand" else ""
             if stage == STAGES[0]:
                 test = f"{driven} > {output}"
-            sizes = (_text(size, 3) for size in np.abs(row) / scale)
+            sizes = (number(size, ".3f") for size in np.abs(row) / scale)
             rows.append([test, title(stage), "mod", *sizes])
-            rows.append(["", "", "deg", *(_text(angle, 0) for angle in phase(row))])
+            rows.append(["", "", "deg", *(number(angle, ".0f") for angle in phase(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
     return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND)
@@ -268,22 +268,22 @@ def _range(share: NDArray[np.complex128], impure: bool) -> str:
     if not known.any():
         return "-"
     sizes = np.abs(share[known])
-    size = " to ".join(dict.fromkeys(_text(value, 2) for value in (sizes.min(), sizes.max())))
+    size = " to ".join(dict.fromkeys(number(value, ".2f") for value in (sizes.min(), sizes.max())))
     lost = "" if known.all() else ", left its bounds"
-    return f"{size}, {_text(phase(share)[known][-1], 0)}°{'*' if impure else ''}{lost}"
-
-
-def _text(value: float, digits: int) -> str:
-    return number(round(value, digits) + 0.0, f".{digits}f")  # no -0
+    return f"{size}, {number(phase(share)[known][-1], '.0f')}°{'*' if impure else ''}{lost}"
 
 
 def omct_figure(result: Omct) -> Figure:
-    """Modulus and phase of all tests over frequency."""
-    figure = look.new_figure(13.0, 15.0)
-    axes = figure.subplots(5, 4, sharex=True)
+    """Modulus and phase over frequency, of all tests that were made."""
+    every = np.isfinite(np.array(list(result.responses.values()))).any(axis=(0, 2))
+    tested = [int(place) for place in np.flatnonzero(every)]
+    rows, wide = -(-len(tested) // 2), 2 * min(len(tested), 2)
+    figure = look.new_figure(3.25 * wide, 3.0 * rows + 0.6)
+    axes = figure.subplots(rows, wide, sharex=True, squeeze=False)
     colours = ("#999999", "#000000", *(colour for colour in look.COLOURS if colour != "#000000"))
-    for place, (driven, output) in enumerate(TESTS):
-        row, side = divmod(place, 2)
+    for at, place in enumerate(tested):
+        driven, output = TESTS[place]
+        row, side = divmod(at, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
         for index, (stage, responses) in enumerate(result.responses.items()):
@@ -291,12 +291,11 @@ def omct_figure(result: Omct) -> Figure:
             style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
             angle.plot(result.frequency, phase(responses[place]), **style)
-        if any(np.isfinite(responses[place]).any() for responses in result.responses.values()):
-            modulus.set(xscale="log", yscale="log")
-            low, high = modulus.get_ylim()
-            plain = FuncFormatter(lambda value, _: f"{value:g}")
-            modulus.yaxis.set_major_formatter(plain)
-            modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
+        modulus.set(yscale="log")
+        low, high = modulus.get_ylim()
+        plain = FuncFormatter(lambda value, _: f"{value:g}")
+        modulus.yaxis.set_major_formatter(plain)
+        modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if driven != output and driven in _ROTATIONS:
             modulus.axhline(STANDARD_GRAVITY * DEGREE, color=look.GREY, linestyle=":")
         ylabel = f"modulus [{name}]" if name else "modulus"
@@ -304,9 +303,11 @@ def omct_figure(result: Omct) -> Figure:
         angle.set_ylabel("phase [deg]")
     for axis in axes.flat:
         axis.grid(True, which="both")
-        axis.tick_params(which="minor", labelsize=8)
-    for axis in axes[-1]:
-        axis.set_xlabel("frequency [rad/s]")
+        axis.set_visible(axis.has_data())
+    for column in axes.T:
+        last = column[sum(axis.has_data() for axis in column) - 1]
+        look.frequency_axis(last.xaxis, "rad/s")
+        last.tick_params(labelbottom=True)
     look.legend(figure)
     figure.suptitle(
         "Modulus and phase from the aircraft's pilot to the simulator's: "

@@ -253,7 +253,7 @@ def swing_film(
     most = settings.fps / (LEAST_PICTURES * fastest)
     if settings.speed > most:
         raise InputError(
-            f"speed: {settings.speed} with {settings.fps} frames a second leaves mode 6 at "
+            f"speed: {settings.speed} with {settings.fps} frames a second leaves the fastest at "
             f"{fastest:.1f} Hz fewer than {LEAST_PICTURES} a period; must be at most {most:.3g}"
         )
     count = max(round(periods / (lowest * settings.speed) * settings.fps), 1)
@@ -272,8 +272,8 @@ def swing_film(
 
 def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
     """Frequency, mass that a leg feels; leading share and leg motion [m]."""
-    number, hertz, mass, moving = mode_table(modes).cells[mode]
-    first = f"mode {number}: {hertz} Hz, {mass} lbm a leg"
+    named, hertz, mass, moving = mode_table(modes).cells[mode]
+    first = f"{named}: {hertz} Hz, {mass} lbm a leg"
     return f"{first}\n{moving.split(',')[0]}, legs ±{units.from_si('in', motion):.1f} in"
 
 

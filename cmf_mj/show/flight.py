@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -86,18 +87,21 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
     for reference, motion, label, colour, width in curves:
         frequency, density = error_spectra(reference, motion)
         for axis, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
-            axis.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
+            axis.plot(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axis in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
         axis.set_title(f"error of {NAMES[index]} [{unit}]")
-        axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
-    look.legend(panels[0], loc="lower left")
+        look.frequency_axis(axis.xaxis)
+        axis.set(
+            xlim=(frequency[1], 30.0), yscale="log", xlabel="frequency [Hz]" if index > 2 else ""
+        )
     colours = list(zip(rides, look.COLOURS, strict=False))
     _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in colours])
     bars = [(r.law, c, r.cueing) for r, c in colours if r.cueing is not None]
     if first.washout_error is not None:
         bars.insert(0, ("machine that follows at once", look.GREY, first.washout_error))
     _bars(flight, "of the flight: aircraft less cab", bars)
+    look.legend(figure)
     title = "error spectra (asked of the platform less cab)"
     figure.suptitle(f"pilot's station, cab {first.cab}: {title}")
     return figure
@@ -115,7 +119,6 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
     if bars:
         least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
         axes.set_ylim(bottom=0.5 * max(least, 1e-4))
-        look.legend(axes, fontsize=7, loc="upper right")
 
 
 def flight_table(rides: Sequence[FlightResult]) -> Table:
@@ -209,7 +212,8 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
     ratio.plot(lines, values[1:].T, color=look.GREY, linewidth=0.8)
     ratio.plot(lines, values[0], label="machine that learns, mean pose (grey: others, other poses)")
     ratio.axhline(1.0, color=look.DARK, linestyle=":")
-    ratio.set(xlabel="frequency [Hz]", ylabel="largest singular value of Q (1 - L G)")
+    ratio.set(ylabel="largest singular value of Q (1 - L G)")
+    look.frequency_axis(ratio.xaxis)
     dof = int(np.argmax(learnt.trials[0].axes[:3]))
     for number, error in zip((0, learnt.best), learnt.errors, strict=True):
         time = LEAD + np.arange(len(error)) / MOST_RATE
@@ -218,7 +222,8 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
     for label, errors in zip(("without", "with what was learnt"), others.T, strict=True):
         machines.semilogy(1e3 * errors, "o", label=label)
     machines.set(xlabel="other machine", ylabel=f"legs below {BAND:g} Hz, rms [mm]")
-    look.legend(trials, ratio, history, machines)
+    above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
+    look.legend(trials, ratio, history, machines, **above)
     figure.suptitle("Tracking error of a manoeuvre as it is learnt, and on other machines")
     return figure
 

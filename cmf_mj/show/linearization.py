@@ -168,6 +168,8 @@ PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
 
 _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _SIX = range(1, 7)
+_MOVES = 0.05
+"""Share of the kinetic energy from which on a degree of freedom names a mode."""
 
 
 def title_of(modes: HydraulicModes, name: str = "") -> str:
@@ -176,51 +178,59 @@ def title_of(modes: HydraulicModes, name: str = "") -> str:
     return ", ".join(part for part in parts if part)
 
 
+def mode_names(modes: HydraulicModes) -> list[str]:
+    """What moves in each mode: most of the kinetic energy, and the next that has a part of it."""
+    orders = ((shares, np.argsort(-shares)[:2]) for shares in modes.share.T)
+    moving = ([DOFS[k] for k in order if shares[k] > _MOVES] for shares, order in orders)
+    return [" with ".join(names) for names in moving]
+
+
 def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     """Frequency, mass a leg feels, and what moves in each mode; `name` is the pose's."""
     rows = []
-    for i, shares in enumerate(modes.share.T):
+    for i, (named, shares) in enumerate(zip(mode_names(modes), modes.share.T, strict=True)):
         order = [k for k in np.argsort(-shares) if shares[k] > 0.02]
         moving = ", ".join(f"{DOFS[k]} {100.0 * shares[k]:.0f} %" for k in order)
         mass = units.from_si("lbm", modes.leg_mass[i])
-        rows.append((str(i + 1), modes.frequency_hz[i], mass, moving))
-    numbers = (("mode", ""), ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
+        rows.append((named, modes.frequency_hz[i], mass, moving))
+    numbers = ("mode", ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
     return Table(title_of(modes, name), (*numbers, "share of the kinetic energy"), rows)
 
 
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
-    """The frequencies over the envelope, a row a cab and mode."""
+    """The frequencies over the envelope, a row a cab and mode, which has its name at neutral."""
     rows = []
     for each in ranges:
         shares = np.percentile(each.frequency_hz, [5.0, 50.0, 95.0], axis=0)
         least = np.minimum(each.frequency_hz.min(axis=0), each.worst.frequency_hz)
-        rows += [(each.worst.cab, str(i + 1), least[i], *shares[:, i]) for i in range(6)]
+        named = zip(mode_names(each.modes[0]), least, *shares, strict=True)
+        rows += [(each.worst.cab, *row) for row in named]
     names = ("lowest [Hz]", "5 % below", "half below", "95 % below")
-    columns = (("cab", ""), ("mode", ""), *((name, ".2f") for name in names))
+    columns = ("cab", "mode", *((name, ".2f") for name in names))
     return Table("over the envelope", columns, rows)
 
 
-def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figure:
-    """Six modes along each degree of freedom; a line style a cab."""
+def sweep_figure(ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Sweep]]) -> Figure:
+    """Six modes, by their names at neutral, along each degree of freedom; a line style a cab."""
     figure = look.new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
     for style, of_cab in zip(cycle(_STYLES), sweeps, strict=False):
         for axis, one in zip(panels.flat, of_cab, strict=True):
             along = units.from_si(dof_unit(one.dof), one.excursion)
             for mode, colour in zip(one.frequency_hz.T, look.COLOURS, strict=False):
-                axis.semilogy(along, mode, style, color=colour)
+                axis.plot(along, mode, style, color=colour)
             axis.set_xlabel(_axis_text(one.dof))
-    for axis in panels.flat:
-        axis.set_yticks([4, 5, 6, 8, 10, 15, 20, 30], labels="4 5 6 8 10 15 20 30".split())
-        axis.minorticks_off()
     for axis in panels[:, 0]:
-        axis.set_ylabel("frequency [Hz]")
-    entries = [Line2D([], [], color=look.COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
+        look.frequency_axis(axis.yaxis)
+    alike = zip(*(mode_names(each.modes[0]) for each in ranges), strict=True)
+    named = [" or ".join(dict.fromkeys(names)) for names in alike]
+    pairs = zip(named, look.COLOURS, strict=False)
+    entries = [Line2D([], [], color=colour, label=name) for name, colour in pairs]
     entries += [
-        Line2D([], [], color=look.DARK, linestyle=style, label=cab.upper())
-        for cab, style in zip(cabs, cycle(_STYLES), strict=False)
+        Line2D([], [], color=look.DARK, linestyle=style, label=each.worst.cab.upper())
+        for each, style in zip(ranges, cycle(_STYLES), strict=False)
     ]
-    look.legend(figure, handles=entries, ncols=len(entries))
+    look.legend(figure, handles=entries)
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
     return figure
 
@@ -272,7 +282,7 @@ def save_modes(
         for modes in (*each.modes, each.worst)
     ]
     files = {
-        "modes_sweep.png": sweep_figure(cabs, sweeps),
+        "modes_sweep.png": sweep_figure(ranges, sweeps),
         "modes_map.png": map_figure(cabs, maps),
         "modes.csv": rows,
         "modes.md": range_table(ranges),

@@ -1,6 +1,8 @@
 """How every figure looks: one palette, one grid, one pair of Bode axes, one way to a file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -8,14 +10,17 @@ import numpy as np
 from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.published import Published
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
@@ -43,6 +48,45 @@ STYLE: dict[str, Any] = {
     "grid.linewidth": 0.6,
 }
 """Of all axes."""
+
+
+FORMATS = ("png", "svg", "pdf")
+"""Of the files of figures."""
+
+_PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
+"""Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""
+_LEAST, _LEAST_PRINTED, _DPI = 9.0 * 72.0 / 1280.0, 6.0, 200
+"""Height of the smallest text: 9 px of 1280 px across [points an inch]; of a figure with a size
+[points], with its dots an inch."""
+_PRINT: ContextVar[tuple[str | None, str | None]] = ContextVar("print", default=(None, None))
+"""Format and size of all figures that are written, if not as each is made."""
+
+
+def _inches(size: str | None, width: float, height: float) -> tuple[float, float]:
+    """Width and height of a figure that is made `width` by `height`."""
+    if size in (None, "page"):
+        fits = min(_PAGE[0] / width, _PAGE[1] / height) if size else 1.0
+        return fits * width, fits * height
+    try:
+        wide, high = _SLIDE if size == "slide" else map(float, str(size).lower().split("x"))
+    except ValueError:
+        wide = high = np.nan
+    if not (2.0 <= wide <= 60.0 and 2.0 <= high <= 60.0):
+        allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
+        raise InputError(f"figure_size: {size!r} is refused; allowed: {allowed}")
+    return wide, high
+
+
+@contextmanager
+def printed(form: str | None = None, size: str | None = None) -> Iterator[None]:
+    """Write all figures in a format, png, svg or pdf, and in a size as `--figure-size` takes it."""
+    check_name("figure_format", form or "png", FORMATS)
+    _inches(size, *_PAGE)
+    before = _PRINT.set((form, size))
+    try:
+        yield
+    finally:
+        _PRINT.reset(before)
 
 
 class _Figure(Figure):
@@ -87,24 +131,35 @@ def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> No
 
 
 def legend(*where: Axes | Figure, **options: Any) -> None:
-    """A small legend in each of the axes; or below all axes of a figure, a name once."""
+    """A small legend beside each of the axes; or below all axes of a figure, a name once."""
     for each in where:
-        below: dict[str, Any] = {}
+        place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         if isinstance(each, Figure):
             every = [axes.get_legend_handles_labels() for axes in each.axes]
             named = {name: line for one in every for line, name in zip(*one, strict=True)}
-            below = {"loc": "outside lower center", "handles": list(named.values())}
-            below["ncols"] = max(len(named), 1)
-        each.legend(**{"fontsize": 8, **below, **options})
+            named |= {line.get_label(): line for line in options.pop("handles", ())}
+            wide = (4.0 + 0.6 * max(map(len, named), default=1)) * 8.0 / 72.0
+            lines = np.ceil(len(named) / max(each.get_figwidth() // wide, 1.0))
+            place = {"loc": "outside lower center", "handles": list(named.values())}
+            place |= {"labels": list(named), "ncols": int(np.ceil(len(named) / max(lines, 1.0)))}
+        each.legend(**{"fontsize": 8, "frameon": False, **place, **options})
+
+
+def frequency_axis(axis: Axis, unit: str = "Hz") -> None:
+    """A logarithmic axis of frequency with ticks 0.5, 1, 2, 5, 10, and its name."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+    axis.set_label_text(f"frequency [{unit}]")
 
 
 def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
     """Labels and grid of a pair of Bode axes; `limits` draws the -3 dB and -90 deg lines."""
     gain.set(ylabel="gain [dB]", title=title)
-    phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xscale="log")
+    phase.set(ylabel="phase [deg]")
+    frequency_axis(phase.xaxis)
     phase.yaxis.set_major_locator(MultipleLocator(45.0))
-    for axis in (gain, phase):
-        axis.grid(True, which="both")
     if limits:
         gain.axhline(-3.0, color=GREY, linewidth=0.8)
         phase.axhline(-90.0, color=GREY, linewidth=0.8)
@@ -127,10 +182,10 @@ def plot_bode(
     """
     clear = stable & ~(response.coherence < CLEAR)
     for axis, values in ((gain, response.gain_db), (phase, response.phase_deg)):
-        (line,) = axis.semilogx(response.frequency, np.where(clear, values, np.nan), **style)
+        (line,) = axis.plot(response.frequency, np.where(clear, values, np.nan), **style)
         style |= {"color": line.get_color(), "label": None}
         if not clear.all():
-            axis.semilogx(response.frequency, values, alpha=FAINT, **style)
+            axis.plot(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
 
 
@@ -145,7 +200,7 @@ def bode_figure(
     figure, gain, phase = bode_axes(title, limits=limits)
     for name, response in curves.items():
         plot_bode(gain, phase, response, label=name, stable=stable)
-    legend(gain)
+    legend(figure)
     return figure, gain, phase
 
 
@@ -182,13 +237,33 @@ def _numbers(axes: Axes) -> list[Text]:
     return texts + [t for axis in both for t in axis.get_ticklabels(which="both")]
 
 
+def _fit(figure: Figure, size: str | None) -> None:
+    """Bring a figure to the size that is asked for, and its text to what can be read."""
+    own = figure.get_size_inches()
+    figure.set_size_inches(_inches(size, *own))
+    scale = float(np.sqrt(np.prod(figure.get_size_inches() / own)))
+    least = max(_LEAST * figure.get_figwidth(), _LEAST_PRINTED if size else 0.0)
+    for text in figure.findobj(Text):
+        text.set_fontsize(max(scale * float(text.get_fontsize()), least))
+    for title in figure.texts:
+        title.set_wrap(True)
+    for line in figure.findobj(Line2D):
+        line.set_linewidth(scale * line.get_linewidth())
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        for label in axis.get_ticklabels()[:1]:  # those that are yet to be made are like it
+            axis.set_tick_params(which="both", labelsize=label.get_fontsize())
+
+
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure by the ending of the name and release its memory.
+    """Write a figure by the ending of the name and release its memory; `printed` changes both.
 
     The file appears when it is complete, and the same figure gives the same bits: no date, no names
     of programs. Folders are made.
     """
-    kind = path.suffix[1:]
+    form, size = _PRINT.get()
+    path = path if form is None else path.with_suffix(f".{form}")
+    kind, dpi = path.suffix[1:], dpi if size is None else _DPI
+    _fit(figure, size)
     numbers = {id(text) for axes in figure.axes for text in _numbers(axes)}
     for text in figure.findobj(Text):
         text.set_parse_math(id(text) in numbers)  # a title with $ signs is no formula
@@ -228,7 +303,7 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
     for name, content in files.items():
         path = in_folder(folder, name)
         if isinstance(content, Figure):
-            save_figure(content, path, dpi)
+            path = save_figure(content, path, dpi)
         elif isinstance(content, list):
             write_csv(path, content[0], (row.values() for row in content))
         elif isinstance(content, Mapping) and path.suffix == ".csv":

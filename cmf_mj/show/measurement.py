@@ -93,7 +93,7 @@ def measurement_table(measured: Measurement) -> Table:
     ]
     for at in measured.describing_function:
         where = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
-        value = f"{at.gain_db:.2f} dB, {at.phase_deg:.1f} deg"
+        value = f"{number(at.gain_db, '.2f dB')}, {number(at.phase_deg, '.1f deg')}"
         rows.append((f"describing function, {where}", value, "fundamental over the demand"))
     for amplitude, noise in measured.half_hertz_noise:
         name = f"half-hertz noise, {units.from_si(unit, amplitude):.3g} {unit}"
@@ -122,7 +122,7 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     coherence.set_ylim(0.0, 1.05)
     share = np.minimum(response.bound / np.abs(response.response), 0.99)
     look.plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
-    look.legend(gain)
+    look.legend(figure)
     return figure
 
 
@@ -190,7 +190,8 @@ def _root_cells(root: Root, step: float) -> tuple[str, str, str]:
     slope = np.array([along.real, -along.imag])
     spread = np.sqrt(max(float(slope @ root.covariance @ slope), 0.0)) / (2.0 * np.pi)
     damping = -s.real / abs(s) if s != 0.0 else float("nan")
-    return f"{abs(s) / (2.0 * np.pi):.3f} Hz", f"{spread:.3f} Hz", f"damping ratio {damping:.3f}"
+    hertz, damped = abs(s) / (2.0 * np.pi), number(damping, ".3f")
+    return f"{hertz:.3f} Hz", f"{spread:.3f} Hz", f"damping ratio {damped}"
 
 
 def model_table(result: Identified) -> Table:
@@ -225,7 +226,8 @@ def model_table(result: Identified) -> Table:
             ("rise time", "rise_time", ".3f s", None),
         ):
             mine, theirs = (number(getattr(side, name), form) for side in loop)
-            off = f", error {100.0 * error:+.1f} %, law {result.law}" if error is not None else ""
+            off = "" if error is None else f", error {number(100.0 * error, '+.1f %')}"
+            off += f", law {result.law}" if off else ""
             rows.append((f"closed loop, {label}", mine, "", f"measured {theirs}{off}"))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
@@ -246,7 +248,7 @@ def fit_figure(result: Identified) -> Figure:
     top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=f"model, {fit:.1f} %")
     bottom.plot(time[inside], (measured - modelled)[inside], color=look.BLUE)
     top.set_title(f"Motion of the validation run, {result.axis}")
-    look.legend(top, loc="upper right")
+    look.legend(figure)
     return figure
 
 
@@ -266,7 +268,7 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
         axis.vlines(residuals.lags * step, 0.0, values, color=look.DARK, linewidth=1.2)
         axis.axhline(0.0, color=look.DARK, linewidth=0.8)
         axis.set_title(title)
-    look.legend(auto, cross, loc="upper right")
+    look.legend(figure)
     return figure
 
 
@@ -298,7 +300,7 @@ def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> 
     look.plot_bode(gain, phase, curve, color=look.ORANGE, label=model.method)
     band = np.minimum(turn, np.pi)
     look.plot_band(gain, phase, curve, wide, band, color=look.ORANGE, label="95 % band")
-    look.legend(phase)
+    look.legend(figure)
     return figure
 
 

@@ -57,8 +57,7 @@ def overview_figure(
     times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
     for axis, (at, colour, line) in product(axes, times):
         axis.axvline(at, color=colour, ls=line, lw=0.9)
-    style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
-    look.legend(motion, error, supply, fontsize=7, **style)
+    look.legend(motion, error, supply)
     figure.align_ylabels(axes)
     of = title or f"{record.metadata['plant']}, {record.metadata['law']}"
     figure.suptitle(f"Motion, valves and pressures: {of}")
@@ -156,7 +155,7 @@ def timing_figure(timing: Timing) -> Figure:
     busy.axvline(share, color=look.DARK, linestyle="--", label=f"99.9 % below {share:.0f} us")
     title = f"{timing.busy.size} control frames, {timing.over} over {frame:.0f} us of computing"
     busy.set_title(title)
-    look.legend(busy, late, loc="upper right")
+    look.legend(figure)
     return figure
 
 

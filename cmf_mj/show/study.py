@@ -113,7 +113,7 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
     note = f"circles: published; pale: coherence below {CLEAR:g}, or unstable"
-    look.legend(gain, loc="lower left", title=note, title_fontsize=7)
+    look.legend(figure, title=note, title_fontsize=8)
     return figure
 
 
@@ -138,7 +138,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     size = float(demanded[-1])
     response.set(title=_title("Step response", dof, step, results), ylim=(-0.5 * size, 2.0 * size))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    look.legend(response, loc="lower right")
+    look.legend(figure)
     return figure
 
 
@@ -242,10 +242,11 @@ def ladder_figure(table: pa.Table) -> Figure:
             if name == "crosstalk":
                 axis.set_yscale("log")
                 axis.set_xticks(range(len(rungs)), rungs, rotation=90)
+                axis.set_xlabel("with all effects before")
         line[0].set_ylabel(title)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
-    look.legend(figure, ncols=5)
+    look.legend(figure)
     figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
@@ -326,7 +327,7 @@ def failure_figure(result: FailureResult) -> Figure:
         axis.axvline(0.0, color=look.ORANGE, linestyle="--", linewidth=1.0, label="event")
         if (at := result.detection_time) is not None:
             axis.axvline(at, color=look.PURPLE, linestyle=":", linewidth=1.4, label="detected")
-    look.legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
+    look.legend(legs, crew, pressures)
     return figure
 
 
@@ -346,6 +347,6 @@ def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     axes.set(xlim=(0.0, most), xlabel="scale of the unit box")
     axes.set_yticks(place, [f"{one.law}, {one.cab}" for one in certificates])
     axes.invert_yaxis()
-    axes.set_title("Boxes of machines that are proven stable", pad=28)
-    look.legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    axes.set_title("Boxes of machines that are proven stable")
+    look.legend(figure)
     return figure

@@ -2,6 +2,10 @@
 
 The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in; `run_case` does
 both on a machine built for the case, so that cases share nothing and may run anywhere.
+
+Beside a case's measures stand those of small motion (`small_motion`), what compares laws along an
+axis (`qualities`: bandwidth over what limits it, stiffness, rejection of forces, noise), and the
+verdict of a short simulation in which all degrees of freedom step at once (`swing_after_step`).
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +27,6 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
 from cmf_mj.core.result import Field
-from cmf_mj.core.units import RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.simulate import simulate
@@ -296,19 +299,20 @@ SMALL = 0.15
 """Step of the simulated verdict over the report's amplitudes, all degrees of freedom at once."""
 
 _BEGIN, _DURATION, _WINDOW = 0.5, 12.0, 2.0
-"""Of the simulated verdict [s]: the step, the end, and the windows compared."""
+"""Of the simulated verdict [s]: the step, the end, and the length of the two windows compared."""
 _FIRST = 2.5
-"""Begin of the first window after the step [s]."""
-_NOTHING, _MOST = 1e-4, 1.0
+"""Begin of the first window after the step [s]; the second is the last of the run."""
+_NO_SWING, _LIMIT_CYCLE = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 
 
 def swing_after_step(plant: Hexapod, law: Law) -> dict[str, Any]:
     """Whether a law is stable in the simulation, see `swings`."""
-    pose = np.zeros((round(_DURATION * RATE), len(DOFS)))
-    pose[round(_BEGIN * RATE) :] = SMALL * REPORT_AMPLITUDES
+    rate = plant.machine.rate
+    pose = np.zeros((round(_DURATION * rate), len(DOFS)))
+    pose[round(_BEGIN * rate) :] = SMALL * REPORT_AMPLITUDES
     try:
-        return swings(simulate(plant, law, Command.from_pose(pose), record_every=16))
+        return swings(simulate(plant, law, Command.from_pose(pose, rate), record_every=16))
     except FloatingPointError:  # it left the bounds of the model
         return {"stable": False, "first": float("nan"), "last": float("nan")}
 
@@ -329,5 +333,5 @@ def swings(record: Record) -> dict[str, Any]:
         about = part - np.polynomial.polynomial.polyval(time, line).T
         swing.append(float(about.std(axis=0).max()) / size)
     first, last = swing
-    stable = bool(last < _NOTHING or last < min(first, _MOST))
+    stable = bool(last < _NO_SWING or last < min(first, _LIMIT_CYCLE))
     return {"stable": stable, "first": first, "last": last}

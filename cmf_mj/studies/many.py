@@ -131,8 +131,8 @@ def simulate_many(
             one, noted = _drawn(one, unknowns.on(chosen), case)
         record = one.record()
         about = {**record.metadata, "unknowns": noted}
-        part, unit = ({name: x[name] for name in channels} for x in (record, record.units))
-        return Record(record.time, part, unit, about)
+        part = {name: record[name] for name in channels}
+        return Record(record.time, part, {name: record.units[name] for name in channels}, about)
 
     def finished(case: int, chosen: Plant) -> Record:
         """The record of a case, which the folder may have already."""

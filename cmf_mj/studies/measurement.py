@@ -138,9 +138,9 @@ def session_commands(
     return commands
 
 
-def facility_session(case: Case, jobs: int | None = None) -> list[Record]:
+def facility_session(case: Case) -> list[Record]:
     """The facility's frequency-response session: five rounds of seven sines, at 128 Hz."""
-    return on_threads(case.run, session_commands(case.dof, case.size, case.on), jobs)
+    return on_threads(case.run, session_commands(case.dof, case.size, case.on))
 
 
 def _whole_cycles(record: Record, frequency: float, cycles: int) -> slice:

@@ -27,5 +27,5 @@ for colour, share in zip(("C0", "C1", "C2"), (0.7, 1.0, 1.3), strict=True):
     factor.axhline(1.0 / share, color=colour, linewidth=0.6, linestyle="--")
 factor.set(title="Feed-forward and error of leg 1, heave sine of 2 in at 0.4 Hz", ylabel="factor")
 error.set(xlabel="time [s]", ylabel="demand less position [in]")
-error.legend(fontsize=7, ncols=3, loc="upper center")
+figure.legend(loc="outside lower center", ncols=2, fontsize=8)
 plt.show()

@@ -31,5 +31,5 @@ axis.set(
     xlabel="amplitude of the demand [mm]",
     ylabel="gain of the fundamental",
 )
-axis.legend()
+figure.legend(loc="outside lower center", ncols=2)
 plt.show()

@@ -33,5 +33,5 @@ top.set(
     title="Velocity feedback with other gain on velocity", ylabel="-90 deg [Hz]", ylim=(2.5, 3.0)
 )
 bottom.set(xlabel="gain over the report's", ylabel="peak [dB]")
-top.legend()
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cmf_mj
+from cmf_mj.show.linearization import mode_names
 
 figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(9, 4))
 for offset, cab in enumerate(("gfd", "rfd", "ifd")):
@@ -21,6 +22,6 @@ for offset, cab in enumerate(("gfd", "rfd", "ifd")):
 left.set(title="Natural frequency with valves shut", xlabel="mode", ylabel="[Hz]")
 right.set(title="Mass that a leg feels", xlabel="mode", ylabel="[t]")
 for axis in (left, right):
-    axis.set_xticks(range(6), range(1, 7))
-left.legend(title="cab")
+    axis.set_xticks(range(6), mode_names(modes), rotation=45, ha="right")
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

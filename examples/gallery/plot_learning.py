@@ -25,9 +25,9 @@ upper.plot(time, 1000 * asked, color="0.7", linewidth=4, label="asked")
 for run, error in zip(("first run", "last run"), learnt.errors, strict=True):
     upper.plot(time, 1000 * (asked - error[:, 2]), label=run)
 upper.set(xlabel="time [s]", ylabel="heave [mm]", title="A manoeuvre, learnt in four trials")
-upper.legend()
 lower.semilogy([1000 * trial.legs for trial in learnt.trials], "o-", label="simulated")
 lower.semilogy([1000 * trial.predicted for trial in learnt.trials], "x--", label="linear")
 lower.set(xlabel="trial", ylabel="error of the legs [mm]", xticks=range(5))
-lower.legend()
+for axis in (upper, lower):
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 plt.show()

@@ -13,6 +13,7 @@ import cmf_mj
 from cmf_mj import signals
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.show.look import frequency_axis
 
 plant = cmf_mj.Hexapod(cab="gfd")
 loop = cmf_mj.Linear(plant).loop("velocity")
@@ -23,11 +24,12 @@ for dof, colour in (("surge", "tab:blue"), ("heave", "tab:orange")):
     line = loop_response(loop[index, index], frequency)
     sweep = signals.multisine(dof, 0.1 * 0.0254, periods=2)
     measured = cmf_mj.frequency_response(cmf_mj.simulate(plant, "velocity", sweep), dof=dof)
-    gain.semilogx(line.frequency, line.gain_db, color=colour, label=f"{dof}, linear")
-    gain.semilogx(measured.frequency, measured.gain_db, ".", color=colour, label="simulated")
-    phase.semilogx(line.frequency, line.phase_deg, color=colour)
-    phase.semilogx(measured.frequency, measured.phase_deg, ".", color=colour)
+    gain.plot(line.frequency, line.gain_db, color=colour, label=f"{dof}, linear")
+    gain.plot(measured.frequency, measured.gain_db, ".", color=colour, label=f"{dof}, simulated")
+    phase.plot(line.frequency, line.phase_deg, color=colour)
+    phase.plot(measured.frequency, measured.phase_deg, ".", color=colour)
 gain.set(title="Velocity feedback, 0.1 in", ylabel="gain [dB]", ylim=(-25, 15))
-phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]", ylim=(-270, 10))
-gain.legend()
+phase.set(ylabel="phase [deg]", ylim=(-270, 10))
+frequency_axis(phase.xaxis)
+figure.legend(loc="outside lower center", ncols=2)
 plt.show()

@@ -10,16 +10,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cmf_mj
+from cmf_mj.show.linearization import mode_names
 
 plant = cmf_mj.Hexapod(cab="gfd")
 heave = np.linspace(-0.7, 0.7, 41)
 frequency = [plant.hydraulic_modes([0, 0, z, 0, 0, 0]).frequency_hz for z in heave]
 figure, axis = plt.subplots(layout="constrained")
-axis.plot(heave, frequency)
+axis.plot(heave, frequency, label=mode_names(plant.hydraulic_modes()))
 axis.set(
     title="Hydraulic modes over heave, Generic Flight Deck",
     xlabel="heave, positive down [m]",
     ylabel="natural frequency [Hz]",
     ylim=(0, None),
 )
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

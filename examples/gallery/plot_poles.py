@@ -22,7 +22,7 @@ for law, mark in (("velocity", "o"), ("force", "x"), ("position_error_rate", "^"
     axis.plot(chosen.real, chosen.imag, mark, fillstyle="none", label=law)
 for damping in (0.1, 0.3, 0.5):
     axis.plot([0, -20 * damping], [0, 20 * np.sqrt(1 - damping**2)], color="0.8", linewidth=0.8)
-    axis.text(-18 * damping, 18 * np.sqrt(1 - damping**2), f"{damping}", color="0.5")
+    axis.text(-17 * damping, 17 * np.sqrt(1 - damping**2), f"{damping}", color="0.5")
 axis.axvline(0.0, color="k", linewidth=0.8)
 axis.set(
     title="Closed-loop poles; grey: damping ratio",
@@ -31,5 +31,5 @@ axis.set(
     xlim=(-12, 1),
     ylim=(0, 18),
 )
-axis.legend()
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

@@ -28,5 +28,5 @@ axis.set(
     xlabel="time [s]",
     ylabel="energy [kJ]",
 )
-axis.legend()
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

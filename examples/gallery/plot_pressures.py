@@ -24,5 +24,5 @@ bottom.plot(record.time, record["cap_pressure"][:, 0] / 1e5, label="cap side")
 bottom.plot(record.time, record["rod_pressure"][:, 0] / 1e5, label="rod side")
 bottom.set(xlabel="time [s]", ylabel="pressure [bar]")
 for axis in (top, middle, bottom):
-    axis.legend(loc="right")
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 plt.show()

@@ -20,5 +20,5 @@ for frequency in (0.25, 0.35):
     bottom.plot(record.time, 1000 * record["accumulator_oil"])
 top.set(title="Heave sine of 15 in on the facility's supply", ylabel="supply [bar]")
 bottom.set(xlabel="time [s]", ylabel="oil in each accumulator [l]")
-top.legend(loc="lower left")
+figure.legend(loc="outside lower center", ncols=2)
 plt.show()

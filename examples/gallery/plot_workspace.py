@@ -26,5 +26,5 @@ axis.set(
 )
 axis.invert_yaxis()
 axis.set_aspect("equal")
-axis.legend()
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()

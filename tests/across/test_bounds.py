@@ -25,14 +25,12 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import RigidBody
 from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.washout_settings import ClassicalSettings, OptimalSettings, load_washout
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.calibration.trial import CalibrationStudy, load_calibration
 from cmf_mj.report_2014.ledger import LedgerEntry, load_ledger
 from cmf_mj.report_2014.posterior.run import PosteriorSettings, load_posterior
 from cmf_mj.studies.settings import StudySettings, load_study
-
-MODEL = {"natural_frequency": 4.0, "damping_ratio": 0.7}
-ADAPTATION = dict.fromkeys(("rate", "slope", "corner", "level", "lowest", "highest"), 1.0)
 
 SIGNALS = (
     signals.step("heave", 0.1).signal,
@@ -59,6 +57,8 @@ SETTINGS: list[tuple[type[Settings], Any]] = [
     (HydraulicParameters, load_hydraulics("lossy")),
     (MotionLimits, load_motion_limits()),
     (Machine, load_machine("lab").model_copy(update={"name": "mine"})),
+    (ClassicalSettings, load_washout("simona")),
+    (OptimalSettings, load_washout("optimal")),
     (StudySettings, load_study("mismatch").settings),
     (PosteriorSettings, load_posterior("rotation").settings),
     (CalibrationStudy, load_calibration("hardware")),

@@ -9,6 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.text import Text
 
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 UPDATE = runpy.run_path(str(SCRIPTS[0].parents[2] / "scripts" / "update_docs.py"))
@@ -59,6 +62,27 @@ def test_pictures_of_the_readme_are_the_gallerys() -> None:
     for name in UPDATE["GALLERY"]:
         assert f"](examples/gallery/plot_{name}.py)" in text
         assert (SCRIPTS[0].parents[2] / f"docs/images/gallery_{name}.png").is_file()
+
+
+def test_a_thumbnail_is_one_curve_without_words() -> None:
+    reduce = runpy.run_path(str(SCRIPTS[0].parents[2] / "docs" / "thumbnails.py"))["reduce"]
+    figure = Figure(layout="constrained")
+    figure.suptitle("gain"), figure.supxlabel("x"), figure.supylabel("y")
+    for axes in figure.subplots(2):
+        axes.plot([0.0, 0.0, 1.0], "--", label="demand")
+        axes.plot([0.0, 1.0, 5.0], label="response")
+        axes.axhline(9.0)
+        axes.set(title="gain", xlabel="x", ylabel="y")
+        axes.text(0.0, 0.0, "here")
+        axes.legend()
+    figure.legend(loc="outside lower center")
+    figure.draw_without_rendering()
+    (axes,) = reduce(figure).axes
+    (line,) = axes.lines
+    assert list(line.get_ydata()) == [0.0, 1.0, 5.0] and axes.get_ylim()[1] < 6.0
+    figure.draw_without_rendering()
+    assert not [t for t in figure.findobj(Text) if t.get_visible() and t.get_text()]
+    assert not figure.findobj(Legend)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz_files import make_files
+from command_lines import LINES, line_of
 from fuzzing import commands
 from lengths import examples
 from PIL import Image
@@ -24,37 +24,6 @@ ENDS = 1
 """How often the long search ends each command."""
 LONGEST = 12.0
 """Latest end after the start [s]."""
-
-LINES = {
-    "run": "run heave_step --out {out}",
-    "compare": "compare --laws velocity --dofs heave --quick --out {out}",
-    "failure": "failure pump_lost --after 2 --at 1 --out {out}",
-    "capacity": "capacity sine --quick --dofs heave --out {out}",
-    "linearize": "linearize --out {out}",
-    "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
-    "measure": "measure {facility} --out {out}",
-    "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
-    "operate": "operate {stream} --out {out}",
-    "serve": "serve --port 0 --seconds 1 --out {out}",
-    "replay": "replay {recording} --law velocity --out {out}",
-    "fly": "fly gusts --no-delay --out {out}",
-    "learn": "learn gusts --trials 1 --out {out}",
-    "flight": "flight gusts --file {out}/x.csv",
-    "cue": "cue {motion} --share 0.8 --out {out}",
-    "omct": "omct --laws none --quick --dofs heave --out {out}",
-    "study": "study ablation --quick --jobs 1 --out {out}",
-    "tune": "tune --evaluations 12 --file {out}/law.toml",
-    "certify": "certify velocity --cabs gfd --quick --out {out}",
-    "report calibrate": "report calibrate report --quick --samples 2 --out {out}",
-    "report": "report --figures none --tables none --quick --out {out}",
-    "report linear": "report linear --out {out}",
-    "machine new": "machine new mine --file {out}/mine.toml",
-    "machine show": "machine show cmf --file {out}/x.png",
-    "machine build": "machine build cmf --out {out}",
-    "export": "export library --out {out}",
-    "video": "video heave_step --seconds 0.5 --file {out}/x.gif",
-}
-"""A short line of every command that writes results, by its words."""
 
 
 def test_every_command_that_writes_has_a_line() -> None:
@@ -84,13 +53,7 @@ def whole(path: Path) -> bool:
 
 def end(words: str, number: int, after: float, folder: Path) -> tuple[int, set[str]]:
     """Run a command, send it a signal, and look at what it left; its exit status and the names."""
-    generator = np.random.default_rng(19)
-    (source := folder / "files").mkdir()
-    make_files(source, generator)
-    names = {"facility": "facility.csv", "stream": "stream.csv", "motion": "motion.csv"}
-    places = {name: str(source / file) for name, file in names.items()}
-    out = folder / "out"
-    given = LINES[words].format(out=out, recording=source / "run.parquet", **places).split()
+    out, given = folder / "out", line_of(words, folder)
     process = subprocess.Popen(
         [sys.executable, "-m", "cmf_mj", *given],
         cwd=folder,

@@ -10,7 +10,7 @@ from cmf_mj.studies.machine_check import check_machine
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "explanation" / "two_machines.md").read_text("utf-8")
-SCRIPT = ROOT / "scripts" / "compare_machines.py"
+SCRIPT = ROOT / "scripts" / "parts" / "compare.py"
 NAMES = ["cmf", "simona"]
 
 

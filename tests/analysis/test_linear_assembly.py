@@ -9,7 +9,7 @@ import control
 import mujoco
 import numpy as np
 import pytest
-from hydraulic_equations import EQ_4_1, MASS, changed
+from hydraulic_equations import EQ_4_1, MASS, changed, nearest
 from scipy import special
 from simulated_loops import Comparison, compare_with_simulation
 
@@ -46,10 +46,6 @@ SLIDE = """<mujoco><option timestep="0.00048828125" gravity="0 0 -9.80665"/>
 
 def slide(joint: str = "", hydraulics: str | HydraulicParameters = "report") -> Plant:
     return Plant(mujoco.MjModel.from_xml_string(SLIDE.format(joint=joint)), hydraulics)
-
-
-def nearest(roots: np.ndarray, target: complex) -> complex:
-    return complex(roots[np.argmin(np.abs(roots - target))])
 
 
 @pytest.fixture(scope="module")
@@ -309,23 +305,6 @@ def test_the_operating_point_stays_when_it_is_driven(
     assert np.abs(record["leg_velocity"][-1]).max() < 2e-5
     assert record["supply_pressure"][-1] == pytest.approx(point.supply_pressure, rel=2e-4)
     assert record["return_pressure"][-1] == pytest.approx(point.return_pressure, rel=2e-2)
-
-
-@pytest.mark.parametrize("load", [-3000.0, 0.0, 7200.0, 16000.0])
-def test_static_load_of_a_single_leg_may_be_any(load: float) -> None:
-    """More than the weight of the mass, too."""
-    force = load * units.POUND_FORCE
-    result = linear_mechanics(SingleLegs(static_load=force)).load
-    np.testing.assert_allclose(result, force, rtol=1e-12, atol=1e-9)
-
-
-def test_closed_valves_rest_at_the_leakage_null() -> None:
-    plant = SingleLegs("report")
-    point = operating_point(plant)
-    actual = plant.parameters
-    expected = MASS * 9.80665 / (actual.cap_area - actual.rod_area)
-    np.testing.assert_allclose(point.pressure, expected, rtol=1e-9)
-    assert not point.command.any() and point.supply_pressure == actual.supply_pressure.si
 
 
 def high(supply: float) -> HydraulicParameters:

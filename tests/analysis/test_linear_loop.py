@@ -300,25 +300,6 @@ def test_the_integral_takes_the_static_error_away() -> None:
         assert control.dcgain(loop) == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "law", [name for name in law_names() if load_law(name).reference_model is None]
-)
-def test_position_reaches_the_command_with_the_published_static_gain(law: str) -> None:
-    """Position to command at zero frequency is -21.95 (original) or -50.48 %/in, integral aside."""
-    system = dcl_state_space(law)
-    keep = [i for i, name in enumerate(system.state_labels) if name != "error_integral"]
-    a = np.asarray(system.A)[np.ix_(keep, keep)]
-    b = np.asarray(system.B)[keep, DCL_INPUTS.index("leg_position")]
-    c = np.asarray(system.C)[0, keep]
-    direct = float(system.D[0, DCL_INPUTS.index("leg_position")])
-    gain = direct + float(c @ np.linalg.solve(np.eye(len(keep)) - a, b))
-    expected = {
-        "original": -149.8 * 0.1079 / 0.086 + 166.0,
-        "original_as_printed": -149.8 * 0.1709 / 0.086 + 166.0,
-    }.get(law, -37.1759 / 0.086 + 381.8)
-    assert gain * 100.0 * 0.0254 == pytest.approx(expected, rel=1e-9)
-
-
 def test_bad_loops_are_named() -> None:
     plant = hardware_velocity(1)
     position = {"inputs": ["command"], "outputs": ["leg_position"]}

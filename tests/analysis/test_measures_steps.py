@@ -42,15 +42,8 @@ def unit_step(time: NDArray[np.float64] | float, zeta: float, hertz: float) -> A
     return 1 - decay * wave
 
 
-def test_overshoot_of_damping_0_4_is_25_4_percent() -> None:
-    """exp(-pi 0.4 / sqrt(1 - 0.16)) = 0.25383. 1e-4: the peak falls between two samples."""
-    metrics = step_metrics(stepped(0.4, 2.5, every=2))
-    assert metrics.overshoot == pytest.approx(0.25383, abs=1e-4)
-    assert metrics.damping_ratio == pytest.approx(0.4, abs=1e-4)
-
-
 @pytest.mark.parametrize("dof", DOFS)
-@pytest.mark.parametrize(("zeta", "hertz"), [(0.2, 1.6), (0.5, 3.0), (0.8, 4.0)])
+@pytest.mark.parametrize(("zeta", "hertz"), [(0.2, 1.6), (0.4, 2.5), (0.8, 4.0)])
 def test_overshoot_and_damping_are_recovered(dof: str, zeta: float, hertz: float) -> None:
     """Overshoot exp(-pi zeta / sqrt(1 - zeta^2)) in every degree of freedom, both signs.
 
@@ -257,19 +250,8 @@ def test_a_record_of_another_command_is_refused() -> None:
         step_metrics(record_of(command, command.pose))
 
 
-def test_a_record_too_short_for_its_windows_is_refused() -> None:
-    command = signals.step("heave", STEP, at=1.0, duration=2.5)
-    with pytest.raises(ValueError, match=r"must go on for .* s after the step"):
-        step_metrics(record_of(command, command.pose))
-
-
 @pytest.mark.parametrize("dof", ["surge", "yaw"])
 def test_a_degree_of_freedom_without_a_step_is_refused(dof: str) -> None:
     """Six legs in heave make no surge; the message names both."""
     with pytest.raises(ValueError, match=f"holds no step in {dof}; it moved heave"):
         step_metrics(stepped(0.5, 3.0), dof)
-
-
-def test_an_unknown_degree_of_freedom_lists_the_six() -> None:
-    with pytest.raises(ValueError, match="dof: 'up' is not one of surge, sway, heave"):
-        step_metrics(stepped(0.5, 3.0), "up")

@@ -165,3 +165,5 @@ def test_the_command_writes_what_it_says(tmp_path: Path, drawn: dict[str, set[st
     got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
     assert got == pytest.approx(expected, rel=1e-4)
     assert set(drawn) == {"modes_sweep.png", "modes_map.png"}
+    assert {"surge with pitch", "yaw", "heave", "roll with sway"} <= drawn["modes_sweep.png"]
+    assert "| gfd | pitch with surge |" in (tmp_path / "modes.md").read_text()

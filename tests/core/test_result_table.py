@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cmf_mj.core.result import Table
+from cmf_mj.core.result import Field, Table, number
 from cmf_mj.machine.geometry import pose_text
 from cmf_mj.show.look import bode_axes, save_figure
 
@@ -32,6 +32,23 @@ def test_markdown_and_csv_hold_every_cell(tmp_path: Path) -> None:
     assert TABLE.save(tmp_path / "new" / "t.md").read_text() == TABLE.markdown()
     lines = TABLE.save(tmp_path / "t.csv").read_text().splitlines()
     assert lines[2:] == ["velocity,h,4.00,-", "velocity,m,4.13,-3.2 %", "force,,-,unstable"]
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "text"),
+    [
+        *((value, ".2f Hz", "0.00 Hz") for value in (-0.0, -1e-9, 0.0, np.float64(-0.0049))),
+        *((value, "+.1f %", "+0.0 %") for value in (-0.0, -1e-9, 0.0)),
+        *((value, "", "0.0") for value in (-0.0, 0.0)),
+        (-1e-9, ".3g", "-1e-09"),
+        (-0.006, ".2f", "-0.01"),
+        (-np.inf, ".2f", "-inf"),
+        (0, "d", "0"),
+    ],
+)
+def test_what_rounds_to_zero_has_no_minus_sign(value: float, form: str, text: str) -> None:
+    assert number(value, form) == text
+    assert Field("x", form=form).text(value) == text
 
 
 def test_terminal_shows_brackets_and_writes_a_repeated_name_once() -> None:

@@ -58,7 +58,7 @@ def work_precision_figure(result: Verification) -> Figure:
     by_step.set(xlabel="mechanical step [s]", ylabel="largest leg error [um]")
     by_cost.set(xlabel="CPU time [s]")
     by_cost.margins(x=0.15)
-    legend(by_step)
+    legend(figure)
     where = f"{result.seconds:g} s, {result.cab.upper()}"
     figure.suptitle(f"Two engines on the same valve commands, {where}")
     return figure

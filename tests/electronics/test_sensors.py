@@ -185,23 +185,10 @@ def own(base: str, channel: str, field: str, value: float, unit: str) -> str:
     return f'base = "{base}"\n[quiet.{channel}]\n{field} = {{ {quantity} }}\n'
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            own("ideal", "leg_position", "bias", 1.0, "psi"),
-            r"leg_position: bias: unit 'psi' must be one of in, m",
-        ),
-        (
-            own("noisy", "leg_position", "lowest", 39.0, "in"),
-            "lowest: 39 in must be less than highest, 38 in",
-        ),
-    ],
-)
-def test_refused_sets_name_the_field(text: str, message: str, tmp_path: Path) -> None:
+def test_a_range_from_above_its_end_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
-    file.write_text(text)
-    with pytest.raises(ValueError, match=message):
+    file.write_text(own("noisy", "leg_position", "lowest", 39.0, "in"))
+    with pytest.raises(ValueError, match="lowest: 39 in must be less than highest, 38 in"):
         load_sensors(file)
 
 

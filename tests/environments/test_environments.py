@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AsyncVectorEnv
 
 from cmf_mj import InputError, attach_hydraulics, drive, load_law, pose_to_legs, simulate
 from cmf_mj.environments import MachineEnv, ObservedQuantity
@@ -97,6 +98,19 @@ def test_threads_give_the_bits_of_one_environment_after_the_other() -> None:
             own, reward, *_ = env.step(actions[index])
             assert (own == seen[index]).all() and reward == rewards[index]
     with_two.close()
+
+
+def test_processes_of_many_cores_give_the_bits_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    vectors = [hexapods(num_envs=2, threads=threads) for threads in (None, 2)]
+    assert [type(one) for one in vectors] == [AsyncVectorEnv, ThreadVectorEnv]
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 6)).astype(np.float32)
+    found = []
+    for vector in vectors:
+        seen = [vector.reset(seed=7)[0].copy()] + [vector.step(actions)[0].copy() for _ in range(3)]
+        found.append(np.array(seen).tobytes())
+        vector.close()
+    assert found[0] == found[1]
 
 
 def test_a_pose_demand_is_the_run_of_that_ramp() -> None:

@@ -10,16 +10,17 @@ import pytest
 from hydraulic_equations import changed
 from lengths import examples
 
-from cmf_mj import Hexapod, law_names, load_cab, load_law, pose_to_legs, simulate
+from cmf_mj import Hexapod, Run, law_names, load_cab, load_law, pose_to_legs
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.core.errors import InputError
 from cmf_mj.export.law_source import law_source
 from cmf_mj.export.library import export_law, export_library
 from cmf_mj.export.operations import operations, stated
+from cmf_mj.facility.front import from_table
 from cmf_mj.plant.parameters import hydraulics_of
 
-SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "laws_in_c.py"))
+SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "parts" / "in_c.py"))
 LOOP = Path(__file__).with_name("export_law_loop_host.c")
 
 
@@ -60,7 +61,10 @@ def test_nothing_moves_nothing(tmp_path: Path) -> None:
 def test_a_loop_around_the_exported_machine_is_the_closed_loop(
     friction: float, tmp_path: Path
 ) -> None:
-    """The lab machine with its own law, with and without Coulomb friction [N]."""
+    """The lab machine with its own law, with and without Coulomb friction [N].
+
+    Both begin in the configuration that the model itself has.
+    """
     cab = load_cab(None, "lab")
     rubbing = {"coulomb_friction": (friction, "N"), "breakaway_friction": (friction, "N")}
     oil = changed(hydraulics_of(cab.machine, None), name="rubbing", **(rubbing if friction else {}))
@@ -68,7 +72,7 @@ def test_a_loop_around_the_exported_machine_is_the_closed_loop(
     time = np.arange(2 * law.rate)[:, None] / law.rate
     wave = np.sin(2.0 * np.pi * np.array([0.7, 1.1, 1.7, 1.3, 0.9, 1.9]) * time)
     legs = pose_to_legs(0.02 * (1.0 - np.exp(-time)) ** 3 * wave, cab.machine)
-    record = simulate(Hexapod(cab, oil), law, legs, legs=True, start=np.zeros(6))
+    record = Run(plant=Hexapod(cab, oil), law=law, source=from_table(legs)).record()
     export_library(Hexapod(cab, oil), None, tmp_path)
     export_law(law, tmp_path, cab)
     begun = SCRIPT["DclState"].of(record.metadata["law_state"])

@@ -26,8 +26,8 @@ from cmf_mj.facility.host.udp import (
 )
 from cmf_mj.machine.machine import load_machine
 from tests.control.test_dcu_streams import KINDS, stream
+from tests.control.test_limiter_chain import check_limits
 
-T = 1.0 / 2048.0
 DCU = make_dcu()
 POSE, LEGS = limiter.make_pose_limiter(), limiter.make_leg_limiter()
 GEOMETRY, STATES = load_machine().geometry, states.make_states()
@@ -128,19 +128,6 @@ def logged_datagrams(source: Source) -> list[bytes]:
     ]
 
 
-def check_limits(out: NDArray[np.float64]) -> None:
-    """Differences of the reference, with the slack of round-off."""
-    assert np.isfinite(out).all()
-    assert np.abs(out[0]).max() <= WORKING_STROKE
-    velocity = np.diff(out[0], axis=0) / T
-    slack = 8 * np.finfo(float).eps / T
-    assert np.abs(velocity).max() <= LEGS.velocity[0] * (1 + 1e-12) + slack
-    acceleration = np.diff(velocity, axis=0) / T
-    assert np.abs(acceleration).max() <= LEGS.acceleration[0] * (1 + 1e-12) + slack / T
-    assert np.abs(out[1]).max() <= LEGS.velocity[0]
-    assert np.abs(out[2]).max() <= LEGS.acceleration[0]
-
-
 def check_account(outcome: Outcome, garbage: bool) -> None:
     """Every datagram sent is somewhere, and none but the good ones got through."""
     source, state = outcome.source, outcome.source.dcu_state
@@ -187,19 +174,3 @@ def test_garbage_changes_nothing_to_the_bit(kinds, seed, garbage):
     dirty = run(kinds, seed, State.ENGAGED, [], garbage)
     assert dirty.out.tobytes() == clean.out.tobytes()
     assert dirty.source.dcu_state.rejections == clean.source.dcu_state.rejections
-
-
-def test_each_kind_of_bad_frame_is_refused_for_its_reason():
-    """An otherwise smooth host of 80 Hz, one kind of mischief at a time."""
-    wanted = {
-        "not_finite": {"not_finite"},
-        "beyond": {"pose_range", "velocity_range", "acceleration_range"},
-        "repeated": {"repeated"},
-        "fast": {"too_soon"},
-    }
-    for kind, reasons in wanted.items():
-        outcome = run(["held", kind, "held", kind], 5, State.ENGAGED, [], [])
-        told = {n for n, c in outcome.source.dcu_state.rejections.items() if c}
-        assert told & reasons, (kind, told)
-        assert told <= reasons | {"unconfirmed"}, (kind, told)
-        check_account(outcome, garbage=False)

@@ -250,47 +250,6 @@ def test_the_frame_the_dcl_computes_is_behind_the_reference() -> None:
     assert list(first.values()) == [at, at, at, at + 2]
 
 
-def bad_host(kind: str) -> Arrivals:
-    """Three seconds of an 80 Hz host that goes wrong after one."""
-    good = arrivals_of(sine(3.0))
-    frame, number, time, values = (np.array(column) for column in good)
-    generator = np.random.default_rng(3)
-    late = frame > RATE
-    if kind == "not_finite":
-        pick = generator.random(frame.size) < 0.3
-        values[late & pick, generator.integers(3), 2] = np.nan
-        values[late & ~pick & (number % 7 == 0), 1, 0] = -np.inf
-    elif kind == "metre_steps":
-        values[late] = 0.0
-        values[late, 0, 2] = np.where(number[late] // 20 % 2, 1.0, -1.0)
-    elif kind == "everywhere":
-        values[late, 0] = generator.uniform(-1.0, 1.0, (int(late.sum()), 6))
-        values[late, 1:] = 0.0
-    elif kind == "kilohertz":
-        time = np.arange(3000) / 1000.0
-        frame, number = np.ceil(time * RATE).astype(np.int64), np.arange(3000)
-        values = np.zeros((3000, 3, 6))
-        values[:, 0, 2] = 0.05 * generator.standard_normal(3000)
-    return Arrivals(frame, number, time, values)
-
-
-@pytest.mark.parametrize("kind", ["not_finite", "metre_steps", "everywhere", "kilohertz"])
-def test_a_bad_host_moves_the_legs_within_their_limits_only(kind: str) -> None:
-    arrivals = bad_host(kind)
-    operation = operate(Hexapod(), "velocity", arrivals, seconds=5.0)
-    record = operation.record
-    check_reference(record)
-    assert np.abs(record["leg_extension"]).max() < 38.1 * INCH
-    told = operation.counts["accepted"] + sum(operation.rejections.values())
-    assert arrivals.frame.size - 1 <= told <= arrivals.frame.size
-    reason = {"not_finite": "not_finite", "everywhere": "unconfirmed", "kilohertz": "too_soon"}
-    if kind in reason:
-        assert operation.rejections[reason[kind]] > 10
-    else:
-        speed = np.abs(np.diff(record["leg_reference"], axis=0)).max() * RATE
-        assert speed > 0.5 * LEGS.velocity[0]
-
-
 def test_same_seed_same_bits_and_another_seed_others() -> None:
     def reading(seed: int) -> bytes:
         noise = ElectronicsSettings(seed=seed)

@@ -23,7 +23,7 @@ def run() -> Record:
     return simulate(Hexapod(), "acceleration", command)
 
 
-@pytest.mark.parametrize("law", law_names())
+@pytest.mark.parametrize("law", law_names("all"))
 def test_every_law_comes_back_bit_for_bit(law: str) -> None:
     record = simulate(Hexapod(), law, signals.step("pitch", 0.01, at=0.1, duration=0.6))
     replayed = replay(record, law)

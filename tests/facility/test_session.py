@@ -19,7 +19,6 @@ from cmf_mj.machine import models
 from cmf_mj.plant.plant import Plant
 from tests.plant.test_attach_excavator import CYLINDERS
 
-STILL = np.zeros((2048, 6))
 AT = 100  #: Control frame of the blow.
 
 

@@ -38,9 +38,6 @@ LOWER = np.array(
 )
 """Appendix A, matrix B [in]."""
 
-TO_MUJOCO = units.INCH * np.array([1.0, -1.0, -1.0])
-"""(x, y, z) of MuJoCo = (x, -y, -z) of the report; an inch is 0.0254 m exactly."""
-
 POUNDS = {"gfd": 29920.0, "rfd": 32500.0, "ifd": 35950.0}
 """Platform and cab [lbm]: the two ends of the payload range (models/README.md) and one between."""
 
@@ -161,12 +158,6 @@ def test_joints_are_free_of_friction(hexapod, single_legs):
 
 
 @pytest.mark.parametrize("cab", models.CABS)
-def test_cab_loads_alone(cab):
-    model = mujoco.MjModel.from_xml_path(str(load_machine().cabs[cab].mjcf))
-    assert model.body("cab").mass[0] > 0.0
-
-
-@pytest.mark.parametrize("cab", models.CABS)
 def test_cab_weighs_the_same_alone_and_on_the_machine(cab):
     alone = mujoco.MjModel.from_xml_path(str(load_machine().cabs[cab].mjcf)).body("cab")
     mounted = hexapod_spec(cab).compile().body("cab/cab")
@@ -181,10 +172,6 @@ def test_scene_file_carries_the_gfd(hexapod):
 
 
 # Gimbals
-
-
-def test_gimbals_are_closed_at_the_keyframe(hexapod):
-    assert gimbal_error(at_keyframe(hexapod)) < 1e-9
 
 
 def test_gimbals_are_closed_wherever_the_machine_is_placed():
@@ -258,11 +245,3 @@ def test_keyframe_forces_hold_the_gfd(hexapod):
     plant.place(np.zeros(6))
     forces = hexapod.key("home").ctrl
     np.testing.assert_allclose(forces, plant.static_load(), rtol=0.0, atol=1e-5)
-
-
-@pytest.mark.parametrize("cab", models.CABS)
-def test_payload_of_the_cab(cab):
-    model = hexapod_spec(cab).compile()
-    payload = model.body("platform").mass[0] + model.body("cab/cab").mass[0]
-    # The masses are written in kg with 1e-7 kg resolution.
-    assert abs(payload / units.POUND_MASS - POUNDS[cab]) < 1e-6

@@ -173,18 +173,18 @@ def test_other_machines_differ_and_come_again() -> None:
 
 
 @pytest.mark.slow
-def test_a_flight_is_learnt_to_a_tenth_and_helps_thirty_other_machines() -> None:
-    """Eight trials leave a tenth, fifty the same; no drawn machine is worse off with it."""
+def test_a_flight_is_learnt_to_a_tenth_and_helps_twelve_other_machines() -> None:
+    """Eight trials leave a tenth, sixteen the same; no drawn machine is worse off with it."""
     cab, hydraulics = load_cab("gfd"), load_hydraulics("hardware")
     machine = partial(drawn_machine, cab, hydraulics, 0)
     plants = [Hexapod(cab, hydraulics), *map(machine, range(6))]
     asked = cue(load_flight("gusts").motion).stream
-    done = learn(asked, "velocity", plants, trials=50)
+    done = learn(asked, "velocity", plants, trials=16)
     left = np.array([one.legs for one in done.trials]) / done.trials[0].legs
     assert left[8] < 0.1
-    assert left[41:].mean() - left[8:17].mean() < 5e-4  # of the first error, in 34 trials
+    assert left[8:].max() - left[8] < 5e-4
     assert done.learner.ratio().max() < SLOWEST + 1e-9
-    others = on_others(done, list(map(machine, range(6, 36))), seed=99)
+    others = on_others(done, list(map(machine, range(6, 18))), seed=99)
     assert (others[:, 1] < others[:, 0]).all()
 
 

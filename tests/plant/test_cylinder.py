@@ -19,7 +19,6 @@ BETA = units.to_si("psi", 100000.0)
 
 SUPPLY = units.to_si("psi", 1500.0)
 TANK = units.to_si("psi", 40.0)
-MASS = units.to_si("lbm", 7200.0)
 
 
 @pytest.fixture(params=HYDRAULICS)

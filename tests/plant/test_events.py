@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hydraulic_equations import INCH, PSI, areas, changed, leakage
+from hydraulic_equations import INCH, areas, changed, leakage
 from pydantic import ValidationError
 
 from cmf_mj import Hexapod, Record, SingleLegs, simulate
@@ -52,27 +52,6 @@ def test_pump_lost() -> None:
     assert (np.diff(record["accumulator_oil"][1500:]) <= 0.0).all()
 
 
-def test_accumulators_lost() -> None:
-    """With three of four shut off the one left gives more."""
-    lost = Event(at=0.1, kind="accumulator_lost", size=(3.0, "1"))
-    commands = np.full((2048, 6), 0.8)
-    plain, failed = driven(commands=commands), driven(lost, commands=commands)
-    assert failed["accumulator_oil"][-1] < plain["accumulator_oil"][-1]
-    assert failed["supply_pressure"][-1] < plain["supply_pressure"][-1] - 5 * PSI
-
-
-def test_supply_hose_burst() -> None:
-    """1 in^2 at first passes 0.7 A sqrt(2 dp / rho), which the manifold and the rest supply."""
-    record = driven(Event(at=0.5, kind="supply_hose_burst", size=(1.0, "in^2")))
-    row = 1024 + 400
-    pressure = record["supply_pressure"][row]
-    jet = 0.7 * INCH**2 * np.sqrt(2 * pressure / 870.0)
-    power = np.gradient(record["energy"][:, 6], record.time)[row]
-    enthalpy = pressure * (1 - pressure / (2 * 100_000 * PSI))
-    assert power == pytest.approx(jet * enthalpy, rel=1e-2)
-    assert record["supply_pressure"][-1] < 1400 * PSI
-
-
 @pytest.mark.parametrize(("size", "end"), [((100.0, "%"), 1.0), ((-0.5, "1"), -0.5)])
 def test_valve_hard_over(size: tuple[float, str], end: float) -> None:
     """The spool goes to its end; with one valve the opening's mean goes half-way."""
@@ -108,14 +87,6 @@ def test_sensors() -> None:
     record = driven(Event(at=0.25, kind="sensor_open", leg=4), commands=moving())
     np.testing.assert_array_equal(record["leg_position"][512:, 3], -38 * INCH)
     np.testing.assert_array_equal(record["leg_position"][:, 0], record["leg_extension"][:, 0])
-
-
-def test_overload_rests_on_the_payload() -> None:
-    """10 000 lbf on six single legs: each carries a sixth more, and sits lower."""
-    record = driven(Event(at=0.1, kind="overload"), leak_rate=3.0)
-    more = record["leg_force"][-600:].mean(axis=0) - record["leg_force"][0]
-    np.testing.assert_allclose(more, 10_000 * LBF / 6, rtol=1e-2)
-    assert record["leg_extension"][-1, 0] < record["leg_extension"][0, 0] - 1e-3
 
 
 @pytest.mark.parametrize("kind", ["single_legs", "hexapod"])

@@ -12,6 +12,7 @@ from hydraulic_equations import (
     WEIGHT,
     content_ratio,
     jacobian,
+    nearest,
     neutral,
     one_step,
     rates,
@@ -53,10 +54,6 @@ def slow_rate(p: HydraulicParameters) -> float:
     rate = p.leak_rate.si * (p.cap_area - p.rod_area) ** 2 / (4 * p.cap_area * p.rod_area)
     z = WEIGHT / (p.cap_area - p.rod_area) / p.bulk_modulus.si
     return -rate * content_ratio(p, p.supply_pressure.si / 2) / (1 + z)
-
-
-def nearest(poles: np.ndarray, target: complex) -> complex:
-    return complex(poles[np.argmin(np.abs(poles - target))])
 
 
 def test_linearised_leg_mode_is_that_of_eq_4_1(report_poles: np.ndarray) -> None:

@@ -67,26 +67,6 @@ def test_original_model_has_the_lags_and_the_leg_mode() -> None:
     assert -pair.real / abs(pair) == pytest.approx(0.0114, abs=5e-5)
 
 
-@pytest.mark.parametrize(("variant", "pole"), [("corrected", 0.9924), ("printed", 0.99924)])
-def test_running_accelerometer_filter_is_the_hold_of_0_02_s(variant: str, pole: float) -> None:
-    sampled = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")
-    runs = report_model("3.6")
-    assert sampled.poles()[0].real == pytest.approx(
-        pole, abs=1e-5 if variant == "printed" else 5e-5
-    )
-    same = sampled.poles()[0].real == pytest.approx(runs.poles()[0].real, abs=5e-5)
-    assert same == (variant == "corrected")
-    if same:
-        assert sampled.num_array[0, 0][-1] == pytest.approx(0.007588, abs=5e-7)
-
-
-def test_accelerometer_filter_delays_by_64_ms() -> None:
-    """One pole: phase over frequency, towards zero frequency."""
-    omega = 1e-3
-    delay = -np.angle(report_model("3.6")(np.exp(1j * omega / 2048.0))) / omega
-    assert delay == pytest.approx(0.064, abs=0.001)
-
-
 def test_eq_3_2_as_printed_closes_with_a_gain_of_one() -> None:
     """The printed left side G/(1 + G) against the printed right side with K_p."""
     plant = report_model("3.1", loop=LOOP)
@@ -96,15 +76,6 @@ def test_eq_3_2_as_printed_closes_with_a_gain_of_one() -> None:
     corrected = report_model("3.2", loop=LOOP)(s)
     np.testing.assert_allclose(printed, g / (1.0 + g), rtol=1e-12)
     np.testing.assert_allclose(corrected, g / (1.0 + LOOP.position_gain * g), rtol=1e-12)
-
-
-def test_eq_4_17_is_linear_model_3_and_changes_only_its_name() -> None:
-    assert report_entry("4.17", "printed").model == "linear model #1"
-    assert report_entry("4.17").model == "linear model #3"
-    assert report_entry("4.17").section == report_entry("4.18").section == "4.3.3"
-    printed, corrected = report_model("4.17", "printed"), report_model("4.17")
-    np.testing.assert_array_equal(printed.num_array[0, 0], corrected.num_array[0, 0])
-    np.testing.assert_array_equal(printed.den_array[0, 0], corrected.den_array[0, 0])
 
 
 def test_original_model_obeys_newtons_law_in_inches_psi_and_pounds() -> None:

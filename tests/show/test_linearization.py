@@ -13,8 +13,8 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.cli.common import app, pose_option
 from cmf_mj.core import units
-from cmf_mj.machine.geometry import pose_text
-from cmf_mj.show.linearization import linearization_study, pole_table
+from cmf_mj.machine.geometry import DOFS, pose_text
+from cmf_mj.show.linearization import linearization_study, mode_names, pole_table
 
 
 def run(*arguments: str) -> str:
@@ -51,3 +51,12 @@ def test_a_pose_reads_in_inches_and_degrees() -> None:
     pose = pose_option("1,0,-2,3,0,-4")
     assert pose[0] == pytest.approx(units.INCH) and pose[5] == pytest.approx(np.radians(-4.0))
     assert pose_text(pose) == "surge 1 in, heave -2 in, roll 3 deg, yaw -4 deg"
+
+
+def test_a_mode_is_named_by_what_moves_in_it() -> None:
+    modes = Hexapod("gfd").hydraulic_modes()
+    assert mode_names(modes._replace(share=np.eye(6))) == list(DOFS)
+    mixed = np.eye(6) * 0.7
+    mixed[(4, 3), (0, 1)], mixed[5, :2], mixed[4, 5] = 0.2, 0.1, 0.04
+    named = mode_names(modes._replace(share=mixed))
+    assert named == ["surge with pitch", "sway with roll", *DOFS[2:]]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from hydraulic_equations import GPM, INCH, PSI, changed
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
@@ -22,7 +23,6 @@ from cmf_mj.core.files import write_table
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
-from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.asymptotes import FREQUENCIES, asymptotes, envelope, full_speed
 from cmf_mj.studies.capacity import (
     capacity,
@@ -32,23 +32,13 @@ from cmf_mj.studies.capacity import (
 )
 from tests.control.test_plan import actuator_polynomial
 
-INCH = 0.0254
-PSI = 0.45359237 * 9.80665 / INCH**2
 GALLON = 231.0 * INCH**3
-GPM = GALLON / 60.0
 CAP, ROD = math.pi / 4 * 5.5**2 * INCH**2, math.pi / 4 * (5.5**2 - 3.875**2) * INCH**2
 
 
 @pytest.fixture(scope="module")
 def plant() -> Hexapod:
     return Hexapod("gfd")
-
-
-def changed(base: str = "hardware", **values: tuple[float, str]) -> HydraulicParameters:
-    table = load_hydraulics(base).model_dump(exclude_none=True)
-    for name, (value, unit) in values.items():
-        table[name] |= {"value": value, "unit": unit}
-    return HydraulicParameters.model_validate(table)
 
 
 # The criterion
@@ -113,9 +103,7 @@ def test_step_saturates_the_valves_for_a_share_of_the_run(plant):
 
 
 def test_too_small_a_supply_empties_its_accumulators_and_does_not_hold():
-    small = changed(
-        pump_flow=(20.0, "gpm"), accumulator_volume=(2.0, "gal"), accumulator_count=(1.0, "1")
-    )
+    small = changed("hardware", pump_flow=20.0, accumulator_volume=2.0, accumulator_count=1.0)
     result = capacity(manoeuvre("sine", "heave", 0.2, 0.5), hydraulics=small)
     assert not result.holds
     assert result.empty_time > 0.5
@@ -161,7 +149,7 @@ def test_full_speed_solves_the_orifices_and_hoses(plant, sense):
 def test_full_speed_is_what_a_leg_reaches_at_full_command(sense):
     """Without leakage, with the manifolds of the run; flows count content, and the formula takes
     the oil of mid pressure for that of either chamber."""
-    legs = SingleLegs(changed(leak_rate=(0.0, "1/s")))
+    legs = SingleLegs(changed("hardware", leak_rate=0.0))
     run = drive(legs, np.full((2048, 6), sense))
     row = np.argmax(np.abs(run["leg_extension"][:, 0]) > 0.5)
     load = np.full(6, 7200 * 4.4482216152605)

@@ -345,11 +345,6 @@ def test_bad_specifications_are_refused(
         load_study(specification, changes=changes)
 
 
-def test_an_unknown_study_is_refused() -> None:
-    with pytest.raises(ValueError, match="study: 'all' is not one of"):
-        load_study("all")
-
-
 def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) -> None:
     journal = Journal(tmp_path, study.identity())
     row = failed(ValueError("x"))._replace(

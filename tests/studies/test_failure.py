@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from cmf_mj import Hexapod, load_hydraulics, simulate
+from cmf_mj import Hexapod, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.cli.simulate import events_of
 from cmf_mj.facility.session import OutOfBounds
@@ -31,7 +31,6 @@ INCH, PSI, POUND, GRAVITY = 0.0254, 6894.757293168361, 4.4482216152605, 9.80665
 ATMOSPHERE = 101325.0
 AT = 2.0
 """The sine of 0.5 Hz is then at its largest speed, and faded in."""
-SET = load_hydraulics("hardware")
 CAP, ROD = 23.758 * INCH**2, 11.965 * INCH**2
 SUPPLY = 1500.0 * PSI
 LEAK = 15.0 * 38 * INCH * (CAP + ROD) / (4 * 1e5 * PSI)

@@ -2,23 +2,27 @@
 
 import runpy
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj import load_hydraulics, load_law
+from cmf_mj import Cab, Law, Linear, load_cab, load_hydraulics, load_law, load_machine
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
-from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
+from cmf_mj.studies.tuning.confirm import confirm
+from cmf_mj.studies.tuning.evaluation import evaluate, least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
-from cmf_mj.studies.tuning.search import Requirements, save_law, search
+from cmf_mj.studies.tuning.search import Requirements, SearchResult, judged, save_law, search
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -107,12 +111,109 @@ def test_bad_requests_are_named() -> None:
         nominal_modes(excavator)
 
 
+def rubbing(force: float) -> Cab:
+    """The payload of the laboratory machine with dry friction in its legs [N]."""
+    machine, number = load_machine("lab"), {"value": force, "unit": "N", "status": "assumed"}
+    dry = dict.fromkeys(("coulomb_friction", "breakaway_friction"), number | {"source": "a test"})
+    assert isinstance(machine.hydraulics, Mapping)
+    changes = {"name": "rubbing", "mjcf": None, "hydraulics": {**machine.hydraulics, **dry}}
+    return load_cab(None, machine.model_copy(update=changes))
+
+
+def with_load_gain(share: float) -> Law:
+    """The laboratory machine's law with another share of load feedback in its light modes."""
+    law = load_law(load_machine("lab").law)
+    assert law.load_feedback is not None
+    gain = np.array(law.load_feedback.gain) * ([1.0] * 2 + [share] * 4)
+    feedback = law.load_feedback.model_copy(update={"gain": tuple(gain.tolist())})
+    return law.model_copy(update={"load_feedback": feedback})
+
+
+def test_plants_without_friction_are_those_of_the_machine_that_has_none() -> None:
+    template = make_template("mine", "Mine", [rubbing(60.0)], 0.02)
+    (without,), (smooth,) = template.frictionless, make_template("mine", "", [rubbing(0.0)]).cabs
+    for one, other in zip(without.sampled, smooth.sampled, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.abs(template.cabs[0].sampled[0] - smooth.sampled[0]).max() > 1e-3
+    chosen = make_template("mine", "Mine", [rubbing(60.0)], "none")
+    assert chosen.frictionless is chosen.cabs
+
+
+@pytest.mark.parametrize("name", ["velocity", "modal_plan"])
+def test_the_least_damping_is_that_of_the_poles(name: str) -> None:
+    plant, law = Hexapod("gfd"), load_law(name)
+    poles = Linear(plant).loop(law).poles()
+    growth = np.log(poles[poles.imag > 1e-9])
+    expected = float((-growth.real / np.abs(growth)).min())
+    assert least_damping(law, [linear_cab(plant)]) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_law_that_only_friction_damps_breaks_the_limit_by_as_much_as_it_lacks() -> None:
+    template, law = make_template("mine", "Mine", [rubbing(60.0)], 0.02), with_load_gain(-0.5)
+    grows = least_damping(law, template.frictionless)
+    assert grows < 0.0 < 0.05 < least_damping(law, template.cabs)
+    done, beyond = judged(law, template, Requirements(), (None,))
+    assert beyond[:3] == (0.0, 0.0, 0.0) and beyond.margin_db == 0.0
+    assert beyond.damping == pytest.approx(0.02 - grows, rel=1e-12)
+    assert beyond.tail > 0.0 and done.tail.max() < 0.05  # it rings with faster valves
+    tight = Requirements(done.peak_db.max() - 0.25, done.overshoot[..., :-1].max() - 0.125)
+    _, beyond = judged(law, template, tight, (None,))
+    assert beyond[:3] == pytest.approx((0.25, 0.125, 0.0), abs=1e-12)
+    found = SearchResult(law, done, Requirements(0.25, 0.125, 0.0, 0.0, 0.0, 0.03), 0.0, 1)
+    said = "limits not kept: peak by 0.25 dB, overshoot by 12.5 %, damping ratio by 0.030"
+    assert found.verdict == said
+    assert found._replace(excess=Requirements(*[0.0] * 6)).verdict == "all limits kept"
+
+
+@pytest.mark.parametrize("friction", [0.02, 0.05, "stuck"])
+def test_the_simulation_confirms_what_is_predicted_with_friction(friction: Contact) -> None:
+    """-90 deg within 4 %, with legs as fast as assumed."""
+    axes = ("surge", "heave", "roll")
+    for row in confirm(with_load_gain(1.0), [rubbing(60.0)], friction, axes):
+        assert row.simulated_hz == pytest.approx(row.predicted_hz, rel=0.04)
+        assert row.leg_speed == pytest.approx(row.assumed, rel=0.1)
+        assert row.remark == ""
+
+
+def test_the_simulation_confirms_what_is_predicted_without_friction() -> None:
+    """Within 1 % with the CMF's heaviest cab."""
+    (row,) = confirm(load_law("modal_plan"), ["ifd"], None, ["surge"])
+    assert row.simulated_hz == pytest.approx(row.predicted_hz, rel=0.01)
+    assert row.difference == pytest.approx(row.simulated_hz / row.predicted_hz - 1.0)
+    assert np.isnan(row.assumed) and row.remark == ""
+
+
+def test_what_keeps_a_confirmation_from_being_one_is_said() -> None:
+    law, cab = with_load_gain(1.0), rubbing(60.0)
+    (fast,) = confirm(law, [cab], 5.0, ["heave"])  # the legs end at 0.4 m/s
+    assert fast.leg_speed < 0.5 and "other speed than assumed" in fast.remark
+    (out,) = confirm(law, [cab], "none", ["heave"])
+    assert out.remark == "friction left out"
+    (unstable,) = confirm(with_load_gain(-1.0), [cab], "none", ["heave"])
+    assert unstable.remark == "unstable" and np.isnan(unstable.simulated_hz)
+
+
+@pytest.mark.slow
+def test_a_law_is_found_with_friction_and_confirmed() -> None:
+    """On the laboratory machine with 60 N in each leg, within 5 % along every axis."""
+    cab = rubbing(60.0)
+    template = make_template("mine", "Mine", [cab], 0.05)
+    found = search(template, evaluations=96)
+    assert found.verdict == "all limits kept"
+    assert least_damping(found.law, template.frictionless) >= Requirements().damping
+    rows = confirm(found.law, [cab], 0.05)
+    assert [row.dof for row in rows] == list(DOFS)
+    for row in rows:
+        assert abs(row.difference) < 0.05 and row.remark == ""
+
+
 @pytest.mark.slow
 def test_tune_command(tmp_path: Path) -> None:
     out = tmp_path / "law.toml"
-    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--file", str(out)]
-    result = CliRunner().invoke(app, arguments)
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--dofs", "heave"]
+    result = CliRunner().invoke(app, [*arguments, "--peak", "-9", "--file", str(out)])
     assert result.exit_code == 0, result.output
+    assert "limits not kept: peak by " in result.output and "simulated" in result.output
     assert "--evaluations 1 --seed 1" in load_law(out).source
 
 

@@ -22,6 +22,7 @@ from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.result import number
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant.parameters import load_hydraulics
@@ -34,14 +35,13 @@ from cmf_mj.report_2014.page.runs import (
     SLOW,
     Runs,
     RunSpec,
-    Signal,
     after_step,
     leg_motion,
     leg_signals,
     report_plant,
     specs,
 )
-from cmf_mj.report_2014.page.tables import CONTENTS, law_title
+from cmf_mj.report_2014.page.tables import CONTENTS, fit_text, law_title
 from cmf_mj.show.look import (
     BLUE,
     COLOURS,
@@ -160,11 +160,11 @@ def step_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     cases = figure.cases(runs)
     numbers = [
         f"{one.case.plant.replace('_', ' ')}: overshoot {100 * m.overshoot:.0f} %, damping ratio "
-        f"{m.damping_ratio:.2f}, steady-state error {100 * m.steady_state_error:.1f} %"
+        f"{m.damping_ratio:.2f}, steady-state error {number(100 * m.steady_state_error, '.1f %')}"
         for one, m in ((one, one.measures) for one in cases)
     ]
     errors = [
-        f"{one.case.law.title} {100 * one.measures.steady_state_error:.2f} %"
+        f"{one.case.law.title} {number(100 * one.measures.steady_state_error, '.2f %')}"
         for one in cases
         if one.measures.stable
     ]
@@ -286,38 +286,18 @@ def driven(
     return np.asarray(control.forced_response(system, even, command).outputs)
 
 
-def measured(runs: Runs, signal: Signal) -> tuple[Array, ...]:
-    """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
-
-    The five rounds of the sweep are put end to end, as section 4.3.3 says.
-    """
-    records = runs.records("machine", "velocity", signal)
-    begins = np.cumsum([0.0, *(record.time.size / record.rate for record in records[:-1])])
-    time = [r.time - r.time[0] + begin for r, begin in zip(records, begins, strict=True)]
-    command = np.concatenate([record["valve_command"][:, 0] for record in records])
-    legs = zip(*map(leg_signals, records), strict=True)
-    return np.concatenate(time), 100.0 * (command - command.mean()), *map(np.concatenate, legs)
-
-
 def pulse_data(runs: Runs, figure: ReportFigure) -> Drawing:
     """What linear model 1 was fitted to."""
-    time, *signals = measured(runs, "pulse")
+    time, *signals = runs.measured("pulse")
     titles = ("command [%]", *_LEG)
     panels = {t: [Line(_HARDWARE, time, y)] for t, y in zip(titles, signals, strict=True)}
     return histories(panels, (0.5, 4.0), "time [s]", 1.7), {}
 
 
-def fit_text(values: Array, modelled: Array) -> str:
-    """100 (1 - |y - yhat| / |y - mean y|) %; what has less than nothing in common has no fit."""
-    apart, spread = values - modelled, values - values.mean()
-    fit = float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(spread)))
-    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
-
-
 def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     """A model driven from rest at `begin` [s] by the recorded command; default `span` all of it."""
     number, begin = (figure.options[name] for name in ("number", "begin"))
-    time, *signals = measured(runs, IDENTIFIED_ON[number])
+    time, *signals = runs.measured(IDENTIFIED_ON[number])
     span = figure.options.get("span", (begin, float(time[-1])))
     chosen = (time >= begin) & (time <= span[1])
     time, command, *legs = (values[chosen] for values in (time, *signals))
@@ -377,15 +357,15 @@ def linear_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     if hardware.response is not None:
         plot_bode(gain, phase, hardware.response, label=_HARDWARE, color=GREY, linestyle=":")
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for number, colour in zip(figure.options["numbers"], COLOURS, strict=False):
-        models = velocity_models(runs, number).items()
+    for model, colour in zip(figure.options["numbers"], COLOURS, strict=False):
+        models = velocity_models(runs, model).items()
         for (name, velocity), style in zip(models, ("-", "--"), strict=True):
             closed = loop_response(closed_loop("velocity", velocity), lines)
             plot_bode(gain, phase, closed, label=name, color=colour, linestyle=style)
-        plot_printed(gain, phase, printed[f"linear_{number}"], colour)
+        plot_printed(gain, phase, printed[f"linear_{model}"], colour)
     gain.set(ylim=(-20.0, 10.0))
     phase.set(ylim=(-270.0, 20.0), xlim=(0.1, 10.0))
-    legend(gain)
+    legend(drawn)
     return drawn, {}
 
 

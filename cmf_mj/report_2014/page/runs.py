@@ -125,6 +125,19 @@ class Runs:
         """The machine's response in heave from the five rounds of sines."""
         return rounds_response(self.records("machine", law, "rounds"))
 
+    def measured(self, signal: Signal) -> tuple[Array, ...]:
+        """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
+
+        Of leg 1 of the machine. The five rounds of the sweep are put end to end, as section 4.3.3
+        says.
+        """
+        records = self.records("machine", "velocity", signal)
+        begins = np.cumsum([0.0, *(record.time.size / record.rate for record in records[:-1])])
+        time = [r.time - r.time[0] + begin for r, begin in zip(records, begins, strict=True)]
+        command = np.concatenate([record["valve_command"][:, 0] for record in records])
+        legs = zip(*map(leg_signals, records), strict=True)
+        return np.concatenate(time), 100.0 * (command - command.mean()), *map(np.concatenate, legs)
+
     @cached_property
     def identified(self) -> dict[int, Identified]:
         """Our linear models 1 to 3 of the machine's leg, made as the report made its models."""

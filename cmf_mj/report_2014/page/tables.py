@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.analysis.identification.model import fit_percentage
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.law import load_law
@@ -45,6 +47,12 @@ def page_table(
 def texts(name: str, **values: Any) -> list[str]:
     """The paragraphs of this name."""
     return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
+
+
+def fit_text(values: ArrayLike, modelled: ArrayLike) -> str:
+    """The fit of a model's output; what has less than nothing in common has no fit."""
+    (fit,) = fit_percentage(values, modelled)
+    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
 
 
 def law_title(name: str) -> str:
@@ -129,7 +137,7 @@ def _share(row: ResultRow, value: float, sign: str = "+") -> str:
 def computed_text(row: ResultRow, unit: str = "") -> str:
     """What is computed, with a unit if named; or why there is no number."""
     if row.computed == row.computed:
-        return f"{row.computed:.2f} {unit}".rstrip()
+        return number(row.computed, f".2f {unit}")
     return "none below 10 Hz" if row.stable else "unstable"
 
 

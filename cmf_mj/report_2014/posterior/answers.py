@@ -11,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.interpolate import RectBivariateSpline
 
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
@@ -28,6 +29,9 @@ REFERENCE = "position_error_rate"
 
 _ERRORS = 41
 """Errors of reading that a prediction is spread over."""
+
+_FINE = 97
+"""Points along each side of a map that is drawn."""
 
 ROBUST = 0.05
 """Largest distance of a probability from 0 or 1 that counts as robust."""
@@ -250,10 +254,18 @@ def moved(results: Results) -> list[Moved]:
 
 
 def stability_map(results: Results, x: str, y: str, law: str, name: str) -> tuple[Array, ...]:
-    """Damping ratio over two unknowns: the values of x (n,) and y (n,), and the map (n, n)."""
-    rows, side = where(results.points, about=f"{x} {y}", law=law), results.study.settings.grid
-    grids = [column(rows, key).reshape(side, side) for key in (x, y, name)]
-    return grids[0][:, 0], grids[1][0], grids[2]
+    """Damping ratio over two unknowns: values of x (n,) and y (n,), and the map (n, n).
+
+    A cubic spline through the grid of the study, on one of `_FINE` points a side.
+    """
+    settings = results.study.settings
+    rows, side = where(results.points, about=f"{x} {y}", law=law), settings.grid
+    coarse, fine = (np.linspace(0.0, 1.0, n) for n in (side, _FINE))
+    order = min(3, side - 1)
+    computed = column(rows, name).reshape(side, side)
+    between = RectBivariateSpline(coarse, coarse, computed, kx=order, ky=order)
+    ends = (np.asarray(settings.unknowns[one].at(fine)) for one in (x, y))
+    return *ends, np.asarray(between(fine, fine))
 
 
 def gain_steps(results: Results) -> Result[GainStep]:

@@ -1,6 +1,9 @@
 """Figures of a study of the unknown."""
 
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -8,10 +11,13 @@ from matplotlib.ticker import NullLocator
 from cmf_mj.core.result import column
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers
+from cmf_mj.report_2014.posterior.answers import Array
 from cmf_mj.report_2014.posterior.run import MAPS, Results
 from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
 
 ROTATIONS = DOFS[3:]
+_MARGIN = 12
+"""Points of a map that a word beside a limit takes."""
 _TITLES = {"cab_height": "centre of mass, up [m]"}
 
 
@@ -48,7 +54,7 @@ def unknown_figure(results: Results) -> Figure:
         if one.distribution == "loguniform":
             axis.set_xscale("log")
             _log_ticks(axis.xaxis, *one.at([0.0, 1.0]))
-    legend(axes[0])
+    legend(figure)
     for axis in axes[len(unknowns) :]:
         axis.set_visible(False)
     figure.suptitle(
@@ -80,8 +86,9 @@ def tornado_figure(results: Results) -> Figure:
         axis.axvline(mine[names[0]].median, color=GREY, linewidth=0.9, linestyle=":")
         axis.set_title(law.replace("_", "\n", 1), fontsize=8)
     axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
-    legend(axes[0])
-    figure.supxlabel("least damping ratio, cab " + results.study.cabs[0].name.upper(), fontsize=9)
+    legend(figure)
+    cab = results.study.cabs[0].name.upper()
+    axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}")
     figure.suptitle("Least damping ratio with one unknown at either end of its range", fontsize=10)
     return figure
 
@@ -97,6 +104,7 @@ def limits_figure(results: Results) -> Figure:
                 across, up, ratio = answers.stability_map(results, x, y, law, dof)
                 if ratio.min() < 0.0 < ratio.max():
                     axis.contour(across, up, ratio.T, [0.0], colors=[colour], linewidths=1.6)
+                    _name_side(axis, across, up, ratio, colour, laws.index(law) / len(laws))
             ends = {"xlim": (across[0], across[-1]), "ylim": (up[0], up[-1])}
             axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof, **ends)
             if results.study.settings.unknowns[y].distribution == "loguniform":
@@ -104,10 +112,23 @@ def limits_figure(results: Results) -> Figure:
                 _log_ticks(axis.yaxis, up[0], up[-1])
     for law, colour in zip(laws, COLOURS, strict=False):
         axes[0, 0].plot([], [], color=colour, label=law)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    legend(figure)
     figure.suptitle("Where the damping ratio of each law in rotation is zero", fontsize=10)
     return figure
+
+
+def _name_side(
+    axis: Axes, across: Array, up: Array, ratio: Array, colour: str, share: float
+) -> None:
+    """Write "stable" on its side of a limit, at a share of the columns that it crosses."""
+    stable = ratio > 0.0
+    crossed = np.flatnonzero((stable != stable[:, :1]).any(axis=1)[:-_MARGIN])
+    for at in crossed[[int(share * crossed.size)]] if crossed.size else ():
+        for row in np.flatnonzero(stable[at, 1:] != stable[at, :-1]):
+            high = bool(stable[at, row + 1])
+            if _MARGIN < row < up.size - _MARGIN:
+                style: dict[str, Any] = {"va": "bottom" if high else "top", "color": colour}
+                axis.text(across[at], up[row], "stable", fontsize=7, **style)
 
 
 def span_figure(results: Results) -> Figure:
@@ -161,6 +182,6 @@ def gain_figure(results: Results) -> Figure:
     right.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="least damping ratio of any cab")
     for axis in (left, right):
         axis.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
-    legend(left)
+    legend(figure)
     figure.suptitle("Stability and damping over the gain of acceleration feedback", fontsize=10)
     return figure

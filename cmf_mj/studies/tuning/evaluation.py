@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import closed_loop_response
+from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.analysis.linear.plants import FEEDBACK
+from cmf_mj.analysis.measures import oscillations
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.engage import engaged
@@ -76,6 +77,7 @@ class LinearCab(NamedTuple):
     """Those of cap and rod pressures."""
     sampled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
     """A, B, C at the machine's control rate, outputs `FEEDBACK`."""
+    system: control.StateSpace  #: The same with names, and all outputs.
 
     @property
     def cab(self) -> str:
@@ -89,7 +91,7 @@ def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
     legs, omega = plant.legs, 2.0 * np.pi * LINES
     response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
     rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
-    sampled = control.sample_system(system, plant.machine.frame, method="zoh")
+    sampled = control.sample_system(system, plant.machine.frame, method="zoh", copy_names=True)
     a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
     assert plant.cab_parameters is not None
     return LinearCab(
@@ -98,6 +100,7 @@ def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
         rows["leg_velocity"],
         (rows["cap_pressure"], rows["rod_pressure"]),
         (a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
+        sampled,
     )
 
 
@@ -163,6 +166,13 @@ def evaluate(
     `seeds` are those of the valve gains, None for the nominal ones; `scale` is a factor on all.
     """
     cases = list(product(cabs, seeds))
-    results = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
+    results = on_threads(lambda case: _one(law, case[0], case[1], scale), cases, jobs=len(cases))
     shape = (len(cabs), len(seeds), -1)
     return Performance(*(np.array(part).reshape(shape) for part in zip(*results, strict=True)))
+
+
+def least_damping(law: Law, cabs: Sequence[LinearCab]) -> float:
+    """Least damping ratio of oscillations with all cabs, negative where one grows; at most 1."""
+    loops = [closed_loop(bound(law, cab.carrier), cab.system) for cab in cabs]
+    pairs = np.concatenate([oscillations(loop.poles(), loop.dt) for loop in loops])
+    return float(np.min(-pairs.real / np.abs(pairs), initial=1.0))

@@ -70,7 +70,8 @@ class Template(NamedTuple):
     amplitude: NDArray[np.float64]
     """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
     rate: NDArray[np.float64]  #: Rate of modes whose fastest leg is at its limit, (6,) [in/s].
-    cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on.
+    cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on, friction as stated.
+    frictionless: tuple[LinearCab, ...]  #: The same without dry friction.
     actuator: HydraulicParameters  #: Set of the machine.
     frame: float  #: Control frame [s].
     faster: float  #: Leg speed per command over the CMF's.
@@ -103,7 +104,9 @@ def make_template(
     plants = [Hexapod(cab) for cab in cabs]
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
     legs = SingleLegs(machine=plants[0].machine)
-    linear = tuple(linear_cab(plant, friction) for plant in plants)
+    linear = frictionless = tuple(linear_cab(plant, friction) for plant in plants)
+    if friction not in (None, "none"):
+        frictionless = tuple(linear_cab(plant, "none") for plant in plants)
     moved = [
         np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
         for cab in linear
@@ -120,6 +123,7 @@ def make_template(
         np.max(moved, axis=0) / units.INCH,
         fastest / np.max(largest, axis=0),
         linear,
+        frictionless,
         plants[0].parameters,
         machine.frame,
         plants[0].parameters.leg_speed.si / set_of_cmf.leg_speed.si,

@@ -27,6 +27,7 @@ from cmf_mj.core.files import write_csv
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.show.look import legend
 
 LAWS = (
     *("velocity", "velocity_tuned", "dynamic_pressure", "acceleration_compensated"),
@@ -191,7 +192,6 @@ def draw(rows: list[list[Any]], gains: Gains, best: list[list[float]]) -> Figure
         ylabel="stiffness in surge [klbf/in], from 1 Hz to the least",
         ylim=(0.0, 100.0),
     )
-    left.legend(fontsize=7, loc="upper right", ncols=2)
     stable = gains.damping > 0.0
     right.plot(gains.damping[stable], gains.share[stable], ",", color="0.7")
     right.plot(
@@ -205,7 +205,7 @@ def draw(rows: list[list[Any]], gains: Gains, best: list[list[float]]) -> Figure
         xlim=(0.0, 0.8),
         ylim=(0.0, 1.2),
     )
-    right.legend(fontsize=8)
+    legend(figure)
     for axis in (left, right):
         axis.grid(alpha=0.3)
     return figure

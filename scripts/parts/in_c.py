@@ -1,4 +1,4 @@
-"""Laws as C source beside Python, on three processors: `python scripts/laws_in_c.py`.
+"""Laws as C source beside Python, on three processors.
 
 Random valid laws and all shipped ones run on random demands and feedback, and every bit of outputs,
 commands and last states has to be that of Python, on x86-64 and, under emulation, on AArch64 and on
@@ -33,7 +33,7 @@ from cmf_mj.export.operations import operations
 from cmf_mj.facility.replay import FEEDBACK, _run
 
 Array = NDArray[np.float64]
-HOST = Path(__file__).resolve().parents[1] / "tests" / "export" / "export_law_source_host.c"
+HOST = Path(__file__).resolve().parents[2] / "tests" / "export" / "export_law_source_host.c"
 
 NATIVE = "x86_64"
 TARGETS = {
@@ -203,7 +203,7 @@ def in_python(law: Law, motion: Motion) -> tuple[Array, Array]:
 def needed(name: str, package: str) -> str:
     """A program, or an end with one sentence where it is not there."""
     if shutil.which(name) is None:
-        sys.exit(f"laws_in_c: {name} is missing; apt-get install {package}")
+        sys.exit(f"in_c: {name} is missing; apt-get install {package}")
     return name
 
 
@@ -309,15 +309,17 @@ def table(sources: list[Source]) -> Table:
     return Table("", columns, rows)
 
 
-def main() -> None:
-    """Compare laws, then measure the shipped ones."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--laws", type=int, default=600, help="random laws")
     parser.add_argument("--seed", type=int, default=0, help="of the first; each has its own")
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--targets", default=",".join((NATIVE, *TARGETS)))
     parser.add_argument("--out", type=Path, default=Path("out/laws_in_c"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Compare laws, then measure the shipped ones."""
     seeds = range(options.seed, options.seed + options.laws)
     laws = [*((law.name, law, 0) for law in shipped()), *((f"{n}", None, n) for n in seeds)]
     failed = 0
@@ -338,7 +340,3 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "laws.md").write_text(table(sources).markdown())
     sys.exit(failed > 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -21,7 +21,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.studies.case import Case, dof_amplitude, make_case, qualities
-from law_tables.accept import poses
+from parts.accept import poses
 
 CAB, SEED = "ifd", 1
 

@@ -19,6 +19,7 @@ from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.core import units
 from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.show.look import frequency_axis, legend
 from cmf_mj.studies.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.machine_check import MachineCheck, check_machine
 
@@ -143,24 +144,25 @@ def draw(names: list[str]) -> Figure:
             ring = np.vstack([shape.upper, shape.upper[:1]])[:, rows] * turn
             axis.plot(*ring.T, color=colour, lw=2.5, label=name)
         limits: Asymptotes = asymptotes(plant, "heave")
-        able.semilogx(hertz, [limits.velocity(f) for f in hertz], color=colour, label=name)
+        able.plot(hertz, [limits.velocity(f) for f in hertz], color=colour, label=name)
         linear = Linear(plant)
         for source, dash in zip(laws_of(name), ("-", "--"), strict=False):
             law = load_law(source)
             heave = loop_response(linear.loop(law, "heave"), hertz).response
             phase = np.degrees(np.unwrap(np.angle(heave)))
-            follows.semilogx(hertz, phase, dash, color=colour, label=f"{name}, {law.name}")
+            follows.plot(hertz, phase, dash, color=colour, label=f"{name}, {law.name}")
     above.set(xlabel="y, right [m]", ylabel="x, forward [m]", title="legs from above")
     aside.set(xlabel="x, forward [m]", ylabel="height [m]", title="legs from the side")
     for axis in (above, aside):
         axis.set_aspect("equal")
-    able.set(xlabel="Hz", ylabel="velocity amplitude [m/s]", title="heave: largest sine")
+    able.set(ylabel="velocity amplitude [m/s]", title="heave: largest sine")
     able.set_ylim(bottom=0.0)
-    follows.set(xlabel="Hz", ylabel="phase of the response [deg]", title="heave: small motion")
+    follows.set(ylabel="phase of the response [deg]", title="heave: small motion")
     follows.axhline(-90.0, color="0.5", lw=0.8)
     follows.set_ylim(-200.0, 5.0)
-    for axis in (above, able, follows):
-        axis.legend(fontsize=8)
+    for axis in (able, follows):
+        frequency_axis(axis.xaxis)
+    legend(above, able, follows)
     for axis in (above, aside, able, follows):
         axis.grid(alpha=0.3)
     return figure
@@ -178,12 +180,14 @@ def tables(names: list[str]) -> dict[str, Table]:
     }
 
 
-def main() -> None:
-    """Write tables and picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--machines", default="cmf,simona", help="names or files")
     parser.add_argument("--out", type=Path, default=Path("out/machines"))
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write tables and picture."""
     names = options.machines.split(",")
     options.out.mkdir(parents=True, exist_ok=True)
     for name, table in tables(names).items():
@@ -192,7 +196,3 @@ def main() -> None:
         print(f"\n{table.markdown()}")
     draw(names).savefig(options.out / "machines.png", dpi=100)
     print(f"written to {options.out}: five tables, machines.png")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
 """Every command on every kind of machine: what runs, what is refused, and why.
 
-    python scripts/walk_machines.py                       # all pairs, about an hour
-    python scripts/walk_machines.py --pairs 24 --seed 1   # drawn, each kind and each command
+    python scripts/machines.py walk                       # all pairs, about an hour
+    python scripts/machines.py walk --pairs 24 --seed 1   # drawn, each kind and each command
 
 Machines are those that ship, their cabs, and machines of one's own: a file that `cmf machine new`
 wrote, and what it becomes with dry friction, unequal actuators, another control rate, cylinders of
@@ -14,7 +14,7 @@ import argparse
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir
 from dataclasses import fields
 from pathlib import Path
@@ -26,7 +26,8 @@ from typer.testing import CliRunner
 
 import cmf_mj
 from cmf_mj.cli.common import app
-from cmf_mj.core.result import Field, Result
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.pilot.flight import Flight, load_flight
@@ -53,7 +54,7 @@ COMMANDS: dict[str, str] = {
     "linearize": "linearize {machine} {dry} --dofs heave,leg_1",
     "modes": "modes {cabs} --samples 90 --rounds 0 --points 3",
     "compare": "compare {machine} --dofs heave --quick --no-records",
-    "measure": "measure {machine} --dof heave",
+    "measure": "measure --simulate {machine} --dof heave",
     "identify": "identify {machine} --simulate --orders 2,1,1 --method arx",
     "run": "run run.toml {cab}",
     "replay": "replay record.parquet",
@@ -62,8 +63,8 @@ COMMANDS: dict[str, str] = {
     "export law": "export law {machine}",
     "export library": "export library {machine}",
     "export fmu": "export fmu {machine}",
-    "failure": "failure pump {machine} --at 1 --after 6",
-    "capacity": "capacity {machine} --dofs heave --quick",
+    "failure": "failure pump_lost {machine} --at 1 --after 6",
+    "capacity": "capacity {machine} --dofs heave",
     "capacity of a noise": "capacity {machine} --signal noise --no-envelope",
     "cue": "cue flight.csv {cab}",
     "omct": "omct {machine} --dofs heave --quick",
@@ -189,6 +190,7 @@ def walk(kinds: Mapping[str, Kind], chosen: list[tuple[str, str]], folder: Path)
         with chdir(folder):
             ended = runner.invoke(app, line)
         took, said = time.monotonic() - begun, " ".join(ended.output.split()[-60:])
+        said = said.replace(f"{folder}/", "")
         if ended.exit_code == 0 or (ended.exit_code == 1 and command == "machine check"):
             yield Pair(command, name, "runs", "", took)
         elif ended.exit_code == 2 and "cmf: " in ended.output and not (folder / "out").exists():
@@ -208,15 +210,31 @@ def drawn(kinds: Mapping[str, Kind], count: int, seed: int) -> list[tuple[str, s
     return sorted(pairs)
 
 
-def main() -> None:
-    """Walk and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def summary(rows: Sequence[Pair]) -> Table:
+    """A row for each command, and below it one for each reason for which it refuses machines."""
+    table, kinds = [], list(dict.fromkeys(row.machine for row in rows))
+    for command in dict.fromkeys(row.command for row in rows):
+        by_reason: dict[tuple[str, str], list[str]] = {}
+        for row in rows:
+            if row.command == command:
+                by_reason.setdefault((row.ended, row.said), []).append(row.machine)
+        for number, ((ended, said), machines) in enumerate(sorted(by_reason.items(), reverse=True)):
+            where = "all" if len(machines) == len(kinds) else "; ".join(machines)
+            table.append((command if number == 0 else "", ended, where, said))
+    return Table("", ("command", "ended", "machines", "reason"), table)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command line."""
     parser.add_argument("--machines", help="kinds with commas between; default all")
     parser.add_argument("--commands", help="commands with commas between; default all")
     parser.add_argument("--pairs", type=int, help="how many to draw; default all")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/machines"))
-    options = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=Path("out/walk"))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Walk and write the table."""
     out = options.out.resolve()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -231,11 +249,6 @@ def main() -> None:
             rows.append(pair)
             print(f"{pair.seconds:6.1f} s  {pair.ended:8s}{pair.command:22s}{pair.machine}")
             print(f"{'':18s}{pair.said}" if pair.said else "", end="\n" if pair.said else "")
-    table = Result(rows, PAIRS, "Commands on machines")
-    for end in ("csv", "md"):
-        table.save(out / f"machines.{end}")
+    Result(rows, PAIRS, "Commands on machines").save(out / "machines.csv")
+    write_text(out / "machines.md", summary(rows).markdown())
     raise SystemExit(any(pair.ended == "defect" for pair in rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,1 +1,0 @@
-"""Tables of laws that no `cmf` command writes: what `scripts/laws.py` runs."""

@@ -1,0 +1,91 @@
+"""Figures of commands: every command that draws takes their format and their size."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_lines import LINES, line_of
+from fuzzing import commands
+from shared import cmf
+
+OTHERS = {
+    "flight",
+    "tune",
+    "report",
+    "export",
+    "video",
+    *(f"machine {w}" for w in ("new", "build")),
+}
+"""Commands that write and draw no figure; `machine show` renders one picture in pixels."""
+
+FIGURES = {
+    "run": "overview",
+    "compare": "bode_heave step_heave",
+    "failure": "pump_lost",
+    "capacity": "supply envelope",
+    "linearize": "bode loop",
+    "modes": "modes_sweep modes_map",
+    "measure": "response",
+    "identify": "fit residuals bode",
+    "operate": "operation",
+    "serve": "operation timing",
+    "replay": "run_model_following",
+    "fly": "operation motion perceived comparison",
+    "learn": "learning",
+    "cue": "motion senses",
+    "omct": "omct",
+    "study": "ladder",
+    "certify": "certificates",
+    "report calibrate": "residuals",
+    "report linear": "bode_velocity step_velocity",
+}
+"""What the line of each command that draws leaves."""
+
+SLOW = {"measure", "fly", "learn", "study", "certify", "report calibrate"}
+
+
+def options_of(words: str) -> dict[str, Any]:
+    """Options of a command by name."""
+    return {option.name: option for option in commands()[tuple(words.split())].params}
+
+
+def test_every_command_that_draws_takes_format_and_size() -> None:
+    assert set(FIGURES) | OTHERS | {"machine show"} == set(LINES)
+    for words in LINES:
+        named = {name for name in options_of(words) if name.startswith("figure_")}
+        assert named == ({"figure_format", "figure_size"} if words in FIGURES else set()), words
+
+
+@pytest.mark.parametrize(
+    "words", [pytest.param(w, marks=pytest.mark.slow) if w in SLOW else w for w in FIGURES]
+)
+def test_a_command_writes_its_figures_as_asked(
+    words: str, tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
+    """SVG counts points, 72 an inch."""
+    cmf(*line_of(words, tmp_path), "--figure-format", "svg", "--figure-size", "7x6")
+    written = [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
+    assert {path.stem for path in written} == set(FIGURES[words].split())
+    assert set(drawn) == {path.name for path in written}
+    for path in written:
+        size = re.search(r'<svg [^>]*width="(\w+)pt" height="(\w+)pt"', path.read_text())
+        assert path.suffix == ".svg" and size and size.groups() == ("504", "432"), path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", sorted(OTHERS))
+def test_other_commands_draw_nothing(words: str, tmp_path: Path) -> None:
+    cmf(*line_of(words, tmp_path))
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
+
+
+@pytest.mark.parametrize("size", ["a4", "6.5", "6x", "1.9x4", "4x61", "nanx4", "6x4x2", "-6x4", ""])
+def test_a_size_that_is_none_is_refused(size: str, tmp_path: Path) -> None:
+    said = cmf("report", "linear", "--figure-size", size, "--out", tmp_path / "out", code=2)
+    assert "figure_size" in said and repr(size) in said and "page, slide or WIDTHxHEIGHT" in said
+
+
+def test_a_format_that_is_none_is_refused(tmp_path: Path) -> None:
+    said = cmf("report", "linear", "--figure-format", "gif", "--out", tmp_path / "out", code=2)
+    assert "figure_format: 'gif' is not one of png, svg, pdf" in said

@@ -1,0 +1,47 @@
+"""A short line of every command that writes results."""
+
+from pathlib import Path
+
+import numpy as np
+from fuzz_files import make_files
+
+LINES = {
+    "run": "run heave_step --out {out}",
+    "compare": "compare --laws velocity --dofs heave --quick --out {out}",
+    "failure": "failure pump_lost --after 4 --at 1 --out {out}",
+    "capacity": "capacity --signal sine --dofs heave --out {out}",
+    "linearize": "linearize --out {out}",
+    "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
+    "measure": "measure --simulate --out {out}",
+    "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
+    "operate": "operate {stream} --out {out}",
+    "serve": "serve --port 0 --seconds 1 --out {out}",
+    "replay": "replay {recording} --law model_following --out {out}",
+    "fly": "fly gusts --no-delay --out {out}",
+    "learn": "learn gusts --trials 1 --out {out}",
+    "flight": "flight gusts --file {out}/x.csv",
+    "cue": "cue {motion} --share 0.8 --out {out}",
+    "omct": "omct --laws none --quick --dofs heave --out {out}",
+    "study": "study ablation --laws velocity --dofs heave --quick --jobs 1 --out {out}",
+    "tune": "tune --evaluations 12 --file {out}/law.toml",
+    "certify": "certify velocity --cabs gfd --quick --out {out}",
+    "report calibrate": "report calibrate report --quick --samples 2 --out {out}",
+    "report": "report --figures none --tables none --quick --out {out}",
+    "report linear": "report linear --out {out}",
+    "machine new": "machine new mine --file {out}/mine.toml",
+    "machine show": "machine show cmf --file {out}/x.png",
+    "machine build": "machine build cmf --out {out}",
+    "export": "export library --out {out}",
+    "video": "video heave_step --seconds 0.5 --file {out}/x.gif",
+}
+"""Lines by the words of their commands."""
+
+
+def line_of(words: str, folder: Path) -> list[str]:
+    """The line of a command that reads files it finds in a folder, and writes below `out` there."""
+    (source := folder / "files").mkdir()
+    make_files(source, np.random.default_rng(19))
+    names = {"facility": "facility.csv", "stream": "stream.csv", "motion": "motion.csv"}
+    places = {name: str(source / file) for name, file in names.items()}
+    recording = str(source / "run.parquet")
+    return LINES[words].format(out=folder / "out", recording=recording, **places).split()
