@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, load_cab, load_law, simulate
+from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
@@ -143,6 +144,7 @@ def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
     assert found.model.step == pytest.approx(0.016)
     corner = [-np.log(r.value.real) / 0.016 for r in found.model.poles() if r.value.imag == 0.0]
     assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
+    assert experiment(stepped(1000), "heave").step == pytest.approx(0.015)  # 64 Hz divides none
     plant, poses = Hexapod(machine=own), np.zeros((1000, 6))
     held = capacity(poses, plant=plant)
     assert held.record.rate == 1000.0 and held.record.time[-1] == pytest.approx(0.999)
