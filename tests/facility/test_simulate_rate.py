@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, load_cab, load_law, simulate
+from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
@@ -19,7 +20,7 @@ from cmf_mj.signals.signal import Command
 from cmf_mj.signals.single import step
 from cmf_mj.studies.capacity import capacity
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.identification import excitation, identify
+from cmf_mj.studies.identification import identify, simulated_records
 from cmf_mj.studies.many import simulate_many
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
@@ -139,11 +140,11 @@ def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
     """200 Hz is no multiple of 64: the lag's pole is found at 66.7 Hz, to its 3 Hz."""
     own = machine(1000)
     case = make_case("velocity", "heave", "single_legs", load_cab("deck", own))
-    motions = [excitation("multisine", case.dof, case.size, seed=seed) for seed in (0, 1)]
-    found = identify([case.run(motion, rate=200) for motion in motions], "heave")
+    found = identify(simulated_records(case), "heave")
     assert found.model.step == pytest.approx(0.015)
     corner = [-np.log(r.value.real) / 0.015 for r in found.model.poles() if r.value.imag == 0.0]
     assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
+    assert experiment(stepped(1000), "heave").step == pytest.approx(0.015)  # 64 Hz divides none
     plant, poses = Hexapod(machine=own), np.zeros((1000, 6))
     held = capacity(poses, plant=plant)
     assert held.record.rate == 1000.0 and held.record.time[-1] == pytest.approx(0.999)
