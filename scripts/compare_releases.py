@@ -182,13 +182,17 @@ def text(found: list[Difference], base: str, picture: str) -> str:
         f"![Responses of both releases]({picture})",
     ]
     table = ["| case | largest difference | of the channel | why |", "| --- | --- | --- | --- |"]
+    same: list[str] = []
     for case in dict.fromkeys(d.case for d in found):
         mine = [d for d in found if d.case == case]
         apart = [d for d in mine if d.share > TOLERANCE]
         worst = max(mine, key=lambda d: d.share)
-        share = "none" if worst.share == 0.0 else f"{100.0 * worst.share:.2g} %"
+        if worst.share == 0.0:
+            same.append(case)
+            continue
         why = " ".join(dict.fromkeys(d.why or "**not explained**" for d in apart))
-        table.append(f"| {case} | {share} | {worst.channel if worst.share else ''} | {why} |")
+        table.append(f"| {case} | {100.0 * worst.share:.2g} % | {worst.channel} | {why} |")
+    table.append(f"| all others, {len(same)} | none | | |")
     lines += ["\n".join(table), "Read next: [all changes](changes.md)."]
     return "\n\n".join(lines) + "\n"
 

@@ -38,5 +38,5 @@ def test_all_pairs_are_listed_and_none_is_a_defect(
 ) -> None:
     kinds = WALK["write_machines"](tmp_path)
     assert listed.keys() == {(command, name) for command in WALK["COMMANDS"] for name in kinds}
-    assert {ended for ended, _ in listed.values()} == {"runs", "refused"}
+    assert {ended for ended, _ in listed.values()} <= {"runs", "refused"}
     assert all((ended == "refused") == bool(reason) for ended, reason in listed.values())
