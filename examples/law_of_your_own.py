@@ -1,7 +1,7 @@
 """A law of your own, from a dictionary, in all six degrees of freedom beside the law flown.
 
 The same tables in a TOML file work everywhere a law's name does:
-`cmf compare --laws velocity,mine.toml`. `laws.toml` lists the signals and their units.
+`cmf compare --laws velocity,my_law.toml`. `laws.toml` lists the signals and their units.
 """
 
 import numpy as np

@@ -54,7 +54,7 @@ def study_command(
     from cmf_mj.report_2014.posterior import tables as posterior
     from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
     from cmf_mj.show import study as report
-    from cmf_mj.studies.engine import run_study
+    from cmf_mj.studies.engine import RESULTS, run_study
     from cmf_mj.studies.settings import load_study, study_table
 
     how: dict[str, Any] = {"jobs": os.cpu_count() or 1 if jobs is None else jobs}
@@ -73,7 +73,8 @@ def study_command(
                 changes |= {"quick": True} if quick else {}
                 study = load_study(specification, laws=laws, changes=changes)
                 table = run_study(study, out, progress=update, **how)
-                parts, paths = (report.summary_table(table),), report.save_report(table, out)
+                parts = (report.summary_table(table),)
+                paths = [out / RESULTS, *report.save_report(table, out)]
         show(*parts, written(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command continues {out}", err=True)

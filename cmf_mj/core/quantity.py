@@ -5,7 +5,7 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
@@ -26,6 +26,13 @@ class _Known(Settings, Generic[Value]):
     """How the number is known: `published` by another source than the report, `recalled` from
     general knowledge of the field and not checked."""
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
+
+    @model_validator(mode="before")
+    @classmethod
+    def _table(cls, known: Any) -> Any:
+        if not isinstance(known, _Known | Mapping):
+            raise InputError("must be a table of value, unit, status and source")
+        return known
 
     @field_validator("unit")
     @classmethod

@@ -68,11 +68,13 @@ class _Reader:
         self.table = builder.inttoptr(address, _WORD.as_pointer())
 
     def word(self) -> Any:
+        """The next slot."""
         place = self.builder.gep(self.table, [ir.Constant(_WORD, self.used)])
         self.used += 1
         return self.builder.load(place)
 
     def value(self, kind: Any) -> Any:
+        """A value of Numba's type `kind` from as many slots as it has."""
         context, builder = self.context, self.builder
         if isinstance(kind, types.BaseTuple):
             return context.make_tuple(builder, kind, [self.value(part) for part in kind])
@@ -89,6 +91,7 @@ class _Reader:
         raise RunError(f"machine code: a parameter of type {kind} has no slot")
 
     def array(self, kind: Any) -> Any:
+        """An array, which stays where its address says."""
         context, builder = self.context, self.builder
         result = arrayobj.make_array(kind)(context, builder)
         item = context.get_data_type(kind.dtype)
@@ -164,7 +167,7 @@ def _compiled(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
     module.verify()
     called = {f.name for f in module.functions if f.is_declaration}
-    foreign = {called for called in called if not called.startswith("llvm.")} - KNOWN
+    foreign = {one for one in called if not one.startswith("llvm.")} - KNOWN
     if foreign:
         calls = ", ".join(sorted(foreign))
         raise RunError(f"machine code of {name}: calls {calls}; Numba has changed")

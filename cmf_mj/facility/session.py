@@ -118,12 +118,16 @@ class Session:
         self.memory = make_memory(self.dynamics, settings.command_delay)
         self.controller = self._controller(source, pace)
         self._started = plant.started
+        """Number of the plant's last start: another one means that it was reset since."""
         self._begun: dict[str, list[float]] = {}
+        """State of the law before the first frame, by dotted name; a record keeps it."""
         posed = {"demand_pose"} if source.poses.size else set()
         absent = set() if source.hosted else set(CHAIN) - posed
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
         self._taken = 0
+        """Rows that the channels have taken so far."""
         self._kept: dict[str, NDArray[np.float64]] = {}
+        """All rows of each channel; empty where only the latest are kept."""
         self._recorder = self._make_recorder(keep)
 
     def _controller(self, source: Source, pace: Pace | None) -> Controller:

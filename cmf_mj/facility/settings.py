@@ -1,4 +1,9 @@
-"""Parts of a run's description: the host's chain, changes on the way, what is written."""
+"""Parts of a run's description, as scenario files have them and as a session takes them.
+
+`HostChain` is the way from host to valves, `Change` what changes from a frame on, `Outputs` what
+`cmf run` writes; `SessionSettings` is what a session is given. Below are checks that a description
+fits its plant, and laws with changed gains. `Run` is made of all of them.
+"""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

@@ -49,7 +49,7 @@ _KINDS = {
 KINDS = tuple(_KINDS)
 """What can fail."""
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # mypy reads only what a Literal spells out
     KindName = str
 else:
     KindName = Literal[KINDS]
@@ -174,6 +174,7 @@ def make_timeline(events: Sequence[Event], legs: int, rate: int = RATE) -> Timel
 
 _Numbers = namedtuple("_Numbers", KINDS)  # type: ignore[misc]
 _IS: Any = _Numbers(*range(len(KINDS)))
+"""Numbers of the kinds by name, as a `Timeline` has them; compiled code reads no strings."""
 
 
 @compiled

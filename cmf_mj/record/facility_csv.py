@@ -73,15 +73,19 @@ LAYOUT = (
 REQUIRED = ("leg_position", "leg_reference")
 """Channels no recording is without; their places, names and unit are the published ones."""
 TIME, LAST, LINE = "TIME", "LAST_ROW", "line"
+"""Header names of the first two columns; key of the trailer's own checksum."""
 TIME_DECIMALS = 7
 NAMES = {name for group in LAYOUT for name in group.names}
+"""All header names of legs."""
 POSITIONS = {
     name: group.first - 1 + leg
     for group in LAYOUT
     if group.channel in REQUIRED
     for leg, name in enumerate(group.names)
 }
+"""Places of the published columns in the block, from 0."""
 TRAILER = "# cmf_mj "
+"""How the comment line after the last row begins."""
 
 
 class Trailer(FileHeader):

@@ -131,9 +131,14 @@ _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01
 """Range of the slopes taken over the one found."""
-SIZES = (1,) * 42 + (3, 4, 4, 4, 3)
-"""How often parameters enter: six drives, spools, cap ports, rod ports and leaks, cap and rod
-chambers; the cab's mass, three shifts of its centre of mass, and its inertia."""
+_OF_LEGS = 42
+"""Parameters of legs, each entering once: six drives, spools, cap ports, rod ports and leaks, cap
+and rod chambers."""
+_RHO = slice(12, 24)
+"""Those of them that are slopes of ports."""
+SIZES = (1,) * _OF_LEGS + (3, 4, 4, 4, 3)
+"""How often parameters enter: those of the legs; the cab's mass, three shifts of its centre of
+mass, and its inertia."""
 
 
 class Family:
@@ -174,7 +179,7 @@ class Family:
             [names.index(label) for label in labels((kind,), 6)]
             for kind in ("drive", "spool", "leg_velocity", "cap_pressure", "rod_pressure")
         )
-        parts = iter(range(0, 42, 6))
+        parts = iter(range(0, _OF_LEGS, 6))
 
         def free(what: Array) -> Array:
             """What six parameters add to what they multiply."""
@@ -191,7 +196,7 @@ class Family:
         change[rod] -= a[rod, cap][:, None] * flow
         for side in (cap, rod):
             change[side] += free(change[side])
-        self._free_cab(change, speed, w[42:], seen[42:])
+        self._free_cab(change, speed, w[_OF_LEGS:], seen[_OF_LEGS:])
         sees = c @ state
         sees[12:18] = change[speed]
         a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
@@ -252,7 +257,7 @@ class Family:
     def widths(self, box: Box, scale: float) -> Array:
         """Largest |delta| of the box of a scale, over the scale, (60,)."""
         widths = np.abs(self.deltas(_corners(box, scale))).max(axis=0)
-        widths[12:24] *= _MARGIN
+        widths[_RHO] *= _MARGIN
         return np.asarray(widths / scale)
 
     def holds(self, box: Box, scale: float, *, closed: bool) -> bool:

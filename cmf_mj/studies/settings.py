@@ -2,7 +2,7 @@
 
     title = "My laws, three cabs, a hundred machines"
     method = "linear"                  # sweep, linear or matrix, see `evaluation`
-    laws = ["velocity", "mine.toml"]
+    laws = ["velocity", "my_law.toml"]
     cabs = ["gfd", "rfd", "ifd"]
     draws = 100                        # machines with mismatch, and the nominal one
     simulate_every = 50                # every 50th is also simulated, by `matrix`

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shlex
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fuzzing import commands
 
 from cmf_mj import Hexapod, attach_hydraulics, load_law, simulate
 from cmf_mj.core import units
@@ -178,3 +180,29 @@ def test_the_boom_without_pressures_ends_in_the_limit_cycle_of_any_model_md() ->
     assert 2048.0 / np.diff(crossings).mean() == pytest.approx(2.0, abs=0.05)
     page = read("docs/how_to/any_model.md").replace("\n", " ")
     assert "a limit cycle of 9 mm peak to peak at 2.0 Hz" in page
+
+
+def unknown_in(line: str, known: dict[tuple[str, ...], Any]) -> list[str]:
+    """What a command line names that there is not: its command, or options of it."""
+    words = shlex.split(line, comments=True)
+    depths = [n for n in range(1, len(words) + 1) if tuple(words[:n]) in known]
+    if not depths:
+        return words[:1]
+    parameters = known[tuple(words[: depths[-1]])].params
+    options = {"--help"}.union(*([*one.opts, *one.secondary_opts] for one in parameters))
+    return [word for word in words if word.startswith("--") and word.split("=")[0] not in options]
+
+
+def test_commands_of_the_pages_exist_with_their_options() -> None:
+    """Each line `cmf ...` of a listing, and in a sentence."""
+    names, known = ("README.md", "CONTRIBUTING.md", "models/README.md"), commands()
+    pages = [*(ROOT / name for name in names), *(ROOT / "docs").rglob("*.md")]
+    lines = [
+        (page.name, "".join(found))
+        for page in pages
+        for found in re.findall(r"^cmf ([a-z].*)$|`cmf ([a-z][^`]*)`", read(page), re.M)
+    ]
+    assert len(lines) > 150
+    assert [one for one in lines if unknown_in(one[1], known)] == []
+    assert unknown_in("compare --laws velocity --swift", known) == ["--swift"]
+    assert unknown_in("compete --laws velocity", known) == ["compete"]

@@ -10,6 +10,7 @@ On the stability limit s = j v is a root: odd powers give v^2 = w^2 / (1 + l/a),
     k K_p = l w^2 / (a + l)^2 + (l + b) a / (a + l).
 """
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -123,7 +124,7 @@ def test_the_law_flown_is_acceleration_feedback_already() -> None:
 def test_sources_are_cited_and_the_search_is_told(name: str) -> None:
     law = load_law(name)
     assert "cmf tune --form" in law.source or "cmf study rotation" in law.source
-    assert any(year in law.source for year in ("1967", "1987", "2001", "2009", "2019", "Table 2-5"))
+    assert re.search(r"\((19|20)\d\d\)|Table 2-5", law.source)
 
 
 def test_the_gain_of_acceleration_stabilises_every_cab() -> None:

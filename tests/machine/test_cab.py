@@ -109,6 +109,7 @@ def test_a_homogeneous_box_of_any_size_is_allowed() -> None:
             "platform.inertia: principal moments are 1, 1, 3",
         ),
         ('base = "gfd"\n', "base: is taken from the base; leave it out"),
+        ("mass = 9000.0\n", "mass: 9000.0 is refused: must be a table of value, unit, status and"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -260,6 +260,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     )
     assert again.exit_code == 0, again.output
     assert "20 cases" in again.output
+    assert RESULTS in again.output
     assert bits(tmp_path) == bits(finished)
     with (tmp_path / "rates.csv").open(newline="") as file:
         laws = {row["law"] for row in csv.DictReader(file)}
