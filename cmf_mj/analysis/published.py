@@ -35,7 +35,7 @@ class Published(Settings):
 
     table: str  #: Table or section of the report.
     law: str  #: As the report names it.
-    dof: str
+    dof: str  #: Degree of freedom of the demand.
     of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
     """What was measured: the machine, the report's non-linear model or a linear model."""
     phase_bandwidth_hz: float | None = None

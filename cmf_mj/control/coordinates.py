@@ -14,7 +14,7 @@ flight simulator motion system (2001); A. R. Plummer and P. S. Guinzio, Modal co
 electrohydrostatic flight simulator motion system (2009).
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,16 @@ ORTHONORMAL = 1e-8
 _SIX = Field(min_length=MODES, max_length=MODES)
 _Six = Annotated[tuple[float, ...], _SIX]
 
-PerMode = Annotated[float | _Six, BeforeValidator(as_tuples)]
+
+def _one_or_six(value: Any) -> Any:
+    found = as_tuples(value)
+    numbers = found if isinstance(found, tuple) and len(found) == MODES else (found,)
+    if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers):
+        raise InputError(f"must be a number, or a list of {MODES}")
+    return found
+
+
+PerMode = Annotated[float | _Six, BeforeValidator(_one_or_six)]
 """One number for all coordinates, or a list of six, a mode each."""
 
 Positive = Annotated[float, Field(gt=0.0)]

@@ -366,16 +366,17 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
     time, fade, stop = phase.time, phase.fade, phase.stop
     s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
     for leg in range(reference.shape[1]):
-        position, velocity, change = _source(states, state, leg, demand)
+        position, velocity, acceleration = _source(states, state, leg, demand)
         if time < fade:
-            left, rate, bend = _stopping(state.stop[1, leg], state.stop[2, leg], time, stop)
+            left, rate, slowing = _stopping(state.stop[1, leg], state.stop[2, leg], time, stop)
             apart = state.stop[0, leg] + left - position
             parting = rate - velocity
             position += (1.0 - s) * apart
             velocity += (1.0 - s) * parting - ds / fade * apart
-            change += (1.0 - s) * (bend - change)
-            change -= 2.0 * ds / fade * parting + dds / (fade * fade) * apart
-        reference[0, leg], reference[1, leg], reference[2, leg] = position, velocity, change
+            acceleration += (1.0 - s) * (slowing - acceleration)
+            acceleration -= 2.0 * ds / fade * parting + dds / (fade * fade) * apart
+        reference[0, leg], reference[1, leg] = position, velocity
+        reference[2, leg] = acceleration
         if _finite(demand, leg):
             state.host[leg] = demand[0, leg]
     following = _next(states, state, request, measured)

@@ -173,6 +173,15 @@ def test_a_derivative_filter_that_is_unstable_is_refused(tmp_path: Path) -> None
         load_law(path)
 
 
+@pytest.mark.parametrize("gain", ["40 %/in", [1.0, 2.0], [["a"] * 6], True])
+def test_a_gain_that_is_no_number_is_refused_in_one_line(gain: object) -> None:
+    with pytest.raises(InputError) as caught:
+        load_law({"title": "A", "direct_gain": {"reference": gain}})
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith("law custom: direct_gain.reference: ")
+    assert line.endswith(" is refused: must be a number, or a list of 6")
+
+
 @pytest.mark.parametrize(
     ("text", "parts"),
     [

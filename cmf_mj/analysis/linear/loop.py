@@ -37,6 +37,9 @@ from cmf_mj.core.errors import InputError, check_name
 DCL_INPUTS = ("reference", *FEEDBACK)
 """Inputs of `dcl_state_space` for each leg; the reference in m."""
 
+_PRESSURES = FEEDBACK.index("cap_pressure")
+"""Where the pressures begin in `FEEDBACK`."""
+
 Matrix = NDArray[np.float64]
 
 _STATES = tuple(name for name in DclState.zeros(1).arrays() if name != "offset")
@@ -174,7 +177,7 @@ def closed_loop(
     br, by, dr, dy = bk[:, :legs], bk[:, legs:], dk[:, :legs], dk[:, legs:]
     seen = c.copy()
     if pressures == "zero":
-        seen[3 * legs :] = 0.0
+        seen[_PRESSURES * legs :] = 0.0
     law_order = ak.shape[0]
     loop_a = np.block([[a + b @ dy @ seen, b @ ck], [by @ seen, ak]])
     loop_b = np.vstack([b @ dr, br])
@@ -225,7 +228,7 @@ def _feedback_rows(
             d[i] = plant.D[present[label]][columns]
             continue
         name = FEEDBACK[i // legs]
-        if name in outputs or (read[i] and i < 3 * legs):
+        if name in outputs or (read[i] and i < _PRESSURES * legs):
             raise InputError(f"plant: has no output {label}; it has {', '.join(present)}")
     return c, d
 
