@@ -3,7 +3,7 @@
 The threads share one array a channel, so that memory is that of what is asked for, however many
 cases there are. In a folder each case is a frame, `case_00000.parquet` and so on, which
 `Record.load` and any reader of Parquet open; the journal of a study beside them says which are
-finished, and what they are of.
+finished, and what they are of. Processes and Dask write into it too, where all of them see it.
 """
 
 import copy
@@ -29,7 +29,7 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, commanded
-from cmf_mj.studies.engine import Journal
+from cmf_mj.studies.engine import Journal, Row, Work, Workers, run_tasks
 
 
 class ManyRuns(NamedTuple):
@@ -59,6 +59,7 @@ def simulate_many(
     seed: int = 0,
     folder: str | Path | None = None,
     threads: int | None = None,
+    workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> ManyRuns:
@@ -77,6 +78,8 @@ def simulate_many(
         seed: of those and of noise.
         folder: where to write each case as a frame. The same call again runs what is left.
         threads: how many; default one a core.
+        workers: processes or a Dask cluster to write the frames of `folder`, not threads. A case
+            that cannot run says so in `left`.
         progress: called with (cases done, cases in all) after each.
         **options: as for `simulate` and `drive`, the same for all cases.
 
@@ -113,6 +116,17 @@ def simulate_many(
             "channels": list(channels),
         }
         journal = Journal(Path(folder), identity)
+    elif workers is not None:
+        raise InputError("workers: need a folder, where they write; allowed: with folder only")
+
+    def task(case: int, chosen: Plant | Callable[[int], Plant]) -> _Task:
+        about = {} if callable(chosen) else {"plant": chosen}
+        one = settings.but(law=laws[case % len(laws)], source=made[case], **about)
+        return _Task(case, one, chosen, unknowns, tuple(channels), folder)
+
+    if journal is not None and workers is not None:
+        work = Work(_written, lambda error: [{"plant": "", "left": repr(error)}], _Task.of)
+        run_tasks(journal, [task(case, plant) for case in range(count)], work, workers, progress)
     spare: SimpleQueue[Plant] = SimpleQueue()
     lock, kept, units = threading.Lock(), {}, {}
 
@@ -124,31 +138,17 @@ def simulate_many(
         except Empty:
             return copy.deepcopy(plant)
 
-    def simulated(case: int, chosen: Plant) -> Record:
-        one = settings.but(plant=chosen, law=laws[case % len(laws)], source=made[case])
-        noted: dict[str, Any] = {}
-        if unknowns is not None:
-            one, noted = _drawn(one, unknowns.on(chosen), case)
-        record = one.record()
-        about = {**record.metadata, "unknowns": noted}
-        part = {name: record[name] for name in channels}
-        return Record(record.time, part, {name: record.units[name] for name in channels}, about)
-
     def finished(case: int, chosen: Plant) -> Record:
         """The record of a case, which the folder may have already."""
         if journal is None:
-            return simulated(case, chosen)
-        path, on = journal.folder / f"case_{case:05d}.parquet", _digest(chosen.describe())
+            return task(case, chosen).record(chosen)
+        path, on = task(case, chosen).path, _digest(chosen.describe())
         if case not in journal.results:
-            left = ""
-            try:
-                simulated(case, chosen).save(path)
-            except OutOfBounds as end:
-                left = str(end)
+            rows = _written(task(case, chosen))
             with lock:
-                journal.add(case, [{"plant": on, "left": left}])
+                journal.add(case, rows)
         (row,) = journal.results[case]
-        if row["plant"] != on:
+        if row["plant"] not in ("", on):
             allowed = "the same plant, or another folder"
             raise InputError(f"folder: {path.name} is of another plant; allowed: {allowed}")
         if row["left"]:
@@ -181,6 +181,46 @@ def simulate_many(
     rows, every = _rows(made[0]).shape[0], settings.record_every
     time = np.arange(0, rows, every, dtype=np.float64) / first.machine.rate
     return ManyRuns(time, kept, units, tuple(left))
+
+
+class _Task(NamedTuple):
+    """One case, with all that a worker needs."""
+
+    number: int
+    run: Run
+    plant: Plant | Callable[[int], Plant]
+    unknowns: Unknowns | None
+    channels: tuple[str, ...]
+    folder: str | Path | None
+
+    @property
+    def path(self) -> Path:
+        """The frame that it writes."""
+        return Path(self.folder or "") / f"case_{self.number:05d}.parquet"
+
+    def of(self) -> int:
+        """Its own group of tasks."""
+        return self.number
+
+    def record(self, plant: Plant) -> Record:
+        """The channels of its run, and what was drawn for it."""
+        run, noted = self.run.but(plant=plant), dict[str, Any]()
+        if self.unknowns is not None:
+            run, noted = _drawn(run, self.unknowns.on(plant), self.number)
+        record, names = run.record(), self.channels
+        part, unit = {n: record[n] for n in names}, {n: record.units[n] for n in names}
+        return Record(record.time, part, unit, {**record.metadata, "unknowns": noted})
+
+
+def _written(task: _Task, _shared: dict[str, Any] | None = None) -> list[Row]:
+    """Run a case and write its frame; the row says of which plant it is, and why it has none."""
+    plant = task.plant(task.number) if callable(task.plant) else task.plant
+    left = ""
+    try:
+        task.record(plant).save(task.path)
+    except OutOfBounds as end:
+        left = str(end)
+    return [{"plant": _digest(plant.describe()), "left": left}]
 
 
 def _drawn(run: Run, unknowns: Unknowns, case: int) -> tuple[Run, dict[str, Any]]:

@@ -15,9 +15,9 @@ PAGES_AT_MOST = 55
 BUDGET = {
     "docs": 500,
     "docs/tutorials": 3570,
-    "docs/how_to": 20120,
+    "docs/how_to": 20160,
     "docs/explanation": 15991,
-    "docs/reference": 4819,
+    "docs/reference": 4779,
 }
 """Words of the pages in a folder, code included; what is made from data is left out."""
 DOCS = 45_000

@@ -26,6 +26,7 @@ from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.engine import Backend, Workers
 
 LAWS = ("velocity", "position_error_rate", "acceleration")
 
@@ -174,6 +175,26 @@ def test_a_folder_keeps_frames_and_the_same_call_runs_what_is_left(tmp_path: Pat
         simulate_many(built, None, 2.0 * valves, folder=folder, **how)
     with pytest.raises(InputError, match="case_0000[0-3].parquet is of another plant"):
         simulate_many(lambda case: built(case + 1), None, valves, folder=folder, **how)
+
+
+@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.slow)])
+def test_processes_and_clusters_write_what_threads_do(backend: Backend, tmp_path: Path) -> None:
+    """Machines drawn of a model of one's own."""
+    plant, valves = press(), np.full((3, 512, 2), 0.05)
+    how: dict[str, Any] = {"channels": KEPT, "start": plant.configuration([0.9, 0.9])}
+    how |= {"unknowns": LIKELY, "seed": 3, "record_every": 16}
+    (tmp_path / "b").mkdir()
+    alone = simulate_many(plant, None, valves, folder=tmp_path / "a", **how)
+    shared = simulate_many(
+        plant, None, valves, folder=tmp_path / "b", workers=Workers(2, backend), **how
+    )
+    assert alone.left == shared.left == ("", "", "")
+    for name in KEPT:
+        np.testing.assert_array_equal(alone[name], shared[name])
+    for path in sorted((tmp_path / "a").glob("case_*.parquet")):
+        assert Record.load(path).metadata == Record.load(tmp_path / "b" / path.name).metadata
+    with pytest.raises(InputError, match="workers: need a folder"):
+        simulate_many(plant, None, valves, workers=Workers(2), **how)
 
 
 def test_electronics_go_by_name() -> None:
