@@ -3,10 +3,11 @@
 It holds if the supply manifold never falls below a least pressure, by default 80 % of the set
 pressure. A leg that carries the load F moves at a speed in proportion to the root of the drop
 
-    d = (A_cap Ps - F) / (A_cap + A_rod)
+    d = (A_cap Ps - F) / (A_cap + A_rod) outwards,    d = (A_rod Ps + F) / (A_cap + A_rod) inwards
 
-across its ports. At 0.8 of 1500 psi and 7200 lbf the root, and the loop gain, has fallen by 13 %,
-as far as the report's fits to its hardware differ (Eqs 4.4, 4.12, 4.15, 4.18).
+across its ports. At 0.8 of 1500 psi and 7200 lbf the root, and the loop gain, has fallen by 13 %
+outwards, as far as the report's fits to its hardware differ (Eqs 4.4, 4.12, 4.15, 4.18), and by 7 %
+inwards.
 
 Manoeuvres go by name, or come from a file of a host's frames: time and six poses in SI, joined by
 quintics.
