@@ -376,7 +376,7 @@ def test_bad_modal_laws_are_named() -> None:
         (table | {"modes": {}}, "needs a table"),
         (table | {"modes": odd}, "off orthonormal by"),
         (LEG_PLAN | {"direct_gain": {"position": [1.0] * 6}}, "direct_gain.position: a list needs"),
-        (LEG_PLAN | {"direct_gain": {"position": [1.0] * 5}}, "at least 6"),
+        (LEG_PLAN | {"direct_gain": {"position": [1.0] * 5}}, "a number, or a list of 6"),
         (LEG_PLAN | {"plan": LEG_PLAN["plan"] | {"frequency": None}}, "frequency: is missing"),  # type: ignore[operator]
         (
             LEG_PLAN | {"reference_model": {"natural_frequency": 4.0, "damping_ratio": 0.7}},
