@@ -36,6 +36,7 @@ _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
     "time [s], surge, sway, heave [m], roll, pitch, yaw [rad]"
 )
+_MEASURES = "stiffness, disturbance rejection and noise, too"
 _SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
@@ -90,7 +91,7 @@ def compare_command(
     out: options.Out = Path("out/compare"),
     quick: options.Quick = False,
     records: Annotated[bool, Option(help="keep all runs, about 8 MB a case")] = True,
-    measures: Annotated[bool, Option("--measures", help="what compares laws, too")] = False,
+    measures: Annotated[bool, Option("--measures", help=_MEASURES)] = False,
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
