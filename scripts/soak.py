@@ -32,8 +32,7 @@ from websockets.typing import Origin, Subprotocol
 
 from cmf_mj import Hexapod, signals
 from cmf_mj.cli.common import show
-from cmf_mj.facility.host.files import write_stream
-from cmf_mj.facility.host.stream import from_command
+from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.facility.host.udp import UdpReceiver
 from cmf_mj.facility.operation import Operation, serve
 from cmf_mj.show.operation import account_table, save_operation, timing_table

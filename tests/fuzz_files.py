@@ -6,8 +6,7 @@ import numpy as np
 from fuzzing import damaged
 
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.facility.host.files import HostSession, write_stream
-from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.facility.host.stream import HostSession, make_stream, write_stream
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.facility_csv import write_facility_csv

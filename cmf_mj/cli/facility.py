@@ -77,8 +77,7 @@ def _end(operation: Operation) -> str:
 
 
 def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
-    from cmf_mj.facility.host.files import read_stream
-    from cmf_mj.facility.host.stream import resample, unit_doubts
+    from cmf_mj.facility.host.stream import read_stream, resample, unit_doubts
 
     stream = read_stream(file, derivatives=derivatives)
     doubts = unit_doubts(stream.time, stream.pose, cmf_mj.load_cab(cab).machine)

@@ -198,7 +198,7 @@ def capacity_command(
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
-    from cmf_mj.show import capacity as report
+    from cmf_mj.show import operation as report
     from cmf_mj.studies import asymptotes
     from cmf_mj.studies.capacity import capacity, manoeuvre
 

@@ -16,11 +16,12 @@ The loop takes a minute and a half to compile and is the same for every plant, l
 electronics, which are data. So object files are kept.
 """
 
-from collections.abc import Callable, Iterator
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import llvmlite.binding as llvm
 import numba
@@ -31,8 +32,9 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 from numpy.typing import NDArray
 
+from cmf_mj.core.compiled import assign, digest
 from cmf_mj.core.errors import RunError
-from cmf_mj.core.kept import kept
+from cmf_mj.core.files import whole_file
 
 PROCESSOR = "x86-64-v2"
 """Least processor the code runs on: any of the x86-64 family since 2009."""
@@ -186,3 +188,23 @@ def constant_data(blocks: dict[str, NDArray[np.uint8]]) -> bytes:
     for variable in parsed.global_variables:
         variable.visibility = "hidden"
     return bytes(_target().emit_object(parsed))
+
+
+def kept(name: str, of: Sequence[str], sources: Sequence[str], make: Callable[[], bytes]) -> bytes:
+    """Bytes that `make` makes of the things `of` by these `sources` and all compiled code.
+
+    Those of one name that other sources made are thrown away.
+    """
+    stamp, which = (
+        hashlib.sha256("\0".join(texts).encode()).hexdigest()[:12]
+        for texts in ([digest(), *sources], of)
+    )
+    folder = Path(cast("Any", assign).stats.cache_path)
+    file = folder / f"{name}-{stamp}-{which}.o"
+    if not file.is_file():
+        made = make()
+        for old in set(folder.glob(f"{name}-*.o")) - set(folder.glob(f"{name}-{stamp}-*.o")):
+            old.unlink(missing_ok=True)
+        with whole_file(file) as partial:
+            partial.write_bytes(made)
+    return file.read_bytes()

@@ -19,9 +19,8 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME, LONGEST
-from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring
-from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.facility.host.stream import HostSession, HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run

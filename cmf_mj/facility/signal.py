@@ -26,8 +26,8 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.front import Source, from_table
-from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.handover import make_log
+from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.result import Table, number
 from cmf_mj.core.units import DEGREE, INCH, STANDARD_GRAVITY
-from cmf_mj.facility.host.files import write_stream
+from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion, Tuned

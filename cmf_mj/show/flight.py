@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.core import units
 from cmf_mj.core.result import Cell, Column, Table
-from cmf_mj.facility.host.files import write_stream
+from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra

@@ -28,8 +28,7 @@ import cmf_mj
 from cmf_mj.cli.common import app
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table
-from cmf_mj.facility.host.files import write_stream
-from cmf_mj.facility.host.stream import from_command
+from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.signals import sine

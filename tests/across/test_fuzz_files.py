@@ -21,7 +21,7 @@ import cmf_mj
 from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Loader, Settings, validated
-from cmf_mj.facility.host.files import HostSession, read_stream
+from cmf_mj.facility.host.stream import HostSession, read_stream
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab

@@ -13,8 +13,7 @@ from fuzz_files import make_files
 from fuzzing import outcome, seams
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.files import read_stream
-from cmf_mj.facility.host.stream import unit_doubts
+from cmf_mj.facility.host.stream import read_stream, unit_doubts
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv

@@ -24,7 +24,6 @@ from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.play import Arrivals, feed, upsample
 from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
 from cmf_mj.core.compiled import allocating
-from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import (
     NEVER,
     capacity_for,
@@ -36,12 +35,15 @@ from cmf_mj.facility.host.handover import (
 )
 from cmf_mj.facility.host.stream import (
     HostFrame,
+    HostSession,
     HostStream,
     differentiate,
     from_command,
     make_stream,
+    read_stream,
     resample,
     unit_doubts,
+    write_stream,
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.host.udp import (

@@ -5,7 +5,7 @@ import pytest
 from cab_motions import pushed, sustained, turn_entry
 from shared import WORKING_STROKE, cmf
 
-from cmf_mj.facility.host.files import read_stream
+from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits

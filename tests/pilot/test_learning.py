@@ -11,8 +11,7 @@ from shared import cmf
 
 from cmf_mj import Hexapod, load_cab, load_hydraulics, signals
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.files import read_stream
-from cmf_mj.facility.host.stream import HostStream, from_command
+from cmf_mj.facility.host.stream import HostStream, from_command, read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue

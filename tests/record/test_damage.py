@@ -18,7 +18,7 @@ import pytest
 from cmf_mj import InputError
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.files import write_parquet
-from cmf_mj.facility.host.files import HostSession
+from cmf_mj.facility.host.stream import HostSession
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv

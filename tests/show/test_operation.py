@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, Record, signals
 from cmf_mj.cli.common import app
-from cmf_mj.facility.host.files import HostSession, write_stream
-from cmf_mj.facility.host.stream import HostStream, from_command
+from cmf_mj.facility.host.stream import HostSession, HostStream, from_command, write_stream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.operation import Operation, Timing, account, operate
 from cmf_mj.show import operation as operation_report

@@ -10,13 +10,12 @@ import pytest
 from hydraulic_equations import changed
 
 from cmf_mj import Hexapod, SingleLegs, load_law
-from cmf_mj.core import kept as module
-from cmf_mj.core.kept import kept
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export import machine_code
 from cmf_mj.export.fmu import export_fmu
 from cmf_mj.export.library import export_law, export_library
+from cmf_mj.export.machine_code import kept
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters import hydraulics_of
 
@@ -27,7 +26,7 @@ def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     place = tmp_path / "kept"
     place.mkdir()
     fake = SimpleNamespace(stats=SimpleNamespace(cache_path=str(place)))
-    monkeypatch.setattr(module, "assign", fake)
+    monkeypatch.setattr(machine_code, "assign", fake)
     return place
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cmf_mj.analysis.published import published, published_results
-from cmf_mj.report_2014.page import agreement as accounting
+from cmf_mj.report_2014.page import document as accounting
 from cmf_mj.report_2014.page import tables
-from cmf_mj.report_2014.page.agreement import first_screen
+from cmf_mj.report_2014.page.document import first_screen
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform, specs
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
