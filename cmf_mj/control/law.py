@@ -76,8 +76,7 @@ class Gains(Settings):
     def of_legs(self, signal: str) -> float:
         """Gain of a signal, where all legs share it.
 
-        Raises:
-            InputError: the gain is a list, one a mode.
+        A list, one a mode, is refused.
         """
         gain = getattr(self, signal)
         if is_per_mode(gain):
@@ -210,11 +209,8 @@ class Law(Settings):
     def bound_to(self, cab: str) -> "Law":
         """The law with the modes of one cab alone, as the DCL, which knows its cab, runs it.
 
-        Args:
-            cab: `gfd`, `rfd` or `ifd`, or the name of a plant without cabs.
-
-        Raises:
-            InputError: a law in hydraulic modes that has none of this cab.
+        That is `gfd`, `rfd` or `ifd`, or the name of a plant without cabs. A law in hydraulic modes
+        that has none of this cab is refused.
         """
         if self.coordinates == "legs":
             return self
@@ -230,11 +226,7 @@ class Law(Settings):
         return 1.0 / self.rate
 
     def on(self, machine: Machine) -> "Law":
-        """The law bound to a machine, at its control rate.
-
-        Raises:
-            InputError: as `at_rate`.
-        """
+        """The law bound to a machine, at its control rate."""
         return self.at_rate(machine.rate).model_copy(update={"machine": machine})
 
     def at_rate(self, rate: int) -> "Law":
@@ -244,9 +236,8 @@ class Law(Settings):
         and what enters its state is scaled by (1 - p') / (1 - p), so that the state settles at the
         same value: the zero-order hold of the same first-order filter.
 
-        Raises:
-            InputError: a rate or derivative pole that the new frame does not allow, or a pole A
-                below 0, which has no decay in time.
+        Refused are a rate or derivative pole that the new frame does not allow, and a pole A below
+        0, which has no decay in time.
         """
         if rate == self.rate:
             return self
@@ -272,8 +263,7 @@ class Law(Settings):
     def bound_modes(self) -> Modes | None:
         """Modes the law runs in; None for one in leg coordinates.
 
-        Raises:
-            InputError: the law has those of several cabs.
+        A law that has those of several cabs is refused.
         """
         if self.coordinates == "legs":
             return None
@@ -368,9 +358,6 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
         source: name of a shipped law, path of a TOML file holding one law, `file.toml:name` for
             one of several, the keys of such a table as a dictionary (and `name`, by default
             `custom`), or a law already loaded.
-
-    Raises:
-        InputError: no such law, unreadable file, or a refused field with its valid range.
 
     >>> cmf_mj.load_law("acceleration").title, cmf_mj.load_law("velocity").source
     ('Acceleration FB (+)', 'Table 2-5')

@@ -119,9 +119,6 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             frames: control frames of a step.
             seconds: longest run, then truncated [s].
             render_mode: `rgb_array`, or None.
-
-        Raises:
-            InputError: an argument out of range, named.
         """
         if render_mode is not None:
             check_name("render_mode", render_mode, self.metadata["render_modes"])

@@ -141,9 +141,7 @@ def machine_code(name: str, function: Callable[..., Any], kind: Any) -> bytes:
 
     It calls `function(parts, first, last)`, where Numba's type of the parts is `kind`. It allocates
     nothing; both pointers must be there and are not used.
-
-    Raises:
-        RunError: the code needs other functions than those `KNOWN`; Numba has changed.
+    Raises `RunError` if it needs other functions than those `KNOWN`: Numba has changed.
     """
     files = Path(__file__), Path(function.__code__.co_filename)
     sources = [*(file.read_text(encoding="utf-8") for file in files)]

@@ -22,12 +22,7 @@ def scenario_names() -> tuple[str, ...]:
 def load_scenario(source: str | Path) -> Run:
     """A scenario by the name of a shipped one, or from a TOML file.
 
-    Args:
-        source: the name, or a file; names of files in it count from its folder.
-
-    Raises:
-        InputError: an unknown name, an unreadable file, or one line a refused key with what is
-            allowed.
+    Names of files in it count from its folder; a refusal has one line a key, with what is allowed.
 
     >>> scenario = cmf_mj.load_scenario("heave_sine")
     >>> scenario.law, scenario.duration

@@ -201,9 +201,8 @@ class Session:
     def run(self, frames: int | None = None) -> None:
         """Run a number of control frames, by default all that are left.
 
-        Raises:
-            OutOfBounds: the state left its bounds, or MuJoCo warns; what and when are named.
-            InputError: the plant is another run's by now, or another thread's.
+        Raises `OutOfBounds` where the state leaves its bounds or MuJoCo warns; what and when are
+        named. A plant that is another run's by now, or another thread's, is refused.
         """
         if self.frame == 0:
             state = self.controller.state.arrays()

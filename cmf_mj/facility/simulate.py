@@ -57,9 +57,7 @@ def simulate(
         the halves of a closed gimbal since the row before. `leg_position` is what the sensors
         read, `leg_extension` what is true.
 
-    Raises:
-        InputError: an argument out of range, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    Raises `OutOfBounds` where the state leaves its physical bounds; leg, time and value are named.
 
     >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=2.0, cycles=1)
     >>> record = cmf_mj.simulate(cmf_mj.Hexapod(), "velocity", command)
@@ -81,12 +79,7 @@ def drive(plant: Plant, valves: ArrayLike, **options: Any) -> Record:
         **options: as for `simulate`; `command_delay` is that from a row to the valves, by
             default 0.
 
-    Returns:
-        The channels of `simulate` without those of demand and DCL.
-
-    Raises:
-        InputError: an argument out of range, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    The record has the channels of `simulate` without those of demand and DCL; errors are the same.
 
     >>> record = cmf_mj.drive(cmf_mj.SingleLegs(), np.full((200, 6), 0.1))
     >>> bool((record["leg_extension"][-1] > 0.0).all())

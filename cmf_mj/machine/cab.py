@@ -109,9 +109,7 @@ class Cab(RigidBody):
             nominal: cab that control laws assume; default itself.
             **cab: as `platform`, of the cab.
 
-        Raises:
-            InputError: name of a shipped cab or one that `checked_name` refuses, or a refused
-                number.
+        The name of a shipped cab is refused.
 
         >>> heavy = cmf_mj.load_cab("gfd").changed("heavy", mass=12000.0)
         >>> heavy.mass.si, heavy.platform.mass.si
@@ -210,9 +208,7 @@ def load_cab(
             or a cab loaded already; default the machine's first.
         machine: by name, TOML file or loaded; default that of a loaded cab, or the CMF.
 
-    Raises:
-        InputError: no such machine or cab, unreadable file, a refused field with what is allowed,
-            a changed cab under the name of one of the machine's, or a cab of another machine.
+    A changed cab under the name of one of the machine's is refused, and one of another machine.
 
     >>> cmf_mj.load_cab("rfd").centre_of_mass.value
     (0.05, 0.0, 0.9)

@@ -275,15 +275,10 @@ def _conditioning(shape: Geometry) -> float:
 
 
 def load_machine(source: str | Path | Machine = models.CMF) -> Machine:
-    """Load a machine.
+    """Load a shipped machine by name, or a TOML file of the form that heads this module.
 
-    Args:
-        source: a shipped machine by name, a TOML file of the form that heads this module, or a
-            machine loaded already.
-
-    Raises:
-        InputError: no such machine, an unreadable file, a refused field with what is allowed, or
-            another machine under a shipped one's name.
+    What is loaded already comes back as it is; another machine under a shipped one's name is
+    refused.
 
     >>> cmf_mj.load_machine("cmf").legs.half_stroke.si
     0.9652

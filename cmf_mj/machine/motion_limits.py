@@ -31,11 +31,7 @@ _REJOIN = {
 def load_motion_limits(
     source: str | Path | MotionLimits | None = None, machine: str | Path | Machine = models.CMF
 ) -> MotionLimits:
-    """Limits of a machine, or those of a TOML file, which repeats what it changes of them.
-
-    Raises:
-        InputError: a refused machine, an unreadable file or a refused field; each is named.
-    """
+    """Limits of a machine, or those of a TOML file, which repeats what it changes of them."""
     if isinstance(source, MotionLimits):
         return source
     limits = _of(load_machine(machine))

@@ -271,9 +271,7 @@ class ScriptedFlight:
     def states(self) -> Iterator[AircraftState]:
         """Fly; yields the state 80 times a second, with time from 0 and heading without wrapping.
 
-        Raises:
-            MissingExtraError: JSBSim is not installed.
-            InputError: no such aircraft, or it cannot be trimmed.
+        Raises `MissingExtraError` without JSBSim; an aircraft that cannot be trimmed is refused.
         """
         script = SCRIPTS[self.name]
         airframe = Airframe(self.aircraft, seed=self.seed)

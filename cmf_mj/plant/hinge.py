@@ -113,9 +113,6 @@ def attach_to_hinges(
         against: hinges that turn to negative angles as their cylinder extends.
         **options: `payload` and `timestep`, as for `attach_hydraulics`.
 
-    Raises:
-        InputError: a hinge, torque, range or arm that no cylinder fits, with what is allowed.
-
     >>> door = mujoco.MjSpec.from_string('''<mujoco model="door"><worldbody><body>
     ...   <joint name="hinge" axis="0 0 1" range="-45 45"/><geom size="0.1" pos="0.5 0 0"/>
     ... </body></worldbody></mujoco>''')

@@ -130,9 +130,6 @@ def headless(spec: mujoco.MjSpec) -> mujoco.MjModel:
     A geom stays where it can collide (`contype` or `conaffinity`) or where its body moves and has
     no inertia of its own, so that it weighs what its geoms do. With the last geom go meshes,
     materials and textures.
-
-    Raises:
-        ValueError: what `MjSpec.compile` raises.
     """
     bare = spec.copy()
     for geom in list(bare.geoms):

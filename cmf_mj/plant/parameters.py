@@ -243,11 +243,7 @@ naming one of them and one table of changes."""
 def hydraulics_of(
     machine: Machine, source: str | Path | HydraulicParameters | None = None
 ) -> HydraulicParameters:
-    """A hydraulic set, by default that of the machine, whose half stroke its cylinders have.
-
-    Raises:
-        InputError: as `load_hydraulics`, or a refused table of the machine.
-    """
+    """A hydraulic set, by default that of the machine, whose half stroke its cylinders have."""
     return _own(machine) if source is None else load_hydraulics(source)
 
 

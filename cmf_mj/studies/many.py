@@ -83,8 +83,7 @@ def simulate_many(
         progress: called with (cases done, cases in all) after each.
         **options: as for `simulate` and `drive`, the same for all cases.
 
-    Raises:
-        InputError: an argument out of range, named; with the number of the case where it is one's.
+    A refusal that is one case's names its number.
 
     >>> poses = np.zeros((3, 200, 6))
     >>> poses[:, :, 2] = np.array([[0.001], [0.002], [0.003]])  # three depths, held
@@ -92,95 +91,126 @@ def simulate_many(
     >>> runs["leg_extension"].shape, runs.left
     ((3, 4, 6), ('', '', ''))
     """
-    first = plant(0) if callable(plant) else plant
     named = [law] if law is None or isinstance(law, str | Law) else law
     laws = [None if one is None else load_law(one) for one in named]
     table = LegDemand if legs else ValveCommands if law is None else None
-    made = _commands(commands, table, first.machine.rate)
-    count = len(made)
-    if len(laws) not in (1, count):
-        raise InputError(f"law: {len(laws)} for {count} cases; allowed: one, or one a case")
-    if count == 0 or not channels:
-        raise InputError("commands, channels: none is given; allowed: at least one")
     how = ({"command_delay": 0} if law is None else {}) | options | {"seed": seed}
-    settings = Run(plant=first, law=laws[0], source=made[0], **how)
-    journal = None
-    if folder is not None:
-        identity = {
-            "plant": "one a case" if callable(plant) else _digest(first.describe()),
-            "laws": _digest([one and one.model_dump(mode="json") for one in laws]),
-            "commands": _digest([_rows(one).tolist() for one in made]),
-            "start": None if settings.start is None else np.asarray(settings.start).tolist(),
-            "unknowns": {k: one.model_dump(mode="json") for k, one in (unknowns or {}).items()},
-            "settings": settings.model_dump(mode="json", exclude={"plant", "law"}),
-            "channels": list(channels),
+    cases = _Cases(plant, laws, commands, table, how, channels, unknowns, folder)
+    if workers is not None:
+        cases.write(workers, progress)
+    left = on_threads(cases.run, range(cases.count), threads, progress)
+    if not cases.kept:
+        raise OutOfBounds(f"all {cases.count} cases: {left[0]}", 0)
+    return ManyRuns(cases.time, cases.kept, cases.units, tuple(left))
+
+
+class _Cases:
+    """The cases of one call, on whatever they run, and what they have left so far."""
+
+    def __init__(
+        self,
+        plant: Plant | Callable[[int], Plant],
+        laws: Sequence[Law | None],
+        commands: Any,
+        table: Any,
+        how: dict[str, Any],
+        channels: Sequence[str],
+        unknowns: Unknowns | None,
+        folder: str | Path | None,
+    ) -> None:
+        """Refuse what cannot be run, and open the journal of the folder."""
+        first = plant(0) if callable(plant) else plant
+        self.plant, self.laws, self.channels = plant, laws, tuple(channels)
+        self.unknowns, self.folder = unknowns, folder
+        self.commands = _commands(commands, table, first.machine.rate)
+        self.count = len(self.commands)
+        if len(laws) not in (1, self.count):
+            text = f"law: {len(laws)} for {self.count} cases; allowed: one, or one a case"
+            raise InputError(text)
+        if self.count == 0 or not channels:
+            raise InputError("commands, channels: none is given; allowed: at least one")
+        self.settings = Run(plant=first, law=laws[0], source=self.commands[0], **how)
+        rows, every = len(_rows(self.commands[0])), self.settings.record_every
+        self.time = np.arange(0, rows, every, dtype=np.float64) / first.machine.rate
+        self.kept: dict[str, NDArray[np.float64]] = {}
+        self.units: dict[str, str] = {}
+        self._lock, self._spare = threading.Lock(), SimpleQueue[Plant]()
+        self._journal = None if folder is None else Journal(Path(folder), self._identity(first))
+
+    def _identity(self, first: Plant) -> dict[str, Any]:
+        """What the frames of a folder are of."""
+        start, unknowns = self.settings.start, dict[str, Any](self.unknowns or {})
+        return {
+            "plant": "one a case" if callable(self.plant) else _digest(first.describe()),
+            "laws": _digest([one and one.model_dump(mode="json") for one in self.laws]),
+            "commands": _digest([_rows(one).tolist() for one in self.commands]),
+            "start": None if start is None else np.asarray(start).tolist(),
+            "unknowns": {name: one.model_dump(mode="json") for name, one in unknowns.items()},
+            "settings": self.settings.model_dump(mode="json", exclude={"plant", "law"}),
+            "channels": list(self.channels),
         }
-        journal = Journal(Path(folder), identity)
-    elif workers is not None:
-        raise InputError("workers: need a folder, where they write; allowed: with folder only")
 
-    def task(case: int, chosen: Plant | Callable[[int], Plant]) -> _Task:
-        about = {} if callable(chosen) else {"plant": chosen}
-        one = settings.but(law=laws[case % len(laws)], source=made[case], **about)
-        return _Task(case, one, chosen, unknowns, tuple(channels), folder)
+    def task(self, case: int, plant: Plant | Callable[[int], Plant]) -> "_Task":
+        """A case on a plant."""
+        about = {} if callable(plant) else {"plant": plant}
+        law = self.laws[case % len(self.laws)]
+        run = self.settings.but(law=law, source=self.commands[case], **about)
+        return _Task(case, run, plant, self.unknowns, self.channels, self.folder)
 
-    if journal is not None and workers is not None:
+    def write(self, workers: Workers, progress: Callable[[int, int], None] | None) -> None:
+        """Let workers write the frames that are not there yet."""
+        if self._journal is None:
+            raise InputError("workers: need a folder, where they write; allowed: with folder only")
         work = Work(_written, lambda error: [{"plant": "", "left": repr(error)}], _Task.of)
-        run_tasks(journal, [task(case, plant) for case in range(count)], work, workers, progress)
-    spare: SimpleQueue[Plant] = SimpleQueue()
-    lock, kept, units = threading.Lock(), {}, {}
+        tasks = [self.task(case, self.plant) for case in range(self.count)]
+        run_tasks(self._journal, tasks, work, workers, progress)
 
-    def machine(case: int) -> Plant:
-        if not isinstance(plant, Plant):
-            return plant(case)
+    def run(self, case: int) -> str:
+        """Run a case and keep its channels; why it left its bounds, empty where it did not."""
+        plant = self._machine(case)
         try:
-            return spare.get_nowait()
-        except Empty:
-            return copy.deepcopy(plant)
-
-    def finished(case: int, chosen: Plant) -> Record:
-        """The record of a case, which the folder may have already."""
-        if journal is None:
-            return task(case, chosen).record(chosen)
-        path, on = task(case, chosen).path, _digest(chosen.describe())
-        if case not in journal.results:
-            rows = _written(task(case, chosen))
-            with lock:
-                journal.add(case, rows)
-        (row,) = journal.results[case]
-        if row["plant"] not in ("", on):
-            allowed = "the same plant, or another folder"
-            raise InputError(f"folder: {path.name} is of another plant; allowed: {allowed}")
-        if row["left"]:
-            raise OutOfBounds(row["left"], 0)
-        return Record.load(path)
-
-    def run(case: int) -> str:
-        chosen = machine(case)
-        try:
-            record = finished(case, chosen)
+            record = self._record(case, plant)
         except OutOfBounds as end:
             return str(end)
         except InputError as refusal:
             raise InputError(f"case {case}: {refusal}") from None
         finally:
-            if isinstance(plant, Plant):
-                spare.put(chosen)
-        with lock:
-            for name in channels:
-                if name not in kept:
-                    kept[name] = np.full((count, *record[name].shape), np.nan)
-                    units[name] = record.units[name]
-        for name in channels:
-            kept[name][case] = record[name]
+            if isinstance(self.plant, Plant):
+                self._spare.put(plant)
+        with self._lock:
+            for name in self.channels:
+                if name not in self.kept:
+                    self.kept[name] = np.full((self.count, *record[name].shape), np.nan)
+                    self.units[name] = record.units[name]
+        for name in self.channels:
+            self.kept[name][case] = record[name]
         return ""
 
-    left = on_threads(run, range(count), threads, progress)
-    if not kept:
-        raise OutOfBounds(f"all {count} cases: {left[0]}", 0)
-    rows, every = _rows(made[0]).shape[0], settings.record_every
-    time = np.arange(0, rows, every, dtype=np.float64) / first.machine.rate
-    return ManyRuns(time, kept, units, tuple(left))
+    def _machine(self, case: int) -> Plant:
+        """A plant that no other thread runs."""
+        if not isinstance(self.plant, Plant):
+            return self.plant(case)
+        try:
+            return self._spare.get_nowait()
+        except Empty:
+            return copy.deepcopy(self.plant)
+
+    def _record(self, case: int, plant: Plant) -> Record:
+        """The record of a case, which the folder may have already."""
+        task = self.task(case, plant)
+        if self._journal is None:
+            return task.record(plant)
+        if case not in self._journal.results:
+            rows = _written(task)
+            with self._lock:
+                self._journal.add(case, rows)
+        (row,) = self._journal.results[case]
+        if row["plant"] not in ("", _digest(plant.describe())):
+            allowed = "the same plant, or another folder"
+            raise InputError(f"folder: {task.path.name} is of another plant; allowed: {allowed}")
+        if row["left"]:
+            raise OutOfBounds(row["left"], 0)
+        return Record.load(task.path)
 
 
 class _Task(NamedTuple):
