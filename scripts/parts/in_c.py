@@ -28,7 +28,8 @@ from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.core.result import Table
-from cmf_mj.export.law_source import LEGS, law_source, operations
+from cmf_mj.export.law_source import LEGS, law_source
+from cmf_mj.export.operations import operations
 from cmf_mj.facility.replay import FEEDBACK, _run
 
 Array = NDArray[np.float64]

@@ -14,8 +14,9 @@ from cmf_mj import Hexapod, Run, law_names, load_cab, load_law, pose_to_legs
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.core.errors import InputError
-from cmf_mj.export.law_source import law_source, operations, stated
+from cmf_mj.export.law_source import law_source
 from cmf_mj.export.library import export_law, export_library
+from cmf_mj.export.operations import operations, stated
 from cmf_mj.facility.front import from_table
 from cmf_mj.plant.parameters import hydraulics_of
 
