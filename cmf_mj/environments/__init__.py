@@ -18,6 +18,6 @@ __all__ = ["MachineEnv", "ObservedQuantity"]
 if "cmf_mj/Hexapod-v0" not in gymnasium.registry:
     gymnasium.register(
         "cmf_mj/Hexapod-v0",
-        entry_point="cmf_mj.environments.hexapod:HexapodEnv",
+        entry_point="cmf_mj.environments.environment:HexapodEnv",
         vector_entry_point="cmf_mj.environments.vector:hexapods",
     )

@@ -17,8 +17,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from cmf_mj.core.arrays import whole
-from cmf_mj.environments.environment import MachineEnv, checked
-from cmf_mj.environments.hexapod import HexapodEnv
+from cmf_mj.environments.environment import HexapodEnv, MachineEnv, checked
 
 if TYPE_CHECKING:
     _Side = SyncVectorEnv[NDArray[np.float32], NDArray[np.float32]]

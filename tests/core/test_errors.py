@@ -15,7 +15,7 @@ from scipy import signal
 from cmf_mj import Hexapod, InputError, Linear, NoPoseError, Record, SingleLegs, load_law, signals
 from cmf_mj.analysis.frequency_response import frequency_response
 from cmf_mj.analysis.measures import Measures, measure_records, step_metrics
-from cmf_mj.environments.hexapod import HexapodEnv
+from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.study import step_figure
 from cmf_mj.studies import evaluation
@@ -112,6 +112,6 @@ def test_an_environment_lets_a_refusal_through(monkeypatch: pytest.MonkeyPatch) 
         assert np.isfinite(env.observation()).all()
         assert not env._apart.any()
     legs[:] = 0.0
-    monkeypatch.setattr("cmf_mj.environments.hexapod.legs_to_pose", refuse)
+    monkeypatch.setattr("cmf_mj.environments.environment.legs_to_pose", refuse)
     with pytest.raises(InputError, match="law: is refused"):
         env.observation()

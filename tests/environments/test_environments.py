@@ -13,7 +13,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 from cmf_mj import InputError, attach_hydraulics, drive, load_law, pose_to_legs, simulate
 from cmf_mj.environments import MachineEnv, ObservedQuantity
-from cmf_mj.environments.hexapod import HexapodEnv
+from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.environments.vector import ThreadVectorEnv, hexapods
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.facility.unknown import Unknown
