@@ -5,6 +5,8 @@ each factor after a slash divides. Factors come from `scipy.constants` (CODATA a
 international yard and pound agreement); the only additions are the per cent of valve command,
 the spelled-out unit of "no dimension" and the root hertz of noise densities (per cycle, not per
 radian: a density d of one-sided power d^2 per Hz has the variance d^2 f over a band of f Hz).
+
+Below stand the facility's control rate and frame, in which its time is counted.
 """
 
 from typing import TypeVar

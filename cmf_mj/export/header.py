@@ -86,25 +86,56 @@ def platform_joint(frozen: Frozen) -> int:
 
 def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     """Constant bytes by their C names, and the text of `cmf_machine.h`."""
-    image, model = frozen.image, frozen.plant.model
     listed, table = parameters(frozen), channels(frozen)
-    machine = int(frozen.digest, 16)
-    head = np.array([0, machine, 0, 0, 0, 0, 0], dtype=np.int64)
     starts = np.array([parameter.start for parameter in listed])
+    inertia = frozen.plant.model.body_inertia[payload_body(frozen)].tolist()
+    slots = {path.replace(".", "_"): slot for path, slot in frozen.image.at.items()}
+    text = [
+        "/* One machine, as exported. */",
+        *defines("CMF", _numbers(frozen, listed, table)),
+        *defines("AT", slots),
+        _array("int cmf_pointers", map(str, frozen.image.pointers)),
+        _array("double cmf_starts", map(repr, starts.tolist())),
+        _array("double cmf_inertia", map(repr, inertia)),
+        _array("cmf_channel_info cmf_channel_table", (_row(c) for c in table)),
+        _array("cmf_parameter_info cmf_parameter_table", (_row(p) for p in listed)),
+        _array("cmf_failure_info cmf_failure_table", map(_failure, KINDS)),
+    ]
+    for request in Request:
+        agree = f"CMF_REQUEST_{request.name} == {request.value}"
+        text.append(f"typedef char cmf_{request.name.lower()}_is_that[{agree} ? 1 : -1];")
+    return _blocks(frozen, starts), "\n".join([*text, ""])
+
+
+def _blocks(frozen: Frozen, starts: NDArray[np.float64]) -> dict[str, NDArray[np.uint8]]:
+    """Constant bytes by their C names; a machine in memory begins as `cmf_start_data` says."""
+    image = frozen.image
+    # `head_t` of `cmf.c` up to its parameters: of the state nothing yet, whose state it is.
+    head = np.array([0, int(frozen.digest, 16), 0, 0, 0, 0, 0], dtype=np.int64)
     warned = np.zeros(2 * int(mujoco.mjtWarning.mjNWARNING), dtype=np.int32)
-    blocks = {
+    start = (head, starts, frozen.mechanics, frozen.sensors, warned, image.block)
+    return {
         "cmf_slots_data": _bytes(image.slots),
         "cmf_arena_data": image.block,
         "cmf_model_data": frozen.model,
-        "cmf_start_data": _bytes(
-            head, starts, frozen.mechanics, frozen.sensors, warned, image.block
-        ),
+        "cmf_start_data": _bytes(*start),
     }
+
+
+_DEMAND = ("blocks.geometry.upper", "blocks.states.fade")
+"""Slots of the controller's source from and to which those are that make demands of host frames."""
+
+
+def _numbers(
+    frozen: Frozen, listed: list[ExportedParameter], table: list[ExportedChannel]
+) -> dict[str, object]:
+    """Numbers that the C source knows by name: sizes, places and what the machine has."""
+    image = frozen.image
     columns = {channel.name: channel.first for channel in table}
     joint = platform_joint(frozen)
     numbers: dict[str, object] = {
         "MUJOCO": mujoco.mj_version(),
-        "DIGEST": f"{machine}u",
+        "DIGEST": f"{int(frozen.digest, 16)}u",
         "SLOTS": image.slots.size,
         "ARENA": image.block.size,
         "MODEL": frozen.model.size,
@@ -127,31 +158,12 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
         "ATMOSPHERE": repr(ATMOSPHERE),
         "PARAMETERS": len(listed),
     }
-    for number, parameter in enumerate(listed):
-        numbers["P_" + _upper(parameter.name)] = number
+    numbers |= {f"P_{_upper(parameter.name)}": place for place, parameter in enumerate(listed)}
     numbers["P_GAIN"] = numbers[f"P_GAIN_{_upper(SIGNALS[0])}"]
     if frozen.chain:
         begin, end = (image.at[f"controller.source.{name}"] for name in _DEMAND)
         numbers["DEMAND_SLOTS"] = end - begin
-    text = defines("CMF", numbers)
-    text += defines("AT", {path.replace(".", "_"): slot for path, slot in image.at.items()})
-    inertia = model.body_inertia[payload_body(frozen)].tolist()
-    text += [
-        _array("int cmf_pointers", map(str, image.pointers)),
-        _array("double cmf_starts", map(repr, starts.tolist())),
-        _array("double cmf_inertia", map(repr, inertia)),
-        _array("cmf_channel_info cmf_channel_table", (_row(c) for c in table)),
-        _array("cmf_parameter_info cmf_parameter_table", (_row(p) for p in listed)),
-        _array("cmf_failure_info cmf_failure_table", map(_failure, KINDS)),
-    ]
-    for request in Request:
-        agree = f"CMF_REQUEST_{request.name} == {request.value}"
-        text.append(f"typedef char cmf_{request.name.lower()}_is_that[{agree} ? 1 : -1];")
-    return blocks, "\n".join(["/* One machine, as exported. */", *text, ""])
-
-
-_DEMAND = ("blocks.geometry.upper", "blocks.states.fade")
-"""First of the geometry, and what follows it."""
+    return numbers
 
 
 def defines(prefix: str, numbers: Mapping[str, object]) -> list[str]:

@@ -83,11 +83,7 @@ def linearize(
     >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)
     ('command_1', True)
     """
-    point = (
-        at
-        if at is not None
-        else operating_point(plant, pose, excitation=excitation, friction=friction)
-    )
+    point = at or operating_point(plant, pose, excitation=excitation, friction=friction)
     legs = plant.legs
     valves = [_valve_states(plant, name) for name in plant.actuators]
     number = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
@@ -101,8 +97,7 @@ def linearize(
     network = _network(plant)
     system = _Rows([*lags, *labels(motion, legs), *network], labels(("command",), legs))
     _fill_mechanics(plant, point, system)
-    drawn: dict[str, float] = {}
-    returned: dict[str, float] = {}
+    drawn, returned = dict[str, float](), dict[str, float]()
     for leg in range(legs):
         _fill_hydraulics(plant, point, system, leg, valves[leg], drawn, returned)
     if network:
@@ -173,12 +168,15 @@ def _fill_hydraulics(
     drawn: dict[str, float],
     returned: dict[str, float],
 ) -> None:
-    """Lags and chambers of one leg; what it draws and returns is added to the two rows."""
+    """Lags and chambers of one leg; what it draws from and returns to the manifolds is added up.
+
+    `valves` are the suffixes of the states of its valves, alike where they share them.
+    """
     hydraulics, number = plant.hydraulics, f"_{leg + 1}" if plant.legs > 1 else ""
     cylinder = hydraulics.cylinder[leg]
-    for index, valve in dict(zip(valves, range(len(valves)), strict=True)).items():
-        a, b = _corners(plant, plant.actuators[leg], valve)
-        drive, spool = f"drive{index}{number}", f"spool{index}{number}"
+    for suffix in dict.fromkeys(valves):
+        a, b = _corners(plant, plant.actuators[leg], valves.index(suffix))
+        drive, spool = f"drive{suffix}{number}", f"spool{suffix}{number}"
         system.add(drive, **{drive: -a, f"command{number}": a})
         system.add(spool, **{spool: -b, drive: b})
     extension = point.mechanics.extension[leg]
@@ -191,6 +189,7 @@ def _fill_hydraulics(
     position = f"leg_position{number}"
 
     def flow(row: int) -> dict[str, float]:
+        """What a port's flow depends on."""
         terms = {
             cap: slopes.pressure[row, ports.CAP],
             rod: slopes.pressure[row, ports.ROD],
