@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 
-LONGEST = 5.0
-"""Seconds that a refusal, or what comes before the work, may take."""
+LONGEST = 5.0  #: Seconds that a refusal, or what comes before the work, may take.
 
 SEAMS = (
     "facility.session:Session.run",

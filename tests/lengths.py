@@ -2,8 +2,7 @@
 
 from hypothesis import settings
 
-LONG, WHOLE = "long", "whole"
-"""Hypothesis profiles of `make test-all` and `make search`."""
+LONG, WHOLE = "long", "whole"  #: Hypothesis profiles of `make test-all` and `make search`.
 
 _SHARE, _TIMES = 5, 10
 """The short search has one in so many examples of the long one, the whole so many times as many."""

@@ -26,8 +26,7 @@ from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
 FOLDER = "CMF_MJ_SHARED_RUNS"
 """Variable of the environment with the folder that all workers of a suite see."""
 
-WORKING_STROKE = 37.5 * INCH
-"""Leg travel of the CMF's control law either way [m] (section 3.2.1)."""
+WORKING_STROKE = 37.5 * INCH  #: Leg travel of the CMF's control law either way [m] (section 3.2.1).
 
 Result = TypeVar("Result")
 

@@ -48,17 +48,13 @@ from cmf_mj.signals.composite import OrthogonalMultisines
 from cmf_mj.signals.signal import Signal
 from cmf_mj.signals.single import Multisine
 
-_HIGHEST = 10.5
-"""Highest line of rounds [Hz], above the 10 Hz of Table 2-3."""
+_HIGHEST = 10.5  #: Highest line of rounds [Hz], above the 10 Hz of Table 2-3.
 
-GRAZE = 10.0
-"""Distance of the phase from -90 deg within which it counts as grazing [deg]."""
+GRAZE = 10.0  #: Distance of the phase from -90 deg within which it counts as grazing [deg].
 
-LINGER = 4.0
-"""How many times as far the phase goes about -90 deg as before where it lingers."""
+LINGER = 4.0  #: How many times as far the phase goes about -90 deg as before where it lingers.
 
-NOISE = 2.0
-"""How far above -90 deg the phase must come back to fall through it once more [deg]."""
+NOISE = 2.0  #: How far above -90 deg the phase must come back to fall through it once more [deg].
 
 
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]

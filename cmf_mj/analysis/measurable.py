@@ -22,8 +22,7 @@ EXCITED_SHARE = 1e-5
 """Likewise for any excitation: a multisine of equal accelerations has 1e-4 at ten times its corner.
 """
 
-_ELASTIC = 0.05
-"""What legs may be beyond their stops, which give way [m]."""
+_ELASTIC = 0.05  #: What legs may be beyond their stops, which give way [m].
 
 NO_DEMAND = 1e-9
 """Demand [m or rad] that is round-off of the transformation to a degree of freedom."""

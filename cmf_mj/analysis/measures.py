@@ -42,20 +42,16 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.record.record import Record
 from cmf_mj.signals.single import Step
 
-TAIL = 1.0
-"""Length of the window that gives the final value and the verdict [s]."""
+TAIL = 1.0  #: Length of the window that gives the final value and the verdict [s].
 
 NO_OVERSHOOT = 1e-3
 """Overshoot below which a step response counts as having none (damping ratio 0.91)."""
 
-RESIDUAL = 0.02
-"""Swing over the last window, relative to the leg step, that counts as settled."""
+RESIDUAL = 0.02  #: Swing over the last window, relative to the leg step, that counts as settled.
 
-DECAY = 0.75
-"""Swing of the last window over that of `DECAY_TIME` earlier that counts as ending."""
+DECAY = 0.75  #: Swing of the last window over that of `DECAY_TIME` earlier that counts as ending.
 
-DECAY_TIME = 3.0
-"""Distance of the two windows of the verdict [s]."""
+DECAY_TIME = 3.0  #: Distance of the two windows of the verdict [s].
 
 REST, REST_TIME = 0.1, 0.25
 """Motion before the step, over the step, and the time it is looked for in [s], up to which a

@@ -43,8 +43,7 @@ class MotionNoise(NamedTuple):
 
     fundamental: float  #: A1 [unit of the signal].
     low_harmonics: float  #: Harmonics 2 and 3.
-    high_harmonics: float
-    """Harmonics 4 to 20, or to the highest below half the sampling rate."""
+    high_harmonics: float  #: Harmonics 4 to 20, or to the highest below half the sampling rate.
     stochastic: float  #: What is left.
     total: float  #: Root sum of squares of the three shares.
     peak: float  #: Largest deviation from the fundamental over A1.

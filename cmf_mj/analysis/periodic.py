@@ -14,8 +14,7 @@ from cmf_mj.core.errors import InputError
 class SineFit(NamedTuple):
     """Sines with an offset, and what is left."""
 
-    amplitude: NDArray[np.complex128]
-    """Complex amplitudes a of Re(a e^(j angle)), (K,) or (K, n)."""
+    amplitude: NDArray[np.complex128]  #: Complex amplitudes a of Re(a e^(j angle)), (K,) or (K, n).
     offset: NDArray[np.float64]  #: Mean without the sines, () or (n,).
     remainder: NDArray[np.float64]  #: Values less the fit, (N,) or (N, n).
 

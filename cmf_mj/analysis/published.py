@@ -26,8 +26,7 @@ _OTHERS = {
 }
 """Other readings of a law's gains, compared with all rows that name the law."""
 
-Names = Annotated[tuple[str, ...], BeforeValidator(as_tuples)]
-"""A list of names of a table."""
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuples)]  #: A list of names of a table.
 
 
 class Published(Settings):

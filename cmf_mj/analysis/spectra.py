@@ -34,14 +34,11 @@ from cmf_mj.core.errors import InputError, check_name
 Estimator = Literal["h1", "h2", "hv", "report"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-SEGMENT = 20.0
-"""Length of Welch's segments [s]: lines every 0.05 Hz."""
-CONFIDENCE = 0.95
-"""Probability that the true response lies within the bound."""
+SEGMENT = 20.0  #: Length of Welch's segments [s]: lines every 0.05 Hz.
+CONFIDENCE = 0.95  #: Probability that the true response lies within the bound.
 DRIVEN = 1e-6
 """Amplitude over the largest one from which on a line of a periodic input counts as driven."""
-NEIGHBOURS = 16
-"""Lines about a sine from which its noise is taken."""
+NEIGHBOURS = 16  #: Lines about a sine from which its noise is taken.
 
 
 class Estimate(NamedTuple):

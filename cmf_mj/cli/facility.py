@@ -23,11 +23,9 @@ if TYPE_CHECKING:
 command = partial(app.command, rich_help_panel="Facility")
 drawing = options.drawing(command)
 
-BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}
-"""Operating states in which a run may begin."""
+BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}  #: Operating states in which a run may begin.
 
-PROTOCOLS = ("cmf", "moog")
-"""What a host may speak to `cmf serve`."""
+PROTOCOLS = ("cmf", "moog")  #: What a host may speak to `cmf serve`.
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
@@ -234,8 +232,7 @@ def replay_command(
     show(report.replay_summary(replayed), f"written: {path}")
 
 
-EXPORTS = ("library", "law", "fmu")
-"""What leaves Python."""
+EXPORTS = ("library", "law", "fmu")  #: What leaves Python.
 
 
 @command("export")

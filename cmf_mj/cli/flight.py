@@ -26,10 +26,8 @@ _FLOWN = "name or file; with --from a recording, or the UDP port of live telemet
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
 ShippedFlight = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)]
-_KNOWN = 6
-"""Drawn machines that a learner is made for; those it is tried on are others."""
-_QUICK = (0.631, 2.512, 10.0)
-"""Frequencies of a quick test [rad/s]."""
+_KNOWN = 6  #: Drawn machines that a learner is made for; those it is tried on are others.
+_QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
 
 def _port(source: str) -> int | None:

@@ -21,8 +21,7 @@ Machine = Annotated[str, argument(options.MACHINES, "MACHINE", "name or TOML fil
 SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
 
 
-LISTS = ("laws", "machines", "hydraulics", "sensors")
-"""What `cmf list` shows."""
+LISTS = ("laws", "machines", "hydraulics", "sensors")  #: What `cmf list` shows.
 
 _LIST = "laws or machines; one set of hydraulics or sensors, number by number"
 

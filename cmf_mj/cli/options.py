@@ -130,28 +130,22 @@ def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
     return lambda name: lambda function: command(name)(decorated(function))
 
 
-name_or_file = partial(choice, free=True)
-"""As `choice`, for names and files."""
+name_or_file = partial(choice, free=True)  #: As `choice`, for names and files.
 
-argument = partial(choice, make=Argument)
-"""As `choice`, for an argument."""
+argument = partial(choice, make=Argument)  #: As `choice`, for an argument.
 
 size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 """Options of a number with its unit, and of a file; `help` says of what."""
 
-new_file = partial(file, callback=target)
-"""Option of a file to write."""
+new_file = partial(file, callback=target)  #: Option of a file to write.
 
 _machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
 
-ALL, VELOCITY = ["all"], ["velocity"]
-"""Defaults of options that take several names."""
+ALL, VELOCITY = ["all"], ["velocity"]  #: Defaults of options that take several names.
 
-NEUTRAL = "0,0,0,0,0,0"
-"""Default of a pose."""
+NEUTRAL = "0,0,0,0,0,0"  #: Default of a pose.
 
-CAMERAS = ("overview", "side", "front")
-"""Cameras of the machine."""
+CAMERAS = ("overview", "side", "front")  #: Cameras of the machine.
 
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""

@@ -24,11 +24,9 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, as_tuples
 
-MODES = 6
-"""Hydraulic modes of a hexapod."""
+MODES = 6  #: Hydraulic modes of a hexapod.
 
-ORTHONORMAL = 1e-8
-"""Largest entry of V^T V - 1 that passes for round-off of a table's ten digits."""
+ORTHONORMAL = 1e-8  #: Largest entry of V^T V - 1 that passes for round-off of a table's ten digits.
 
 
 _SIX = Field(min_length=MODES, max_length=MODES)

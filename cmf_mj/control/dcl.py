@@ -50,8 +50,7 @@ from cmf_mj.core import units
 from cmf_mj.core.compiled import assign, compiled, inlined, multiply, multiply_transposed
 from cmf_mj.core.errors import InputError
 
-OFFSET_TIME = 0.5
-"""Time constant with which the offset of a hand-over fades [s]."""
+OFFSET_TIME = 0.5  #: Time constant with which the offset of a hand-over fades [s].
 
 
 class Compensator(NamedTuple):

@@ -48,17 +48,13 @@ from cmf_mj.core.arrays import copied
 _REFERENCE, _POSITION = SIGNALS.index("reference"), SIGNALS.index("position")
 _INTEGRAL = SIGNALS.index("error_integral")
 
-_ROUND_OFF = 1e-12
-"""Difference of outputs that is none, command fraction."""
+_ROUND_OFF = 1e-12  #: Difference of outputs that is none, command fraction.
 
-_FASTEST = 1.0
-"""Rate of the demand above which it jumps rather than moves [m/s]."""
+_FASTEST = 1.0  #: Rate of the demand above which it jumps rather than moves [m/s].
 
-_CHORDS = 20
-"""Steps in which a plan finds the pose of its legs."""
+_CHORDS = 20  #: Steps in which a plan finds the pose of its legs.
 
-_PROBE = 2.0**-10
-"""Step with which the slope of a linear relation is measured [m]."""
+_PROBE = 2.0**-10  #: Step with which the slope of a linear relation is measured [m].
 
 
 def engaged(

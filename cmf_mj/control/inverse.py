@@ -46,8 +46,7 @@ from cmf_mj.machine.kinematics import (
 )
 from cmf_mj.machine.machine import Machine
 
-NEAR_STALL = 0.8
-"""Share of the stall to which loads are bent for a valve's opening."""
+NEAR_STALL = 0.8  #: Share of the stall to which loads are bent for a valve's opening.
 
 SMALL_FLOW = 2.0 * units.INCH
 """Flow, as speed of a leg, about which a change of direction is rounded [m/s]."""

@@ -43,8 +43,7 @@ SIGNAL_UNITS = {
 }
 """SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
 
-SIGNALS = tuple(SIGNAL_UNITS)
-"""Inputs u of the compensator, in order."""
+SIGNALS = tuple(SIGNAL_UNITS)  #: Inputs u of the compensator, in order.
 
 _FILES = {
     "report": Path(__file__).with_name("laws.toml"),
@@ -52,8 +51,7 @@ _FILES = {
 }
 """Shipped laws: those of the report with what this project added to its block first, and others."""
 
-_MODES = Path(__file__).with_name("modes.toml")
-"""Hydraulic modes of the facility's cabs."""
+_MODES = Path(__file__).with_name("modes.toml")  #: Hydraulic modes of the facility's cabs.
 
 
 class Gains(Settings):

@@ -50,8 +50,7 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 
-_HALVINGS = 40
-"""Bisections for the shared scale, resolving it to 1e-12."""
+_HALVINGS = 40  #: Bisections for the shared scale, resolving it to 1e-12.
 
 
 class Limiter(NamedTuple):

@@ -48,8 +48,7 @@ from cmf_mj.core.filters import chain
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.machine.machine import Machine
 
-ORDER = 5
-"""Order of the model."""
+ORDER = 5  #: Order of the model.
 
 _NYQUIST = Field(gt=0.0, le=200.0)
 

@@ -57,8 +57,7 @@ class FaultCode(IntEnum):
 FAULTS = tuple(code.name.lower() for code in FaultCode)
 """Names of the faults; a code is the place in this tuple."""
 
-_MACHINE = -1
-"""Leg of a fault that belongs to no leg."""
+_MACHINE = -1  #: Leg of a fault that belongs to no leg.
 
 Threshold = TypeVar("Threshold")
 

@@ -57,10 +57,8 @@ from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 
-_SPEED_PEAK = 1.875
-"""Largest s'."""
-_ACCELERATION_PEAK = 10.0 / np.sqrt(3.0)
-"""Largest s''."""
+_SPEED_PEAK = 1.875  #: Largest s'.
+_ACCELERATION_PEAK = 10.0 / np.sqrt(3.0)  #: Largest s''.
 
 
 class StateSettings(Settings):

@@ -12,8 +12,7 @@ from cmf_mj.core.errors import InputError, unknown_name
 Block = TypeVar("Block", bound=tuple[Any, ...])
 Params = TypeVar("Params", bound=tuple[Any, ...])
 
-MEMORY = 4 * 2**30
-"""Most that any one part of a run, such as its record, may take [bytes]."""
+MEMORY = 4 * 2**30  #: Most that any one part of a run, such as its record, may take [bytes].
 
 
 def check_memory(field: str, part: str, numbers: float) -> None:

@@ -37,8 +37,7 @@ Time = Annotated[float, Field(ge=0.0, le=LONGEST)]
 Count = Annotated[int, Field(ge=1, lt=2**31)]
 """A number of frames, cycles or legs, at least 1 and in 32 bits."""
 
-Seed = Annotated[int, Field(ge=0)]
-"""Seed of a random generator."""
+Seed = Annotated[int, Field(ge=0)]  #: Seed of a random generator.
 
 
 def in_range(value: Any) -> Any:
@@ -118,8 +117,7 @@ def check_distinct(field: str, names: Sequence[str]) -> None:
         raise InputError(f"{field}: {', '.join(names)} must differ in name, not in capitals alone")
 
 
-Name = Annotated[str, AfterValidator(checked_name)]
-"""What `checked_name` accepts."""
+Name = Annotated[str, AfterValidator(checked_name)]  #: What `checked_name` accepts.
 
 
 def as_tuples(value: Any) -> Any:

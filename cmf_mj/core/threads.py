@@ -8,8 +8,7 @@ from joblib import Parallel, delayed
 
 from cmf_mj.core.errors import InputError
 
-MOST_JOBS = 1024
-"""Most threads or processes of one command."""
+MOST_JOBS = 1024  #: Most threads or processes of one command.
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

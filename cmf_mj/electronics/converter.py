@@ -38,8 +38,7 @@ from cmf_mj.core.quantity import (
 from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.core.units import FRAME
 
-CONVERTER_SETS = ("off", "sixteen_bit")
-"""Names of the shipped sets."""
+CONVERTER_SETS = ("off", "sixteen_bit")  #: Names of the shipped sets.
 
 _BELOW_HALF_RATE = Kind(("Hz", "rad/s"), below=np.pi / FRAME)
 

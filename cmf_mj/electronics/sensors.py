@@ -39,8 +39,7 @@ from cmf_mj.machine.leg_motion import (
 )
 from cmf_mj.machine.machine import Machine, load_machine
 
-SENSOR_SETS = ("ideal", "noisy")
-"""Names of the shipped sets."""
+SENSOR_SETS = ("ideal", "noisy")  #: Names of the shipped sets.
 
 
 def _in_own_unit(zero: bool = False) -> AfterValidator:
@@ -57,10 +56,8 @@ class ChannelSettings(Settings):
     noise_density: Annotated[Quantity, _in_own_unit(zero=True)] | None = None
     """One-sided density of the white noise of the output, per root hertz."""
     bandwidth: Corner | None = None  #: -3 dB corner of the first-order lag, below half the rate.
-    resolution: Annotated[Quantity, _in_own_unit()] | None = None
-    """Step between readings."""
-    gain_errors: list[Bias] = []
-    """Relative error of the gain, one a leg or axis; none for none."""
+    resolution: Annotated[Quantity, _in_own_unit()] | None = None  #: Step between readings.
+    gain_errors: list[Bias] = []  #: Relative error of the gain, one a leg or axis; none for none.
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":

@@ -33,14 +33,11 @@ from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
-FRAMES = 64
-"""Control frames of a step, by default: 1/32 s at 2048 Hz."""
+FRAMES = 64  #: Control frames of a step, by default: 1/32 s at 2048 Hz.
 
-LOST = 100.0
-"""Taken off the reward of a run that leaves the machine's physical bounds."""
+LOST = 100.0  #: Taken off the reward of a run that leaves the machine's physical bounds.
 
-_SIZE = 480, 640
-"""Of a picture: rows and columns."""
+_SIZE = 480, 640  #: Of a picture: rows and columns.
 
 
 class ObservedQuantity(NamedTuple):
@@ -267,8 +264,7 @@ ACTIONS = ("pose", "valves", "residual")
 _REACH = np.array([0.3, 0.3, 0.2, 0.15, 0.15, 0.2])
 """Pose of a full action, and the range of targets [m, rad]."""
 
-_RESIDUAL = 0.2
-"""Share of it that a residual may add."""
+_RESIDUAL = 0.2  #: Share of it that a residual may add.
 
 
 class HexapodEnv(MachineEnv):

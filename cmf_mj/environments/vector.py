@@ -25,8 +25,7 @@ else:
     _Side = SyncVectorEnv  # before 1.4 it takes no types
 
 
-FEW = 4
-"""Cores to which threads gain."""
+FEW = 4  #: Cores to which threads gain.
 
 
 class _Ahead(gym.Wrapper[NDArray[np.float32], NDArray[np.float32], Any, Any]):

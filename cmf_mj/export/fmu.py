@@ -32,8 +32,7 @@ from cmf_mj.plant.events import KINDS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 
-FAILURES = 4
-"""Failures that parameters may name."""
+FAILURES = 4  #: Failures that parameters may name.
 
 _BASE = {
     "1": {},
@@ -56,8 +55,7 @@ _BASE = {
 _OF_FMI_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 """Kinds of variables in FMI 2."""
 
-_SECONDS, _STEPS = 1.0, 80
-"""Length and steps a second of the reference result."""
+_SECONDS, _STEPS = 1.0, 80  #: Length and steps a second of the reference result.
 
 
 class Variable(NamedTuple):

@@ -22,11 +22,9 @@ from cmf_mj.control.law import SIGNALS, Gains, Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.export.operations import operations, stated
 
-PRECISIONS = ("double", "single")
-"""Sizes of a law's numbers: of 64 or of 32 bits."""
+PRECISIONS = ("double", "single")  #: Sizes of a law's numbers: of 64 or of 32 bits.
 
-LEGS = 6
-"""Those of a motion base."""
+LEGS = 6  #: Those of a motion base.
 
 UNITS = ("in", "Pa", "Pa", "in", "in/s", "in/s", "in/s", "in s", "in/s^2", "lbf")
 """What gains of `SIGNALS` are published per."""

@@ -33,8 +33,7 @@ from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.plant import Plant
 
-_SOURCES = Path(__file__).with_name("c")
-"""What is the same in every export."""
+_SOURCES = Path(__file__).with_name("c")  #: What is the same in every export.
 
 Files = dict[str, bytes | str | Path]
 """Files of an export by their names: content, or the file or folder to copy."""

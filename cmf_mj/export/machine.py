@@ -89,11 +89,9 @@ def _start(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-ARRIVALS = 64
-"""Host frames that may wait for the next step."""
+ARRIVALS = 64  #: Host frames that may wait for the next step.
 
-EVENTS = 64
-"""Failures of a run."""
+EVENTS = 64  #: Failures of a run.
 
 IN_MUJOCO = {
     f"dynamics.mechanics.{name}"

@@ -36,13 +36,11 @@ from cmf_mj.core.compiled import assign, digest
 from cmf_mj.core.errors import RunError
 from cmf_mj.core.files import whole_file
 
-PROCESSOR = "x86-64-v2"
-"""Least processor the code runs on: any of the x86-64 family since 2009."""
+PROCESSOR = "x86-64-v2"  #: Least processor the code runs on: any of the x86-64 family since 2009.
 
 _WORD = ir.IntType(64)
 
-_OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
-"""Those of `core.compiled`."""
+_OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}  #: Those of `core.compiled`.
 
 KNOWN = frozenset(
     ["memcpy", "memmove", "memset", "fabs", "floor", "ceil", "trunc", "rint", "round"]

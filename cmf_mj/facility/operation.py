@@ -29,8 +29,7 @@ from cmf_mj.facility.settings import HostChain, dcu_of, starting_pose
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-CHAIN = {"requests", *HostChain.model_fields}
-"""Options that are those of the chain."""
+CHAIN = {"requests", *HostChain.model_fields}  #: Options that are those of the chain.
 
 
 class Timing(NamedTuple):

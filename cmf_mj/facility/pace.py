@@ -17,8 +17,7 @@ from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.core.units import FRAME
 from cmf_mj.plant.native import call
 
-_SPIN = 100e-6
-"""Time before a frame that is waited out awake [s]; sleeping wakes late."""
+_SPIN = 100e-6  #: Time before a frame that is waited out awake [s]; sleeping wakes late.
 
 
 class Pace(NamedTuple):

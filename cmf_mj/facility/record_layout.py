@@ -25,8 +25,7 @@ CHAIN = {
 }
 """Channels of the chain, name to unit and kind; the pose is also that of a table."""
 
-LAW = ("leg_reference", "compensator_output")
-"""Channels that an open loop has not."""
+LAW = ("leg_reference", "compensator_output")  #: Channels that an open loop has not.
 
 _CHANNELS = CHAIN | {
     "leg_reference": ("m", "legs"),

@@ -49,8 +49,7 @@ RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset
 
 LEGS = 6  #: Of the machines that a file names.
 
-_RESTING = 0.05
-"""What a leg on the stops is above its mechanical end [in]."""
+_RESTING = 0.05  #: What a leg on the stops is above its mechanical end [in].
 
 
 def _named(value: Any) -> Any:
@@ -106,13 +105,11 @@ class Push(Settings):
 class Change(Settings):
     """What changes from a control frame on. Nothing that is left out does."""
 
-    at: Time | None = None
-    """When [s], to the nearest control frame; in a file this or `frame`."""
+    at: Time | None = None  #: When [s], to the nearest control frame; in a file this or `frame`.
     frame: Annotated[int, Field(ge=0, lt=MOST_FRAMES)] | None = None  #: In which control frame.
     law: str | None = None  #: Law that takes over, by name or TOML file; drops earlier `gains`.
     gains: Gains = {}  #: Fields of the law in force to replace.
-    signal: Signals | None = None
-    """Signals that take over, beginning now; `[]` goes to neutral."""
+    signal: Signals | None = None  #: Signals that take over, beginning now; `[]` goes to neutral.
     fade: Time = 1.0  #: Time in which they do [s]; 0 jumps.
     failure: tuple[Failure, ...] = ()  #: What fails.
     push: Push | None = None  #: External force from now on.

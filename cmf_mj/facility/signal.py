@@ -187,8 +187,7 @@ class LayeredDemand:
         return poses
 
 
-BLOCK = 1024
-"""Control frames of a block."""
+BLOCK = 1024  #: Control frames of a block.
 
 
 class TableFeed:

@@ -126,8 +126,7 @@ class Cab(RigidBody):
         return made if nominal is None else made.model_copy(update={"nominal": nominal})
 
 
-_SI = {"centre_of_mass": "m", "inertia": "kg m^2"}
-"""Units of `Cab.changed`; all else is in kg."""
+_SI = {"centre_of_mass": "m", "inertia": "kg m^2"}  #: Units of `Cab.changed`; all else is in kg.
 
 
 def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:

@@ -14,8 +14,7 @@ from cmf_mj.core.settings import Settings
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 """Names of the six degrees of freedom, in the order of a pose."""
 
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Report axes to MuJoCo axes and back, componentwise."""
+FLIP = np.array([1.0, -1.0, -1.0])  #: Report axes to MuJoCo axes and back, componentwise.
 
 
 class Geometry(NamedTuple):

@@ -27,8 +27,7 @@ MachineOrGimbals = str | Path | Machine | Geometry
 
 _NEWTON_ITERATIONS = 50
 _NEWTON_TOLERANCE = 1e-13
-_CLOSE = 0.02
-"""Leg change from row to row [m] up to which the solution before is a safe start."""
+_CLOSE = 0.02  #: Leg change from row to row [m] up to which the solution before is a safe start.
 
 
 def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:

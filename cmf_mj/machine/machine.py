@@ -41,8 +41,7 @@ _SINGULAR = 1e3
 """Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
 in usual machines."""
 
-_BORE, _ROD = 5.5 * INCH, 3.875 * INCH
-"""Diameters of the CMF's bore and rod [m] (section 2.1)."""
+_BORE, _ROD = 5.5 * INCH, 3.875 * INCH  #: Diameters of the CMF's bore and rod [m] (section 2.1).
 
 
 def _at_control_rate(rate: Quantity) -> Quantity:

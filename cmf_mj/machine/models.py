@@ -18,11 +18,9 @@ from cmf_mj.core.errors import InputError, reason
 from cmf_mj.core.quantity import Kind, Quantities, Quantity
 from cmf_mj.core.settings import Settings
 
-CMF = "cmf"
-"""Name of the Cockpit Motion Facility among the machines."""
+CMF = "cmf"  #: Name of the Cockpit Motion Facility among the machines.
 
-CABS = ("gfd", "rfd", "ifd")
-"""Its three flight decks: Generic, Research and Integration."""
+CABS = ("gfd", "rfd", "ifd")  #: Its three flight decks: Generic, Research and Integration.
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -126,13 +124,11 @@ def _body(root: ElementTree.Element, name: str, path: Path) -> dict[str, Any]:
     }
 
 
-ROUND_OFF = 1e-9
-"""Share of the largest moment by which the inequalities may fail for round-off."""
+ROUND_OFF = 1e-9  #: Share of the largest moment by which the inequalities may fail for round-off.
 
 _TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
 """Which of Ixx, Iyy, Izz, Ixy, Ixz, Iyz stands where in the tensor."""
-ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
-"""Rows and columns where they stand."""
+ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))  #: Rows and columns where they stand.
 
 
 def _several(counts: tuple[int, ...], units: tuple[str, ...]) -> AfterValidator:

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, require, unknown_name
 
-RATE = 240
-"""Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
+RATE = 240  #: Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz.
 
 
 class AircraftState(NamedTuple):

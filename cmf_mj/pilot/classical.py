@@ -49,8 +49,7 @@ Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], 
 """A, B, C, D."""
 
 
-_ITERATIONS = 8
-"""Of the implicit step of the tilt, which contracts by at most T / (2 tau) each."""
+_ITERATIONS = 8  #: Of the implicit step of the tilt, which contracts by at most T / (2 tau) each.
 
 
 class Filter(NamedTuple):

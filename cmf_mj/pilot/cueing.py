@@ -35,8 +35,7 @@ LIMITS = (
 )
 """What a motion may use up: of the degrees of freedom, and of the legs."""
 
-_HALVINGS = 20
-"""Bisections for the factor on the gains, which resolve it to 1e-6."""
+_HALVINGS = 20  #: Bisections for the factor on the gains, which resolve it to 1e-6.
 
 
 class Excursion(NamedTuple):

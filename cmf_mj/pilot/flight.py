@@ -43,8 +43,7 @@ _UNITS = {
 }
 _SHIPPED = Path(__file__).parent / "flights"
 
-_SLOWEST = 1.0
-"""Longest time from row to row of a flight in a file [s]."""
+_SLOWEST = 1.0  #: Longest time from row to row of a flight in a file [s].
 
 
 class Origin(Settings):
@@ -146,8 +145,7 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
     return path, columns, origin or Origin(title=path.stem, source=path.name)
 
 
-Parts = tuple[pa.Table, dict[str, str], Origin | None]
-"""Table, units of its columns, origin."""
+Parts = tuple[pa.Table, dict[str, str], Origin | None]  #: Table, units of its columns, origin.
 
 
 def _parquet(path: Path) -> Parts:

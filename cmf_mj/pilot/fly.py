@@ -49,15 +49,13 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 
-RECORD_EVERY = 8
-"""Control frames a row of the record: 256 Hz."""
+RECORD_EVERY = 8  #: Control frames a row of the record: 256 Hz.
 
 _CORNER = 30.0
 """Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
 record hold vibration beyond half the host's rate."""
 
-_SETTLE, _CYCLES = 4, 4
-"""Of the sine whose delay is measured."""
+_SETTLE, _CYCLES = 4, 4  #: Of the sine whose delay is measured.
 
 
 class EnvelopeUse(NamedTuple):

@@ -40,8 +40,7 @@ COLUMNS = {
 }
 """Names of the columns of each channel in files."""
 
-MOST_RATE = 80.0
-"""Most frames a second a host may send [Hz] (section 2.3.1)."""
+MOST_RATE = 80.0  #: Most frames a second a host may send [Hz] (section 2.3.1).
 
 
 @dataclass(frozen=True)

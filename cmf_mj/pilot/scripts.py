@@ -113,14 +113,11 @@ class Script(NamedTuple):
     """Puts the aircraft where the flight begins; returns the throttle, 0 to 1, and the aim."""
 
 
-_FLAPS = 0.25
-"""Take-off flaps, a fraction of their travel."""
+_FLAPS = 0.25  #: Take-off flaps, a fraction of their travel.
 _BRAKES_OFF = 2.0
 _ROTATION = 145.0 * KNOT
-_FAILURE = 130.0 * KNOT
-"""Speed of the engine failure, past the decision to go."""
-_REACTION = 1.0
-"""From the failure to the first rudder [s]."""
+_FAILURE = 130.0 * KNOT  #: Speed of the engine failure, past the decision to go.
+_REACTION = 1.0  #: From the failure to the first rudder [s].
 _FLARE = 35.0 * FOOT
 _GUSTS = {3.0: ((0.0, 0.0, -9.0), 2.0), 18.0: ((0.0, 6.0, 0.0), 2.0)}
 """Velocity north, east, down [m/s] and length [s] by start [s]: from below, and from the left."""

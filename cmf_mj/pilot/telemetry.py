@@ -82,8 +82,7 @@ def _line(data: bytes) -> Row:
 
 _DECODERS: dict[str, Callable[[bytes], Row]] = {"xplane": _xplane, "beamng": _beamng, "csv": _line}
 
-FORMATS = tuple(_DECODERS)
-"""Names of the formats."""
+FORMATS = tuple(_DECODERS)  #: Names of the formats.
 
 
 def decode(form: str, data: bytes) -> Row:
@@ -175,14 +174,11 @@ def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:
     return Flight(motion.resampled(MOST_RATE), Origin(title=title, source=form))
 
 
-_FADE = (0.1, 0.5)
-"""Ages of the newest sample between which it fades to rest [s]."""
+_FADE = (0.1, 0.5)  #: Ages of the newest sample between which it fades to rest [s].
 
-_AHEAD, _LEARN = 0.15, 0.03
-"""T, and the time constant of the slope [s]."""
+_AHEAD, _LEARN = 0.15, 0.03  #: T, and the time constant of the slope [s].
 
-_STALE = 1.0
-"""Age of the newest sample from which on nothing is sent [s]."""
+_STALE = 1.0  #: Age of the newest sample from which on nothing is sent [s].
 
 _REST = np.array([0.0, 0.0, -STANDARD_GRAVITY, 0.0, 0.0, 0.0])
 """Specific force and angular rate at rest."""

@@ -34,8 +34,7 @@ from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, interpolated
 
 Array = NDArray[np.float64]
 
-_RATE = 20.0
-"""At which telemetry is compared [Hz]."""
+_RATE = 20.0  #: At which telemetry is compared [Hz].
 
 _MEAN = 1.0
 """Of the moving mean before that [s]: faster motion is at the station, not on the path."""

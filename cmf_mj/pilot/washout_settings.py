@@ -18,8 +18,7 @@ from cmf_mj.core.settings import Loader, Name, Settings, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
 
-WASHOUTS = ("simona", "reid_nahon", "optimal")
-"""Names of the shipped sets."""
+WASHOUTS = ("simona", "reid_nahon", "optimal")  #: Names of the shipped sets.
 
 _FILE = Path(__file__).with_name("washouts.toml")
 
@@ -81,8 +80,7 @@ class _Set(Settings):
     title: str = Field(min_length=1)
     source: str = Field(min_length=1)
 
-    _gains: ClassVar[tuple[tuple[str, str], ...]]
-    """Table and key of the gains of surge to yaw."""
+    _gains: ClassVar[tuple[tuple[str, str], ...]]  #: Table and key of the gains of surge to yaw.
 
     @property
     def gains(self) -> NDArray[np.float64]:
@@ -179,8 +177,7 @@ class OptimalSettings(_Set):
     heave: TranslationSizes
 
 
-WashoutSettings = ClassicalSettings | OptimalSettings
-"""Parameters of any washout."""
+WashoutSettings = ClassicalSettings | OptimalSettings  #: Parameters of any washout.
 
 
 def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSettings:

@@ -25,11 +25,9 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant, set_timestep
 
-_STOP_TIME = 0.01
-"""Time constant of the stops given to joints and tendons without a range [s]."""
+_STOP_TIME = 0.01  #: Time constant of the stops given to joints and tendons without a range [s].
 
-_TOLERANCE = 1e-9
-"""Lengths this close are equal [m]."""
+_TOLERANCE = 1e-9  #: Lengths this close are equal [m].
 
 
 def attach_hydraulics(

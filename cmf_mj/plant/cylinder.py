@@ -60,17 +60,13 @@ from cmf_mj.plant.parameters import (
     rod_area,
 )
 
-CAP, ROD = 0, 1
-"""Columns of pressures, contents and volumes."""
+CAP, ROD = 0, 1  #: Columns of pressures, contents and volumes.
 
-_WIDE_OPEN = 10.0
-"""Settle valve: flow gain of the rod's side over that of the cap's, per area."""
+_WIDE_OPEN = 10.0  #: Settle valve: flow gain of the rod's side over that of the cap's, per area.
 
-_END = 20.0
-"""Travel before the stop over which a chamber approaches the minimum gap, in gaps."""
+_END = 20.0  #: Travel before the stop over which a chamber approaches the minimum gap, in gaps.
 
-_DAMPING_TIME = 0.005
-"""t of friction [s]."""
+_DAMPING_TIME = 0.005  #: t of friction [s].
 
 Contact = Literal["none", "stuck"] | float
 """How dry friction enters what is linear: left out, stuck, or sliding at an amplitude [m/s]."""

@@ -19,8 +19,7 @@ from cmf_mj.core.settings import Count, Settings, Time, validated
 from cmf_mj.core.units import INCH, POUND_FORCE, RATE, from_si, to_si
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 
-MOST_FORCE = 1e7
-"""Largest external force [N]: some eighty times the weight of platform and cab."""
+MOST_FORCE = 1e7  #: Largest external force [N]: some eighty times the weight of platform and cab.
 
 
 class _Kind(NamedTuple):
@@ -46,8 +45,7 @@ _KINDS = {
     "emergency_stop": _Kind(),  # valves shut off from supply and return, settle valves open
 }
 
-KINDS = tuple(_KINDS)
-"""What can fail."""
+KINDS = tuple(_KINDS)  #: What can fail.
 
 if TYPE_CHECKING:  # mypy reads only what a Literal spells out
     KindName = str

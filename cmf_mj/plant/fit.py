@@ -15,8 +15,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP, Geometry
 
-SAME = 1e-9
-"""Values this close are the same [m, kg, kg m^2], in proportion where above 1."""
+SAME = 1e-9  #: Values this close are the same [m, kg, kg m^2], in proportion where above 1.
 
 CLOSED = 1e-6
 """Largest gap of a closed loop at the start of a run [m]; the shipped models close to 1e-12 m."""

@@ -306,8 +306,7 @@ def _same_frame(place: NDArray[np.float64], turn: NDArray[np.float64]) -> int:
     return int(kinds.mjSAMEFRAME_BODYROT if np.any(place) else kinds.mjSAMEFRAME_BODY)
 
 
-PLANTS = ("hexapod", "single_legs")
-"""The faithful plant and the report's original one."""
+PLANTS = ("hexapod", "single_legs")  #: The faithful plant and the report's original one.
 
 
 def make_plant(

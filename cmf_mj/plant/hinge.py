@@ -31,14 +31,12 @@ from cmf_mj.plant.attach import attach_hydraulics, opened
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 
-SLENDER = 5.0
-"""Bores in a stroke, by default."""
+SLENDER = 5.0  #: Bores in a stroke, by default.
 
 _SLENDER = 2.0, 12.0
 """Least and most: below there is no room for piston and glands, above the rod buckles."""
 
-_WIDEST = np.deg2rad(150.0)
-"""Widest range [rad]; the lever arm is a quarter of its largest there."""
+_WIDEST = np.deg2rad(150.0)  #: Widest range [rad]; the lever arm is a quarter of its largest there.
 
 _CLOSED = 1.5
 """L, strokes from A to B at the near end: a stroke of oil, and half as much of metal."""

@@ -54,8 +54,7 @@ from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, open
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 
-_TORN = -0.5 * ATMOSPHERE
-"""Gauge pressure below which a chamber counts as torn [Pa]."""
+_TORN = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn [Pa].
 
 ENERGIES = (*FLOWS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,

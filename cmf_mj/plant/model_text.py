@@ -22,8 +22,7 @@ Element = ElementTree.Element
 
 _MACHINE, _CAB_FILE, _NO_CAB = "cmf_hexapod.xml", "cabs/gfd.xml", "cabs/none.xml"
 """Files that the scene includes."""
-_DRAWN = ("geom", "frame", "replicate")
-"""What only draws."""
+_DRAWN = ("geom", "frame", "replicate")  #: What only draws.
 
 _CAB = """
 <mujoco model="cab">

@@ -24,8 +24,7 @@ from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.parameters import HydraulicParameters
 
-ATMOSPHERE = 101325.0
-"""Standard atmosphere [Pa]."""
+ATMOSPHERE = 101325.0  #: Standard atmosphere [Pa].
 
 
 class Oil(NamedTuple):

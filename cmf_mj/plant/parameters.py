@@ -80,8 +80,7 @@ class _Actuator(_Valve):
 VALVE_FIELDS = tuple(_Valve.model_fields)
 """Quantities that may differ between the valves of an actuator."""
 
-ACTUATOR_FIELDS = tuple(_Actuator.model_fields)
-"""Quantities that may differ between actuators."""
+ACTUATOR_FIELDS = tuple(_Actuator.model_fields)  #: Quantities that may differ between actuators.
 
 
 def _optional(model: type[Settings]) -> dict[str, Any]:
@@ -224,8 +223,7 @@ def piston_leakage(values: Mapping[str, Quantity]) -> float:
     return rate * half * area / (4.0 * values["bulk_modulus"].si)
 
 
-HYDRAULICS = ("report", "hardware", "lossy")
-"""Names of the shipped parameter sets."""
+HYDRAULICS = ("report", "hardware", "lossy")  #: Names of the shipped parameter sets.
 
 
 load_hydraulics = Loader(

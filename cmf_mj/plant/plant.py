@@ -52,8 +52,7 @@ class Plant:
     machine: Machine
     """Motion base whose kinematics, strokes and limits a control law counts with; of a model that
     is none, the CMF, whose working stroke then bounds the demand."""
-    _drawn: mujoco.MjModel | None = None
-    """The model with its geoms, where `model` is headless."""
+    _drawn: mujoco.MjModel | None = None  #: The model with its geoms, where `model` is headless.
     stops_end_strokes = False
     """Whether the model's stops are the ends of the cylinders; else they lie within the strokes."""
 

@@ -34,8 +34,7 @@ SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRES
 [m^3/s], what the tank has received [m^3], how far an emergency stop has closed the actuators off
 (0 to 1), pressures of both manifolds and of the accumulators' gas [Pa]."""
 
-CONTENTS = 4
-"""The first four are integrated with the chambers."""
+CONTENTS = 4  #: The first four are integrated with the chambers.
 
 
 class Supply(NamedTuple):

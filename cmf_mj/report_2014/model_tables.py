@@ -82,8 +82,7 @@ class TableRow(NamedTuple):
     published: Annotated[float, Field(form=".2f")]
     computed: Annotated[float, Field(form=".3f")]
     deviation: Annotated[float, Field(form="+.3f")]  #: Computed minus published.
-    tolerance: Annotated[float, Field(printed=False)]
-    """Largest deviation that counts as within."""
+    tolerance: Annotated[float, Field(printed=False)]  #: Largest deviation that counts as within.
     within: Annotated[bool, Field(printed=False)]
 
 

@@ -36,11 +36,9 @@ Variant = Literal["printed", "corrected"]
 GAINS = ("position_gain", "rate_gain", "acceleration_gain")
 """The three gains in the order of Eqs 3.2 to 3.4."""
 
-_USED = {"3.1": 0, "3.2": 1, "3.3": 2, "3.4": 3}
-"""How many of the gains each equation has."""
+_USED = {"3.1": 0, "3.2": 1, "3.3": 2, "3.4": 3}  #: How many of the gains each equation has.
 
-_HALF_POWER = 10.0 ** (-3.0 / 20.0)
-"""Gain of -3 dB."""
+_HALF_POWER = 10.0 ** (-3.0 / 20.0)  #: Gain of -3 dB.
 
 
 class FeedbackLoop(NamedTuple):
@@ -53,8 +51,7 @@ class FeedbackLoop(NamedTuple):
     acceleration_gain: float = 0.0  #: K_a [s^2].
 
 
-Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
-"""A list of numbers of a table."""
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]  #: A list of numbers of a table.
 
 
 class PublishedGains(Settings):

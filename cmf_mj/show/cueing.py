@@ -20,14 +20,11 @@ from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError
 from cmf_mj.show import look
 
-SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
-"""Plotted units in SI."""
+SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])  #: Plotted units in SI.
 
-NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
-"""Of specific force and angular rate."""
+NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")  #: Of specific force and angular rate.
 
-_LEAST_SPAN = 0.1
-"""Of an axis, in its unit, so that round-off shows as the nothing it is."""
+_LEAST_SPAN = 0.1  #: Of an axis, in its unit, so that round-off shows as the nothing it is.
 
 
 class DrawnMotion(NamedTuple):

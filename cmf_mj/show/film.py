@@ -31,8 +31,7 @@ from cmf_mj.show.stage import FilmStage, Panels, Strip, traces_of
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
 
-GIF_FPS = 50
-"""Largest frame rate at which programs show a GIF file [1/s]."""
+GIF_FPS = 50  #: Largest frame rate at which programs show a GIF file [1/s].
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
@@ -222,8 +221,7 @@ def _write_gif(pictures: Iterator[Picture], target: Path, fps: int) -> None:
     begun.save(target, format="GIF", save_all=True, append_images=others, **pace)
 
 
-LEAST_PICTURES = 4
-"""Pictures in a period of the fastest mode, at least."""
+LEAST_PICTURES = 4  #: Pictures in a period of the fastest mode, at least.
 
 
 def swing_film(

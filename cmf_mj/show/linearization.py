@@ -27,8 +27,7 @@ from cmf_mj.plant.hexapod import HydraulicModes
 from cmf_mj.show import look
 from cmf_mj.show.study import phase_text
 
-FREQUENCIES = np.geomspace(0.1, 20.0, 400)
-"""Lines of the responses [Hz]."""
+FREQUENCIES = np.geomspace(0.1, 20.0, 400)  #: Lines of the responses [Hz].
 
 
 class LinearizationStudy(NamedTuple):
@@ -72,8 +71,7 @@ def save_system(system: control.StateSpace, path: Path, description: Mapping[str
     return write_text(path, json.dumps(look.plain_data(content), allow_nan=False) + "\n")
 
 
-_NAMED = 0.1
-"""Share from which on a kind of state or a degree of freedom is named."""
+_NAMED = 0.1  #: Share from which on a kind of state or a degree of freedom is named.
 
 
 def _title(study: LinearizationStudy) -> str:
@@ -168,8 +166,7 @@ PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
 
 _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _SIX = range(1, 7)
-_MOVES = 0.05
-"""Share of the kinetic energy from which on a degree of freedom names a mode."""
+_MOVES = 0.05  #: Share of the kinetic energy from which on a degree of freedom names a mode.
 
 
 def title_of(modes: HydraulicModes, name: str = "") -> str:

@@ -29,11 +29,9 @@ BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
 
-FAINT = 0.3
-"""Opacity of what is drawn pale."""
+FAINT = 0.3  #: Opacity of what is drawn pale.
 
-DARK, GREY, PALE = "0.2", "0.6", "0.9"
-"""Of what is measured against, of references, and of grids."""
+DARK, GREY, PALE = "0.2", "0.6", "0.9"  #: Of what is measured against, of references, and of grids.
 
 
 STYLE: dict[str, Any] = {
@@ -50,8 +48,7 @@ STYLE: dict[str, Any] = {
 """Of all axes."""
 
 
-FORMATS = ("png", "svg", "pdf")
-"""Of the files of figures."""
+FORMATS = ("png", "svg", "pdf")  #: Of the files of figures.
 
 _PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
 """Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""

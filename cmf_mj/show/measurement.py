@@ -156,8 +156,7 @@ def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     return look.save_files(files | {"summary.json": measured.summary()}, folder)
 
 
-CONFIDENCE = 0.95
-"""Probability of bands."""
+CONFIDENCE = 0.95  #: Probability of bands.
 
 _LISTED = 8  # orders
 _WINDOW = 10.0  # length of the fit's figure [s]

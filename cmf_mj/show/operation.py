@@ -27,8 +27,7 @@ from cmf_mj.show import look
 from cmf_mj.studies.asymptotes import FREQUENCIES, Asymptotes, asymptotes, envelope
 from cmf_mj.studies.capacity import CAPACITY, CapacityResult, relief_flow
 
-_LEAST = 1e-9
-"""Demand below which a degree of freedom is at rest [m or rad]."""
+_LEAST = 1e-9  #: Demand below which a degree of freedom is at rest [m or rad].
 
 
 def overview_figure(

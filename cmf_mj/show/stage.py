@@ -28,8 +28,7 @@ from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
 from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE, Curve, Panel, plot_panel
 
-BACKENDS = ("egl", "osmesa")
-"""Off-screen OpenGL, in the order in which they are tried."""
+BACKENDS = ("egl", "osmesa")  #: Off-screen OpenGL, in the order in which they are tried.
 
 PACKAGES = (
     "on Debian or Ubuntu install libegl1 and libgl1-mesa-dri (MUJOCO_GL=egl) "
@@ -39,8 +38,7 @@ PACKAGES = (
 _SHADOWS = 4096
 """Shadow map at most [texels]; small pictures have one of about four texels a pixel."""
 
-_FINER = 2
-"""Pixels drawn for one of the picture, each way."""
+_FINER = 2  #: Pixels drawn for one of the picture, each way.
 
 _TRY = "import importlib, sys; importlib.import_module('mujoco.' + sys.argv[1]).GLContext(8, 8)"
 
@@ -144,16 +142,12 @@ def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int,
 
 
 _DPI = 100
-_MOST = 3
-"""Panels one above the other."""
-_PALE = 0.16
-"""How much of the traces shows before their time has come."""
-_LEAST = 0.02
-"""Least range of an axis, in its unit."""
+_MOST = 3  #: Panels one above the other.
+_PALE = 0.16  #: How much of the traces shows before their time has come.
+_LEAST = 0.02  #: Least range of an axis, in its unit.
 _CURSOR = (200, 30, 30)
 
-Panels = Sequence[Panel]
-"""What the strip of a run shows, from above, one column after the other."""
+Panels = Sequence[Panel]  #: What the strip of a run shows, from above, one column after the other.
 
 
 def traces_of(record: Record) -> Panels:

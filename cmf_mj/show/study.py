@@ -24,8 +24,7 @@ from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.failure import FailureResult
 from cmf_mj.studies.settings import NOMINAL
 
-AGREEMENT = 0.1
-"""Distance of two readings of -90 deg from which on a table shows both [Hz]."""
+AGREEMENT = 0.1  #: Distance of two readings of -90 deg from which on a table shows both [Hz].
 
 _LINES = {"hexapod": "-", "single_legs": "--"}
 

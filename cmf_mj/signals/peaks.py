@@ -26,8 +26,7 @@ from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import Command
 
-_ALONE = 4.0
-"""A difference this many times both neighbours together is a jump."""
+_ALONE = 4.0  #: A difference this many times both neighbours together is a jump.
 
 _DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 

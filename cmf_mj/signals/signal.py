@@ -24,26 +24,21 @@ from cmf_mj.machine.geometry import by_kind, dof_index
 Motion = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 """Control frames since the beginning (N,) to poses (N, 6) [m, rad], z down."""
 
-Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
-"""Name of a degree of freedom."""
+Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]  #: Name of a degree of freedom.
 
 LONGEST = 3600.0
 """Longest signal that is made as a table, up to 2048 Hz [s]; an hour of poses takes 354 MB."""
 
-HIGHEST = 100.0
-"""Largest demand [m or rad]: a hundred times the stroke of a leg."""
+HIGHEST = 100.0  #: Largest demand [m or rad]: a hundred times the stroke of a leg.
 
-Duration = Annotated[float, Field(gt=0.0, le=LONGEST)]
-"""A time above 0 [s]."""
+Duration = Annotated[float, Field(gt=0.0, le=LONGEST)]  #: A time above 0 [s].
 
-Wait = Annotated[float, Field(ge=0.0, le=LONGEST)]
-"""A time of at least 0 [s]."""
+Wait = Annotated[float, Field(ge=0.0, le=LONGEST)]  #: A time of at least 0 [s].
 
 Frequency = Annotated[float, Field(ge=1e-4, le=FASTEST_RATE / 2)]
 """At most half the control rate; the longest signal holds a third of the slowest cycle [Hz]."""
 
-Rate = Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)]
-"""Control frames a second."""
+Rate = Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)]  #: Control frames a second.
 
 _FREQUENCIES = ("frequency", "frequencies", "start", "stop")
 

@@ -41,8 +41,7 @@ from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command, commanded
 from cmf_mj.studies.failure import Peak, extreme
 
-SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
-"""Manoeuvres with a name."""
+SIGNALS = ("sine", "step", "chirp", "noise", "multisine")  #: Manoeuvres with a name.
 
 _SIZES = {"sine": 15.0, "step": 10.0, "chirp": 1.0, "noise": 3.0, "multisine": 3.0}
 """Default amplitudes on the CMF [in or deg]."""
@@ -50,8 +49,7 @@ _SIZES = {"sine": 15.0, "step": 10.0, "chirp": 1.0, "noise": 3.0, "multisine": 3
 _FREQUENCIES = {"sine": 0.25, "chirp": 2.0, "noise": 1.0, "multisine": 1.0}
 """Default frequency of the sine, and default highest frequency of the others [Hz]."""
 
-_CYCLES, _SECONDS = 5.0, 20.0
-"""A sine lasts so many cycles, and so long, at least."""
+_CYCLES, _SECONDS = 5.0, 20.0  #: A sine lasts so many cycles, and so long, at least.
 
 
 def manoeuvre(
@@ -96,8 +94,7 @@ def manoeuvre(
     return command
 
 
-LEAST_PRESSURE = 0.8
-"""Least manifold pressure, as a share of the set pressure."""
+LEAST_PRESSURE = 0.8  #: Least manifold pressure, as a share of the set pressure.
 
 _SATURATED = 1.0 - 1e-9
 _ROWS = 512

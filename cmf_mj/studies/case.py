@@ -41,20 +41,16 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.studies.asymptotes import asymptotes
 
-AMPLITUDE = 0.33 * units.INCH
-"""Translational amplitude of the report's frequency responses [m]."""
+AMPLITUDE = 0.33 * units.INCH  #: Translational amplitude of the report's frequency responses [m].
 
 ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
 """The report takes 0.2 deg in rotation to 0.33 in in translation (Appendix D) [rad/m]."""
 
-STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE
-"""The report steps 1 in and sweeps 0.33 in."""
+STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE  #: The report steps 1 in and sweeps 0.33 in.
 
-FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0
-"""Durations of the chirp [s]."""
+FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0  #: Durations of the chirp [s].
 
-RECORDER = 128
-"""Samples of a run in a second, at least: the rate of the facility's recorder [Hz]."""
+RECORDER = 128  #: Samples of a run in a second, at least: the rate of the facility's recorder [Hz].
 
 
 def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
@@ -302,8 +298,7 @@ SMALL = 0.15
 
 _BEGIN, _DURATION, _WINDOW = 0.5, 12.0, 2.0
 """Of the simulated verdict [s]: the step, the end, and the length of the two windows compared."""
-_FIRST = 2.5
-"""Begin of the first window after the step [s]; the second is the last of the run."""
+_FIRST = 2.5  #: Begin of the first window after the step [s]; the second is the last of the run.
 _NO_SWING, _LIMIT_CYCLE = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 

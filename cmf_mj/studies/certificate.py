@@ -42,16 +42,11 @@ from cmf_mj.studies.tuning.search import save_law
 Array = NDArray[np.float64]
 
 _CHUNK = 256
-_CLOSER = 0.98
-"""Scale that is attacked over the least that is known to break the law."""
-_STEP = 0.02
-"""Step of a slope of the damping ratio, over the side of the box."""
-_PLACES = 5
-"""Poses that are attacked: those with the least damped machines drawn."""
-_WIDER = 1.1
-"""Box whose widths are taken over the one found with those of a larger."""
-BEYOND, WITHIN = 1.5, 0.5
-"""Scales of the replays over that at which the machine just fails."""
+_CLOSER = 0.98  #: Scale that is attacked over the least that is known to break the law.
+_STEP = 0.02  #: Step of a slope of the damping ratio, over the side of the box.
+_PLACES = 5  #: Poses that are attacked: those with the least damped machines drawn.
+_WIDER = 1.1  #: Box whose widths are taken over the one found with those of a larger.
+BEYOND, WITHIN = 1.5, 0.5  #: Scales of the replays over that at which the machine just fails.
 
 
 class Effort(NamedTuple):

@@ -71,11 +71,9 @@ KINDS = {
 
 SIZE = sum(count for _, count in KINDS.values())
 
-WIDEST = 0.6
-"""Largest deviation of a factor: at `LARGEST`, numbers stay positive."""
+WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
 
-LARGEST = 1.3
-"""Largest scale: numbers stay positive, and closed valves hold every leg."""
+LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
 
 
 class Box(Settings):
@@ -129,13 +127,11 @@ _FINE, _COARSE, _MOST = 0.005, 0.05, 0.96
 largest of them over the stall force."""
 _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
-_MARGIN = 1.01
-"""Range of the slopes taken over the one found."""
+_MARGIN = 1.01  #: Range of the slopes taken over the one found.
 _OF_LEGS = 42
 """Parameters of legs, each entering once: six drives, spools, cap ports, rod ports and leaks, cap
 and rod chambers."""
-_RHO = slice(12, 24)
-"""Those of them that are slopes of ports."""
+_RHO = slice(12, 24)  #: Those of them that are slopes of ports.
 SIZES = (1,) * _OF_LEGS + (3, 4, 4, 4, 3)
 """How often parameters enter: those of the legs; the cab's mass, three shifts of its centre of
 mass, and its inertia."""

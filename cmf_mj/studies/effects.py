@@ -17,11 +17,9 @@ from cmf_mj.core.result import Field, Result, column, groups, where
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.settings import NOMINAL
 
-ENOUGH_DAMPING = 0.3
-"""Damping ratio that counts as damped: an overshoot of 37 %."""
+ENOUGH_DAMPING = 0.3  #: Damping ratio that counts as damped: an overshoot of 37 %.
 
-LEVEL = 0.95
-"""Confidence of all intervals."""
+LEVEL = 0.95  #: Confidence of all intervals.
 
 _MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
 

@@ -46,8 +46,7 @@ from cmf_mj.studies.settings import Study, StudyCase
 
 SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
 
-Row = dict[str, Any]
-"""One result: JSON values by the name of their column."""
+Row = dict[str, Any]  #: One result: JSON values by the name of their column.
 
 _SUM = 9  # characters of a line's checksum
 
@@ -156,11 +155,9 @@ Backend = Literal["threading", "loky", "dask"]
 
 _ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?([^/:\s]+):([0-9]{1,5})")
 
-_PATIENCE = 5.0
-"""Time that a scheduler has to answer [s]."""
+_PATIENCE = 5.0  #: Time that a scheduler has to answer [s].
 
-Progress = Callable[[int, int], None]
-"""Called with (tasks done, tasks in all)."""
+Progress = Callable[[int, int], None]  #: Called with (tasks done, tasks in all).
 
 _DEATHS = {"TerminatedWorkerError", "KilledWorker", "FutureCancelledError"}
 """What joblib and Dask raise where a worker dies."""

@@ -45,11 +45,9 @@ from cmf_mj.signals.signal import Command, check_not_negative, check_positive
 from cmf_mj.signals.single import sine
 from cmf_mj.studies.case import Case, make_case
 
-REST = 2.0
-"""Rest after the manoeuvre [s]."""
+REST = 2.0  #: Rest after the manoeuvre [s].
 
-FADE = 1.0
-"""Fade of the manoeuvre at both ends [s]."""
+FADE = 1.0  #: Fade of the manoeuvre at both ends [s].
 
 FALL_SPEED = 10.0 * units.INCH
 """Speed of the first leg at a stop above which the platform has fallen, not settled [m/s]; assumed,
@@ -60,10 +58,8 @@ FOLLOWING = 6.0 * units.INCH
 
 _STILL = 1e-3
 """Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
-_AT_STOP = 2e-3
-"""Distance from a stop that counts as on it [m]."""
-_KEEP = 8
-"""Frames from row to row of the record kept."""
+_AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
+_KEEP = 8  #: Frames from row to row of the record kept.
 
 
 class Peak(NamedTuple):
@@ -292,8 +288,7 @@ def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: 
 AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
 """Default amplitude of the manoeuvre on the CMF in translation [m] and rotation [rad]."""
 
-FREQUENCY = 0.5
-"""Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
+FREQUENCY = 0.5  #: Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s.
 
 AFTER = 26.0
 """Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""

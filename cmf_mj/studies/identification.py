@@ -37,11 +37,9 @@ from cmf_mj.studies.case import Case, dof_amplitude
 Method = Literal["arx", "oe"]
 Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
 
-SHARE = 0.6
-"""Part of a single run that is fitted; the rest validates."""
+SHARE = 0.6  #: Part of a single run that is fitted; the rest validates.
 
-HIGHEST = 16.0
-"""Highest frequency of the simulated broad excitations [Hz], above the oil modes."""
+HIGHEST = 16.0  #: Highest frequency of the simulated broad excitations [Hz], above the oil modes.
 
 _GRID = {"na": range(2, 8), "nb": range(1, 7), "nk": range(0, 3)}
 _BROAD = ("multisine", "chirp", "noise")

@@ -34,11 +34,9 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.asymptotes import asymptotes, full_speed
 
-POSES = 200
-"""Poses of the envelope that are looked at."""
+POSES = 200  #: Poses of the envelope that are looked at.
 
-POOR = 100.0
-"""Condition number above which a pose is reported as nearly singular."""
+POOR = 100.0  #: Condition number above which a pose is reported as nearly singular.
 
 
 LONG = 15.0

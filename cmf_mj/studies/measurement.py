@@ -42,14 +42,11 @@ from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import Case, Qualities, dof_amplitude, qualities
 
-HALF_HERTZ = 0.5
-"""Frequency of the half-hertz noise [Hz]."""
+HALF_HERTZ = 0.5  #: Frequency of the half-hertz noise [Hz].
 
-SLOW = 0.01
-"""Frequency of the hysteresis run [Hz]."""
+SLOW = 0.01  #: Frequency of the hysteresis run [Hz].
 
-CROSSTALK = 1.0
-"""Frequency of the crosstalk runs [Hz]."""
+CROSSTALK = 1.0  #: Frequency of the crosstalk runs [Hz].
 
 
 class Described(NamedTuple):

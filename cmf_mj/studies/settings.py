@@ -59,8 +59,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import Case, dof_amplitude
 
-SMALL = 0.01
-"""Share of an inertia that is left where there should be none."""
+SMALL = 0.01  #: Share of an inertia that is left where there should be none.
 
 _FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
 
@@ -139,11 +138,9 @@ def rung_named(name: str) -> Rung:
     return rungs[check_name("rungs", name, rungs)]
 
 
-Method = Literal["sweep", "linear", "matrix"]
-"""How a case is measured, see `evaluation`."""
+Method = Literal["sweep", "linear", "matrix"]  #: How a case is measured, see `evaluation`.
 
-NOMINAL = -1
-"""Draw of the machine without mismatch."""
+NOMINAL = -1  #: Draw of the machine without mismatch.
 
 _READY = Path(__file__).parent / "ready"
 

@@ -17,8 +17,7 @@ from cmf_mj.machine import models
 from cmf_mj.plant.parameters import HydraulicParameters
 
 SCRIPT = Path(__file__).resolve().parents[1] / "crosscheck"
-TARGET = 2e-6
-"""Largest difference of a leg extension that counts as agreement [m]."""
+TARGET = 2e-6  #: Largest difference of a leg extension that counts as agreement [m].
 SECONDS = 0.5
 
 

@@ -14,8 +14,7 @@ from fuzz_files import make_files
 from fuzzing import LONGEST, SEAMS, below, commands, line, outcome, pick, seams
 from lengths import examples
 
-LINES = 200
-"""Lines of the long search."""
+LINES = 200  #: Lines of the long search.
 
 
 @pytest.fixture

@@ -34,8 +34,7 @@ from cmf_mj.studies.capacity import manoeuvre
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]
-FILES = 1000
-"""Files of the long search, of settings and tables together."""
+FILES = 1000  #: Files of the long search, of settings and tables together.
 
 
 def loaders() -> list[tuple[Read, dict[str, Any]]]:

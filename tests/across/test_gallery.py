@@ -16,8 +16,7 @@ from matplotlib.text import Text
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 UPDATE = runpy.run_path(str(SCRIPTS[0].parents[2] / "scripts" / "update_docs.py"))
 
-LONGEST = 30.0
-"""Processor time of a script [s], kernels compiled."""
+LONGEST = 30.0  #: Processor time of a script [s], kernels compiled.
 
 DRAW = f"""
 import runpy, sys, time

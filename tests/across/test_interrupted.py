@@ -20,10 +20,8 @@ from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
 
-ENDS = 1
-"""How often the long search ends each command."""
-LONGEST = 12.0
-"""Latest end after the start [s]."""
+ENDS = 1  #: How often the long search ends each command.
+LONGEST = 12.0  #: Latest end after the start [s].
 
 
 def test_every_command_that_writes_has_a_line() -> None:

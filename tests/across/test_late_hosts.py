@@ -53,13 +53,10 @@ from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot import telemetry as live  # noqa: E402
 from cmf_mj.pilot.washout import Washout  # noqa: E402
 
-SLOW = pytest.mark.slow
-"""A case among others that are not."""
+SLOW = pytest.mark.slow  #: A case among others that are not.
 
-MOST = 1.2
-"""Largest gain in position from a host's motion below 1 Hz."""
-HARSHEST = 2.0
-"""Largest gain in acceleration of a host with ordinary jitter."""
+MOST = 1.2  #: Largest gain in position from a host's motion below 1 Hz.
+HARSHEST = 2.0  #: Largest gain in acceleration of a host with ordinary jitter.
 
 PLAIN = Host(80.0, 0.2, 0.0, 0.0, 0.0, "exact", 0.2, (0.0,), (1.0,), 1.0)
 

@@ -15,8 +15,7 @@ from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
-AMPLITUDE = 0.33 * 0.0254
-"""The report's 0.33 in [m]."""
+AMPLITUDE = 0.33 * 0.0254  #: The report's 0.33 in [m].
 
 KINDS = ("chirp", "multisine")
 

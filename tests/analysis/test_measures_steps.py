@@ -14,8 +14,7 @@ from cmf_mj.analysis.measures import damping_from_overshoot, resonant_damping
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
-STEP = -0.0254
-"""The report's 1 in heave step [m], upwards."""
+STEP = -0.0254  #: The report's 1 in heave step [m], upwards.
 
 
 @cache

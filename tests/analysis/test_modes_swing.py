@@ -10,8 +10,7 @@ from cmf_mj import Hexapod
 from cmf_mj.analysis.modes import largest_stroke, reserve, swinging
 from cmf_mj.machine.kinematics import pose_to_legs
 
-LEANING = np.array([0.05, -0.3, -0.5, -0.04, 0.11, -0.05])
-"""A pose with a leg far out."""
+LEANING = np.array([0.05, -0.3, -0.5, -0.04, 0.11, -0.05])  #: A pose with a leg far out.
 
 
 @pytest.fixture(scope="module")

@@ -89,8 +89,7 @@ def assert_smooth(demand: Array) -> None:
         assert (quotient <= high + bend).all()
 
 
-SETTLED = slice(2700, 4000)
-"""Frames in which the gap of the start is closed."""
+SETTLED = slice(2700, 4000)  #: Frames in which the gap of the start is closed.
 
 
 @pytest.mark.parametrize("rate", [80.0, 64.0, 40.0, 25.0])

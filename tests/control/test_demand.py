@@ -79,8 +79,7 @@ def test_frame_and_history_agree():
 
 # Degrees of freedom about the static centre of mass
 
-CENTRE = np.array([0.4, -0.1, -0.9])
-"""r_cg of Eq 2.1 [m], platform axes."""
+CENTRE = np.array([0.4, -0.1, -0.9])  #: r_cg of Eq 2.1 [m], platform axes.
 
 
 @pytest.mark.parametrize("motion", MOTIONS[:10])

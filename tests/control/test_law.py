@@ -30,8 +30,7 @@ INTEGRAL = {"error_integral": 50.0}
 """Gain on the integral: 50 in Table 3-4; section 3.3 has all laws of section 3.3 and later
 run with it."""
 
-REPORT = (0.914, -37.1759, 1.0)
-"""A, C and B on position from Table 2-5 on."""
+REPORT = (0.914, -37.1759, 1.0)  #: A, C and B on position from Table 2-5 on.
 BASE = {"reference": 49.0, "position": 381.8}
 RATE = BASE | {"position_error_rate": 2.2}
 FIELD = {"acceleration_eq_3_6": 0.01, "acceleration": 0.01, "acceleration_opposing": -0.01}

@@ -24,8 +24,7 @@ MACHINE = with_valve_gains(load_hydraulics("hardware"), 1)
 CORNER = (0.25, -0.2, 0.17, 0.075, 0.073, -0.097)
 """Surge, sway, heave [m], roll, pitch, yaw [rad], the legs within 60 % of the working stroke."""
 
-RAISED = (0.0, 0.0, -0.66, 0.0, 0.0, 0.0)
-"""Raised by 60 % of the limit of heave."""
+RAISED = (0.0, 0.0, -0.66, 0.0, 0.0, 0.0)  #: Raised by 60 % of the limit of heave.
 
 
 def accepted(oil: float = 1.0, **options: Any) -> Measures:

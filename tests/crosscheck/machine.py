@@ -24,8 +24,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from crosscheck.hydraulics import Circuit, make_circuit
 
 _LEGS = 6
-_UNIT = 1e5
-"""Pressure states are counted in this [Pa], so that all residuals have a similar size."""
+_UNIT = 1e5  #: Pressure states are counted in this [Pa], so that all residuals have a similar size.
 
 
 class _Body(NamedTuple):

@@ -36,10 +36,8 @@ GARBAGE = ("bit", "cut", "long", "noise", "empty")
 
 class Outcome(NamedTuple):
     source: Source
-    out: NDArray[np.float64]
-    """Leg reference, velocity, acceleration, (3, N, 6)."""
-    sent: list[bytes]
-    """Good datagrams, in order."""
+    out: NDArray[np.float64]  #: Leg reference, velocity, acceleration, (3, N, 6).
+    sent: list[bytes]  #: Good datagrams, in order.
     refused: dict[str, int]
 
 

@@ -35,8 +35,7 @@ ASKING = {
     "FAULT": Request.TRIP,
 }
 """The request that leads to each state where the machine may stay, from any but fault."""
-LONGEST = 36.0
-"""Longest path, from off over return and raise to engaged [s]."""
+LONGEST = 36.0  #: Longest path, from off over return and raise to engaged [s].
 
 
 def host(seconds: float, amplitude: float = 0.02, hertz: float = 0.5) -> HostStream:

@@ -29,8 +29,7 @@ from cmf_mj.pilot.learning import (
 )
 
 ROWS, RATE, SHARE = 1600, 80.0, 0.5
-POLE = np.exp(-2.0 * np.pi * 2.0 / RATE)
-"""Of a first-order lag of 2 Hz at 80 Hz."""
+POLE = np.exp(-2.0 * np.pi * 2.0 / RATE)  #: Of a first-order lag of 2 Hz at 80 Hz.
 
 
 def lag(demand: NDArray[np.float64]) -> NDArray[np.float64]:

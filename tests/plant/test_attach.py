@@ -8,10 +8,8 @@ from scipy import optimize
 
 from cmf_mj import attach_hydraulics, drive, simulate
 
-GRAVITY = 9.81
-"""MuJoCo's default."""
-HALF = 0.9652
-"""Half stroke of the hardware set, 38 in [m]."""
+GRAVITY = 9.81  #: MuJoCo's default.
+HALF = 0.9652  #: Half stroke of the hardware set, 38 in [m].
 
 LIFT = """
 <mujoco model="lift">

@@ -21,8 +21,7 @@ CYLINDERS = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
 G = 9.80665
 _SI = "m^3/s/Pa"
 
-FOOT, BOOM_BARREL = 0.15 + 1.80j, 0.57 + 1.13j
-"""Boom pin and foot of its cylinders in the world."""
+FOOT, BOOM_BARREL = 0.15 + 1.80j, 0.57 + 1.13j  #: Boom pin and foot of its cylinders in the world.
 BOOM_EYE, STICK_BARREL, STICK = 2.25 + 0.90j, 3.10 + 1.10j, 5.70 + 0j
 """On the boom: rod end, foot of the stick's cylinder, stick pin."""
 STICK_EYE, BUCKET_BARREL, ROCKER, BUCKET = -0.75 + 0.35j, 0.30 + 0.62j, 2.46 + 0.06j, 2.90 + 0j
@@ -49,10 +48,8 @@ class Front(NamedTuple):
     boom: complex
     stick: complex
     bucket: complex
-    knee: complex
-    """Pin of rocker, link and bucket rod."""
-    knuckle: complex
-    """Pin of link and bucket."""
+    knee: complex  #: Pin of rocker, link and bucket rod.
+    knuckle: complex  #: Pin of link and bucket.
 
 
 def front(lengths):

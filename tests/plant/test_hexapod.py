@@ -104,8 +104,7 @@ def gfd():
     return Hexapod("gfd")
 
 
-SEALED = changed("hardware", leak_rate=0.0)
-"""Without leakage, the only loss of a closed valve."""
+SEALED = changed("hardware", leak_rate=0.0)  #: Without leakage, the only loss of a closed valve.
 
 NO_COMMAND = load_law({"name": "nothing", "title": "No command", "direct_gain": {}})
 

@@ -9,8 +9,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab, recorded_cab
 from cmf_mj.plant.hexapod import Hexapod, hexapod_model, hexapod_spec
 
-LIGHT = 1e-6
-"""Factor on the legs' masses that leaves none to speak of."""
+LIGHT = 1e-6  #: Factor on the legs' masses that leaves none to speak of.
 
 
 def bytes_of(model: mujoco.MjModel) -> bytes:

@@ -29,8 +29,7 @@ from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
 from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
 
-CAP = 2
-"""First column of the pressures in a row (drive, spool, p_cap, p_rod)."""
+CAP = 2  #: First column of the pressures in a row (drive, spool, p_cap, p_rod).
 
 # -- against scipy ------------------------------------------------------------------------------
 

@@ -29,8 +29,7 @@ from cmf_mj.studies.failure import (
 FRAME = 1.0 / 2048.0
 INCH, PSI, POUND, GRAVITY = 0.0254, 6894.757293168361, 4.4482216152605, 9.80665
 ATMOSPHERE = 101325.0
-AT = 2.0
-"""The sine of 0.5 Hz is then at its largest speed, and faded in."""
+AT = 2.0  #: The sine of 0.5 Hz is then at its largest speed, and faded in.
 CAP, ROD = 23.758 * INCH**2, 11.965 * INCH**2
 SUPPLY = 1500.0 * PSI
 LEAK = 15.0 * 38 * INCH * (CAP + ROD) / (4 * 1e5 * PSI)

@@ -54,29 +54,22 @@ from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
-SHARE = 0.003
-"""Residue over the largest from which on a pole counts in a degree of freedom."""
+SHARE = 0.003  #: Residue over the largest from which on a pole counts in a degree of freedom.
 
-DAMPED = (0.5, 50.0)
-"""Poles whose damping is looked at [Hz]."""
+DAMPED = (0.5, 50.0)  #: Poles whose damping is looked at [Hz].
 
-PAIR_HZ = 8.0
-"""Below this, the least damped poles are the pair [Hz]."""
+PAIR_HZ = 8.0  #: Below this, the least damped poles are the pair [Hz].
 
-BAND = (0.1, 10.0)
-"""Frequencies of responses [Hz]."""
+BAND = (0.1, 10.0)  #: Frequencies of responses [Hz].
 
-FREQUENCIES = np.geomspace(*BAND, 120)
-"""Lines of responses [Hz], next to those of their poles."""
+FREQUENCIES = np.geomspace(*BAND, 120)  #: Lines of responses [Hz], next to those of their poles.
 
-STIFF = (0.5, 5.0)
-"""Frequencies between which the least dynamic stiffness counts [Hz]."""
+STIFF = (0.5, 5.0)  #: Frequencies between which the least dynamic stiffness counts [Hz].
 
 LINES = 0.05 * 10.0 ** (np.arange(105) / 40.0)
 """Lines the rejection is read from, 40 a decade, 0.05 to 19.9 Hz, the ends of `STIFF` too."""
 
-_BLOCK = 64
-"""Frames between the states that a step response goes through."""
+_BLOCK = 64  #: Frames between the states that a step response goes through.
 _SHUT = Law(name="shut", title="Valves shut", direct_gain=Gains())
 _ENDLESS = 1e6  # times the least dynamic stiffness: round-off of no motion
 

@@ -37,8 +37,7 @@ from cmf_mj.core.errors import InputError, check_name
 DCL_INPUTS = ("reference", *FEEDBACK)
 """Inputs of `dcl_state_space` for each leg; the reference in m."""
 
-_PRESSURES = FEEDBACK.index("cap_pressure")
-"""Where the pressures begin in `FEEDBACK`."""
+_PRESSURES = FEEDBACK.index("cap_pressure")  #: Where the pressures begin in `FEEDBACK`.
 
 Matrix = NDArray[np.float64]
 
@@ -120,14 +119,12 @@ def reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bo
     return start
 
 
-OUTPUTS = (*FEEDBACK, "command")
-"""Outputs a closed loop can have."""
+OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
 
 Pressures = Literal["modelled", "zero"]
 """Whether the law sees the plant's pressures; a plant without them has zero pressures."""
 
-STEP_DURATION = 10.0
-"""Length of the steps measured [s]."""
+STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
 Complex = NDArray[np.complex128]
 

@@ -112,8 +112,7 @@ def _check_smooth(plant: Plant) -> None:
         )
 
 
-_SCAN = 41
-"""Pressures at which the balance of an actuator is looked at before it is solved."""
+_SCAN = 41  #: Pressures at which the balance of an actuator is looked at before it is solved.
 _ROUNDS = 50
 _APART = 1e-2
 """Least difference of the chambers' pressures over the supply's that a search begins with."""

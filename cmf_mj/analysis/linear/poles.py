@@ -78,8 +78,7 @@ _FAMILIES = {
 }
 """Kinds of state, with the beginnings of their names."""
 
-_STILL = 1e-6
-"""Pole [rad/s] of an integrator: round-off of the eigenvalues."""
+_STILL = 1e-6  #: Pole [rad/s] of an integrator: round-off of the eigenvalues.
 
 
 class Mode(NamedTuple):
@@ -135,8 +134,7 @@ def modes(system: control.StateSpace, jacobian: Matrix | None = None) -> tuple[M
     return tuple(result)
 
 
-_TAIL = 4.0
-"""Length of the steady oscillation examined [s]."""
+_TAIL = 4.0  #: Length of the steady oscillation examined [s].
 
 
 def limit_cycle(record: Record) -> tuple[float, float, float]:

@@ -40,8 +40,7 @@ Excitation = Literal["noise", "sine", "mean"]
 """What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine; `mean` is
 f = 1/2, the plain mean of both slopes that numerical differences give."""
 
-_FARTHEST = 8.0
-"""Largest mean over standard deviation that is looked for."""
+_FARTHEST = 8.0  #: Largest mean over standard deviation that is looked for.
 
 
 def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
@@ -79,8 +78,7 @@ def _sine_part(mean: float) -> float:
 CAP, ROD, DRAWN, RETURNED = range(4)
 """Rows: flows into the chambers, out of the supply manifold and into the return manifold."""
 
-HIGH, LOW = 2, 3
-"""Columns of pressure slopes: cap, rod, supply and return manifold."""
+HIGH, LOW = 2, 3  #: Columns of pressure slopes: cap, rod, supply and return manifold.
 
 Matrix = NDArray[np.float64]
 

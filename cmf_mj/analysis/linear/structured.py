@@ -37,18 +37,12 @@ from scipy import linalg, optimize
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_SLACK = 1.01
-"""Beta over the one found at a frequency."""
-_NARROW = 5e-4
-"""Least half width of an interval over the distance from the nearest pole."""
-_MANY = 400
-"""Intervals after which beta is raised with each, to come to an end."""
-_SURE = 0.999
-"""How far an interval counts, over where its eigenvalue is."""
-_MOST = 1e6
-"""Largest part of S, for the sake of rounding."""
-_NEAR = 1e-2
-"""Real part over modulus up to which an eigenvalue is tried as an imaginary one."""
+_SLACK = 1.01  #: Beta over the one found at a frequency.
+_NARROW = 5e-4  #: Least half width of an interval over the distance from the nearest pole.
+_MANY = 400  #: Intervals after which beta is raised with each, to come to an end.
+_SURE = 0.999  #: How far an interval counts, over where its eigenvalue is.
+_MOST = 1e6  #: Largest part of S, for the sake of rounding.
+_NEAR = 1e-2  #: Real part over modulus up to which an eigenvalue is tried as an imaginary one.
 _SHARPNESS = (20.0, 60.0, 200.0)
 """Of the smooth maximum of eigenvalues that is minimised, round by round."""
 _ENOUGH, _GOOD = 0.9, 0.97

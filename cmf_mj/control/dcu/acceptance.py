@@ -35,30 +35,24 @@ from cmf_mj.control.dcu.motion import (
 from cmf_mj.control.dcu.state import CAPACITY, Verdict
 from cmf_mj.core.compiled import compiled
 
-SEQUENCE_GAP = 4096
-"""Most by which a sequence number may run ahead."""
+SEQUENCE_GAP = 4096  #: Most by which a sequence number may run ahead.
 
-STAMP = 1e-6
-"""Resolution granted to host times [s]; a double counts seconds since 1970 to 0.2 us."""
+STAMP = 1e-6  #: Resolution granted to host times [s]; a double counts seconds since 1970 to 0.2 us.
 
 AVERAGE, LATENESS = 1.0, 0.1
 """Time constants of the means of interval and share of late frames, and of lateness [s]."""
 
-_BEND = 6.0
-"""Bend of a quintic, times h^2 / r, for what it has to make up."""
+_BEND = 6.0  #: Bend of a quintic, times h^2 / r, for what it has to make up.
 
-_FLOOR = 0.01
-"""Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion."""
+_FLOOR = 0.01  #: Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion.
 
 _JUDGED, _PATIENCE = 40, 10
 """Frames in motion in which derivatives that do not fit are put aside, and how many times as many
 have to fit before they are taken again: a change between the two is felt."""
 
-POSES_HOLD = 1.0 / 3.0
-"""Share of the hold that poses wait; the filter bridges the rest."""
+POSES_HOLD = 1.0 / 3.0  #: Share of the hold that poses wait; the filter bridges the rest.
 
-LATE_SHARE = 0.2
-"""Share of late frames from which on the host is late."""
+LATE_SHARE = 0.2  #: Share of late frames from which on the host is late.
 
 
 @compiled

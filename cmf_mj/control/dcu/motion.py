@@ -32,16 +32,13 @@ import numpy as np
 
 from cmf_mj.core.compiled import compiled
 
-POSE, VELOCITY, ACCELERATION = 0, 1, 2
-"""Rows of a motion."""
+POSE, VELOCITY, ACCELERATION = 0, 1, 2  #: Rows of a motion.
 
 DOFS = 6
 
-GAP_END = 1e-6
-"""Acceleration [m/s^2, rad/s^2] below which a gap, times w^2, w and 1, has ended."""
+GAP_END = 1e-6  #: Acceleration [m/s^2, rad/s^2] below which a gap, times w^2, w and 1, has ended.
 
-GAP_OVERSHOOT = 0.84
-"""What a gap of velocity v alone grows to, in v / w."""
+GAP_OVERSHOOT = 0.84  #: What a gap of velocity v alone grows to, in v / w.
 
 
 @compiled

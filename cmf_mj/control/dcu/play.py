@@ -40,11 +40,9 @@ RANGE_SHARE, RANGE_FLOOR = 0.1, 1e-3
 """How far beyond the host's range the demand may be, besides the way to stop: share of the range,
 and [m, rad]."""
 
-_STRAYED = 20
-"""Control frames beyond the host's range that are no fault yet."""
+_STRAYED = 20  #: Control frames beyond the host's range that are no fault yet.
 
-CLOCK_DRIFT = 5e-3
-"""Drift of clocks that is not worth remembering."""
+CLOCK_DRIFT = 5e-3  #: Drift of clocks that is not worth remembering.
 
 
 @compiled

@@ -132,14 +132,11 @@ class DcuLimits(Settings):
         return np.repeat(values, 3)
 
 
-_SMOOTHER = 10.0
-"""How much faster than its correction the rate of the play clock settles."""
+_SMOOTHER = 10.0  #: How much faster than its correction the rate of the play clock settles.
 
-_GAP_TIMES = 6.0
-"""Rejoin time in units of 1 / w: (1 + x + x^2 / 2) e^-x is 0.062 there."""
+_GAP_TIMES = 6.0  #: Rejoin time in units of 1 / w: (1 + x + x^2 / 2) e^-x is 0.062 there.
 
-MOST_TIMEOUT = 10.0
-"""Longest timeout [s]."""
+MOST_TIMEOUT = 10.0  #: Longest timeout [s].
 
 
 class DcuSettings(Settings):
@@ -296,8 +293,7 @@ class Clocks(NamedTuple):
     slot: int = 0  #: Place in the transport line.
 
 
-CAPACITY = 64
-"""Frames the buffer holds."""
+CAPACITY = 64  #: Frames the buffer holds.
 
 
 class HostRange(NamedTuple):

@@ -20,14 +20,12 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import HostFrame
 
-NEVER = np.iinfo(np.int64).max
-"""Control frame of a place in a log that is not filled."""
+NEVER = np.iinfo(np.int64).max  #: Control frame of a place in a log that is not filled.
 
 MOST_RATE = 200
 """Frames a second that are handed over [Hz]: the DCU refuses what is faster than 100."""
 
-SPARE = 256
-"""Frames that may come sooner than that."""
+SPARE = 256  #: Frames that may come sooner than that.
 
 
 class Ring(NamedTuple):

@@ -37,31 +37,25 @@ from cmf_mj.facility.host.udp import LOOPBACK, HostPort
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.kinematics import legs_to_pose
 
-RATE = 60
-"""Commands a second [Hz]."""
+RATE = 60  #: Commands a second [Hz].
 
 COMMAND, ANSWER = struct.Struct(">I6fI"), struct.Struct(">3I6fI")
 
-ORDER = (3, 4, 2, 0, 5, 1)
-"""Degree of freedom of each of the six numbers."""
+ORDER = (3, 4, 2, 0, 5, 1)  #: Degree of freedom of each of the six numbers.
 
-POWER_UP = 1.0
-"""Time from the start to idle [s]; assumed."""
+POWER_UP = 1.0  #: Time from the start to idle [s]; assumed.
 
 REFUSALS = ("wrong_sender", "wrong_length", "wrong_word", "not_finite", "out_of_range", "disabled")
 """Why a datagram is dropped: nothing moves by it."""
 
-_POLL = 4
-"""Control frames between two looks at the network in real time: 2 ms."""
+_POLL = 4  #: Control frames between two looks at the network in real time: 2 ms.
 
 _FOLLOW, _LEARN = 1.0 / 2.0, 1.0 / 64.0
 """Shares of a command's lateness by which its stamp and the mean interval follow it."""
 
-_INTERVALS = (1.0 / 150.0, 1.0 / 30.0)
-"""Least and largest mean interval of commands [s]."""
+_INTERVALS = (1.0 / 150.0, 1.0 / 30.0)  #: Least and largest mean interval of commands [s].
 
-_MOST = 64
-"""Datagrams taken at one look, so that a flood does not hold up the machine."""
+_MOST = 64  #: Datagrams taken at one look, so that a flood does not hold up the machine.
 
 _PATIENCE = 10.0
 """Longest wait for a command in lockstep [s]; then the host is taken to have gone."""
@@ -107,8 +101,7 @@ class Discrete(IntFlag):
     AMPLIFIER_ENABLE, DRIVE_BUS, LIMIT_SWITCH, AT_HOME = 0x40, 0x20, 0x08, 0x01
 
 
-_MODES = {Word.LENGTH_MODE: 0x00, Word.DOF_MODE: 0x20}
-"""Mode bits of the machine state."""
+_MODES = {Word.LENGTH_MODE: 0x00, Word.DOF_MODE: 0x20}  #: Mode bits of the machine state.
 
 _STOPS = {Word.INHIBIT: MachineState.INHIBITED, Word.DISABLE: MachineState.DISABLED}
 """State that a word stops the base in."""

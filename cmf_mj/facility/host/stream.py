@@ -42,11 +42,9 @@ from cmf_mj.signals.signal import LONGEST, Command, check_positive
 DERIVATIVES = ("spline", "zero")
 """How velocity and acceleration are made: of the quintic spline, or none."""
 
-LEAST = 6
-"""Frames a quintic spline needs."""
+LEAST = 6  #: Frames a quintic spline needs.
 
-_PERIOD = 0.5
-"""Time from stutter to stutter [s]."""
+_PERIOD = 0.5  #: Time from stutter to stutter [s].
 
 
 class HostFrame(NamedTuple):
@@ -230,14 +228,11 @@ def _refuse(bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> No
         raise InputError(f"{name}: frame {index}: {values[index]} is refused; allowed: {allowed}")
 
 
-SLOWEST = 0.25
-"""Longest time between frames that a host can drive the DCU with [s]."""
+SLOWEST = 0.25  #: Longest time between frames that a host can drive the DCU with [s].
 
-_FASTEST = 1e-3
-"""Shortest time that a host is likely to have between frames [s]."""
+_FASTEST = 1e-3  #: Shortest time that a host is likely to have between frames [s].
 
-_TIMES = {"ms": 1e-3, "us": 1e-6}
-"""Other units of time that hosts count in [s]."""
+_TIMES = {"ms": 1e-3, "us": 1e-6}  #: Other units of time that hosts count in [s].
 
 
 def unit_doubts(

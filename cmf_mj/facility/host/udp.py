@@ -33,14 +33,11 @@ _BODY, _SUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
 
 SIZE = _BODY.size + _SUM.size
 
-TAG = 16
-"""Octets that prove the session key."""
+TAG = 16  #: Octets that prove the session key.
 
-KEY_SIZES = (16, 32)
-"""Least and most octets of a session key."""
+KEY_SIZES = (16, 32)  #: Least and most octets of a session key.
 
-MOST_SEQUENCE = 2**63 - 1
-"""Largest sequence number."""
+MOST_SEQUENCE = 2**63 - 1  #: Largest sequence number.
 
 DATAGRAM_REASONS = tuple(
     f"wrong_{what}"
@@ -120,8 +117,7 @@ def decode_frame(data: bytes, key: bytes | None = None) -> HostFrame:
 
 LOOPBACK = "127.0.0.1"
 
-_LONGEST_WAIT = 0.05
-"""How long the thread waits before it looks whether it is to end [s]."""
+_LONGEST_WAIT = 0.05  #: How long the thread waits before it looks whether it is to end [s].
 
 _BUFFER = 4 * 2**20
 """Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""

@@ -61,8 +61,7 @@ class PageFigure(NamedTuple):
     caption: str
 
 
-Block = PageTable | PageFigure | str
-"""A string is a paragraph."""
+Block = PageTable | PageFigure | str  #: A string is a paragraph.
 
 
 class Section(NamedTuple):
@@ -79,8 +78,7 @@ class Content(NamedTuple):
     runs: Runs
     figures: tuple[ReportFigure, ...]  #: Figures of the page.
     tables: tuple[str, ...]  #: Result tables of the page.
-    studies: bool
-    """Whether the page has its summary: it has all figures and tables."""
+    studies: bool  #: Whether the page has its summary: it has all figures and tables.
 
 
 def provenance(runs: Runs) -> PageTable:

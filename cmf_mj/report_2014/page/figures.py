@@ -70,8 +70,7 @@ _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.1
 
 _LEG = ("position [in]", "velocity [in/s]", "acceleration [g]")
 
-Drawing = tuple[Figure, dict[str, Any]]
-"""A figure, and what its caption fills in."""
+Drawing = tuple[Figure, dict[str, Any]]  #: A figure, and what its caption fills in.
 
 
 class ReportFigure(NamedTuple):

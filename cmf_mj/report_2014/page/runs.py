@@ -50,29 +50,23 @@ Signal = Literal[
 HYDRAULICS: Mapping[On, str] = {"model": "report", "machine": "hardware"}
 """Hydraulic sets of the two plants."""
 
-PLANTS: Mapping[On, str] = {"model": "single_legs", "machine": "hexapod"}
-"""The two plants."""
+PLANTS: Mapping[On, str] = {"model": "single_legs", "machine": "hexapod"}  #: The two plants.
 
-CAB = "gfd"
-"""Cab of the machine."""
+CAB = "gfd"  #: Cab of the machine.
 
-STEP = 1.0 * units.INCH
-"""Steps, pulses and slow sines of the report [m]."""
+STEP = 1.0 * units.INCH  #: Steps, pulses and slow sines of the report [m].
 
 SLOW, FIRST, FELT, FAST = 0.5, 1.0, 1.2, 5.0
 """Sines of Figures 3-10 and 3-22, of linear model 2, of Figures 3-16 and 4-7 [Hz]."""
 
-REST = 20.0
-"""Rest of Figure 3-15 [s]."""
+REST = 20.0  #: Rest of Figure 3-15 [s].
 
 IDENTIFIED_ON: Mapping[int, Signal] = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
 """Signals of the report's linear models 1 to 3 (section 4.3)."""
 
-ORDERS = Orders(4, 3, 1)
-"""Of our models of a leg: two lags and the oil mode."""
+ORDERS = Orders(4, 3, 1)  #: Of our models of a leg: two lags and the oil mode.
 
-LEG = "leg_1"
-"""The leg whose motion figures show."""
+LEG = "leg_1"  #: The leg whose motion figures show.
 
 
 class RunSpec(NamedTuple):

@@ -60,8 +60,7 @@ def law_title(name: str) -> str:
     return load_law(name).title
 
 
-TITLES: dict[str, str] = CONTENTS["results"]
-"""Result tables of the report, by number."""
+TITLES: dict[str, str] = CONTENTS["results"]  #: Result tables of the report, by number.
 
 PHASE, GAIN, DAMPING = 0.10, 0.12, 0.1
 """Tolerances: relative in -90 deg, in all of the hardware and in -3 dB, absolute in damping."""

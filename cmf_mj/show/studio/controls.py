@@ -40,13 +40,11 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
-NONE = "none"
-"""Choice of no second law."""
+NONE = "none"  #: Choice of no second law.
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
-_LISTED = 3
-"""Marks that the lamp lists at most."""
+_LISTED = 3  #: Marks that the lamp lists at most.
 
 
 def lamp(view: View) -> str:

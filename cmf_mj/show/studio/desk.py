@@ -98,8 +98,7 @@ def from_rest(scenario: Run) -> Run:
     return scenario.model_copy(update=begun | {"events": (), "change": ()})
 
 
-_SETTLE = 0.3
-"""Time a control is left alone before it acts [s]."""
+_SETTLE = 0.3  #: Time a control is left alone before it acts [s].
 
 
 class Desk:

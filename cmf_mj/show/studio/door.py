@@ -22,11 +22,9 @@ import websockets.asyncio.server as websocket
 from websockets import Headers
 from websockets.http11 import Request, Response
 
-MOST_TABS = 8
-"""Tabs open at the same time; each has a plant, a record and a thread."""
+MOST_TABS = 8  #: Tabs open at the same time; each has a plant, a record and a thread.
 
-MOST_MESSAGE = 100_000
-"""Largest message of a tab [octets]."""
+MOST_MESSAGE = 100_000  #: Largest message of a tab [octets].
 
 COMMANDS = ("ViewerCameraMessage", "GuiUpdateMessage", "FileTransferPartAck")
 """Messages of the page that the studio answers to; others, as the request for a public address or

@@ -30,11 +30,9 @@ from cmf_mj.facility.settings import Change
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-LARGEST = 0.25
-"""Wall time made up for at most in one turn [s]."""
+LARGEST = 0.25  #: Wall time made up for at most in one turn [s].
 
-_WINDOW = 2.0
-"""Wall time the ratios are taken over [s]."""
+_WINDOW = 2.0  #: Wall time the ratios are taken over [s].
 
 
 class SessionPace(NamedTuple):
@@ -90,17 +88,14 @@ class Clock:
         return SessionPace(float(simulated / wall), float(simulated / busy), self._given_up)
 
 
-TURN = 1.0 / 30.0
-"""Time from picture to picture [s]."""
+TURN = 1.0 / 30.0  #: Time from picture to picture [s].
 
-KEPT_ROWS = 76_800
-"""Rows of the record a session keeps, about 90 MB: ten minutes at 128 Hz."""
+KEPT_ROWS = 76_800  #: Rows of the record a session keeps, about 90 MB: ten minutes at 128 Hz.
 
 PLOT_RATE = 64
 """States kept for the plots in a second of simulated time [Hz]; the fastest excitation has 10."""
 
-LONGEST = 20.0
-"""Time they are kept [s]."""
+LONGEST = 20.0  #: Time they are kept [s].
 
 _PART = RATE // PLOT_RATE
 

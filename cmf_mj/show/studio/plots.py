@@ -123,14 +123,11 @@ class Plots:
         self._supply.data = (time, *manifolds, *marked)
 
 
-_PUSH_LENGTH = 5.0
-"""Length of the arrow of the largest push [m]."""
+_PUSH_LENGTH = 5.0  #: Length of the arrow of the largest push [m].
 
-_CAB_CENTRE = np.array([0.0, 0.0, 1.7])
-"""Where the arrow points, from the platform [m]."""
+_CAB_CENTRE = np.array([0.0, 0.0, 1.7])  #: Where the arrow points, from the platform [m].
 
-_CLEAR = 2.4
-"""Distance of its tip from there, outside the cab [m]."""
+_CLEAR = 2.4  #: Distance of its tip from there, outside the cab [m].
 
 _HEIGHT, _WIDTH = 0.62, 0.85
 """Angles that hold the machine with its longest cab, seen from the first view [rad]."""

@@ -17,11 +17,9 @@ from cmf_mj.show.studio.door import Door
 from cmf_mj.show.studio.live import View
 from cmf_mj.show.studio.plots import MachineScene, Plots, place_camera
 
-_PLOTS_EVERY = 4
-"""Turns from drawing of the plots to drawing: 7.5 a second."""
+_PLOTS_EVERY = 4  #: Turns from drawing of the plots to drawing: 7.5 a second.
 
-_STATUS_EVERY = 8
-"""Turns from status to status."""
+_STATUS_EVERY = 8  #: Turns from status to status.
 
 
 class TabClosed(Exception):
@@ -99,8 +97,7 @@ class Page:
                 self._scene = MachineScene(self.desk.client, scenario.carried)
 
 
-_ARENA_MAX, _MMAP_THRESHOLD = -8, -3
-"""Options of glibc's mallopt."""
+_ARENA_MAX, _MMAP_THRESHOLD = -8, -3  #: Options of glibc's mallopt.
 
 
 class Studio:
