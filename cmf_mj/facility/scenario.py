@@ -20,7 +20,7 @@ def scenario_names() -> tuple[str, ...]:
 
 
 def load_scenario(source: str | Path) -> Run:
-    """A scenario by the name of a shipped one, or from a TOML file.
+    """A scenario; `source` is the name of a shipped one, or a TOML file.
 
     Names of files in it count from its folder; a refusal has one line a key, with what is allowed.
 

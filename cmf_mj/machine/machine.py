@@ -274,7 +274,7 @@ def _conditioning(shape: Geometry) -> float:
 
 
 def load_machine(source: str | Path | Machine = models.CMF) -> Machine:
-    """Load a shipped machine by name, or a TOML file of the form that heads this module.
+    """Load a machine; `source` is a shipped one's name, or a TOML file as heads this module.
 
     What is loaded already comes back as it is; another machine under a shipped one's name is
     refused.
