@@ -20,15 +20,7 @@ from cmf_mj.report_2014.models import (
     report_model,
     report_models,
 )
-from cmf_mj.show.look import (
-    GREY,
-    bode_axes,
-    legend,
-    new_figure,
-    plot_bode,
-    plot_printed,
-    save_files,
-)
+from cmf_mj.show import look
 from cmf_mj.show.study import phase_text
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
@@ -169,26 +161,26 @@ def misprint_table() -> Table:
 
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
-    bode, gain, phase = bode_axes(limits=True)
-    step = new_figure(8.0, 7.0)
+    bode, gain, phase = look.bode_axes(limits=True)
+    step = look.new_figure(8.0, 7.0)
     axis, circles = step.subplots(), ""
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
     for item in loops:
         stable, label = item.measures.stable, f"linear model #{item.model}"
         label += f", Eq {HARDWARE_MODELS[item.model]}" + ("" if stable else ", unstable")
         response = loop_response(item.loop, _FREQUENCIES)
-        colour = plot_bode(gain, phase, response, label=label, stable=stable)
+        colour = look.plot_bode(gain, phase, response, label=label, stable=stable)
         axis.plot(*(loop_step(item.loop, 2.0) if stable else ((), ())), label=label, color=colour)
         row = printed[f"linear_{item.model}"]
-        if item.law.name == row.law and plot_printed(gain, phase, row, colour):
+        if item.law.name == row.law and look.plot_printed(gain, phase, row, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")
-    axis.axhline(1.0, color=GREY, linewidth=0.8)
+    axis.axhline(1.0, color=look.GREY, linewidth=0.8)
     axis.set(
         xlabel="time after the step [s]", ylabel="leg position over demand", title=f"Step, {law}"
     )
-    legend(bode, step)
+    look.legend(bode, step)
     return bode, step
 
 
@@ -198,4 +190,4 @@ def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) 
     for law in dict.fromkeys(item.law.name for item in loops):
         figures = loop_figures([item for item in loops if item.law.name == law])
         files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures
-    return save_files(files, folder)
+    return look.save_files(files, folder)

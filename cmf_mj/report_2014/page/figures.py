@@ -42,18 +42,7 @@ from cmf_mj.report_2014.page.runs import (
     specs,
 )
 from cmf_mj.report_2014.page.tables import CONTENTS, fit_text, law_title
-from cmf_mj.show.look import (
-    BLUE,
-    COLOURS,
-    GREEN,
-    GREY,
-    ORANGE,
-    bode_axes,
-    legend,
-    plot_bode,
-    plot_printed,
-    stack,
-)
+from cmf_mj.show import look
 from cmf_mj.show.study import responses_figure, step_figure
 from cmf_mj.studies.case import CaseResult
 
@@ -100,7 +89,7 @@ class Line(NamedTuple):
     name: str
     time: Array
     values: Array
-    colour: str = BLUE
+    colour: str = look.BLUE
     style: str = "-"
 
 
@@ -111,14 +100,14 @@ def histories(
     height: float = 2.2,
 ) -> Figure:
     """Histories in axes above each other, by the label of their y axis."""
-    figure, every = stack(8.0, height * len(panels) + 0.6, *panels, x=x)
+    figure, every = look.stack(8.0, height * len(panels) + 0.6, *panels, x=x)
     for axes, lines in zip(every, panels.values(), strict=True):
         for line in lines:
             seen = (line.time >= span[0]) & (line.time <= span[1])
             style: dict[str, Any] = {"color": line.colour, "linestyle": line.style}
             axes.plot(line.time[seen], line.values[seen], label=line.name, **style)
     every[-1].set_xlim(*span)
-    legend(*every)
+    look.legend(*every)
     return figure
 
 
@@ -126,8 +115,8 @@ def demand_and_leg(record: Record) -> tuple[Line, Line]:
     """The demand of leg 1 and what it does, positive out."""
     time = after_step(record)
     return (
-        Line("demand", time, leg_motion(record, "leg_reference", "in"), GREY),
-        Line(_HARDWARE, time, leg_motion(record, "leg_position", "in"), ORANGE),
+        Line("demand", time, leg_motion(record, "leg_reference", "in"), look.GREY),
+        Line(_HARDWARE, time, leg_motion(record, "leg_position", "in"), look.ORANGE),
     )
 
 
@@ -149,7 +138,8 @@ def responses(runs: Runs, figure: ReportFigure) -> Drawing:
     for need in figure.needs:
         if need.signal == "rounds":
             gain, phase = drawn.axes
-            plot_bode(gain, phase, runs.rounds(need.law), color=BLUE, linestyle="", marker=".")
+            dots: dict[str, Any] = {"color": look.BLUE, "linestyle": "", "marker": "."}
+            look.plot_bode(gain, phase, runs.rounds(need.law), **dots)
     size = "0.33 in" if dof in ("surge", "sway", "heave") else "0.2 deg"
     return drawn, {"axis": dof.capitalize(), "size": size, **figure.options}
 
@@ -178,7 +168,7 @@ def step_responses(runs: Runs, figure: ReportFigure) -> Drawing:
 def sines(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws' motion and error in a slow sine on the single legs."""
     legs, errors = [], []
-    for need, colour in zip(figure.needs, COLOURS, strict=False):
+    for need, colour in zip(figure.needs, look.COLOURS, strict=False):
         record = runs.record(need.on, need.law, "sine")
         demand, leg = demand_and_leg(record)
         legs.append(leg._replace(name=law_title(need.law), colour=colour))
@@ -205,7 +195,7 @@ def accelerometer(
     time, span = FRAME * np.arange(len(raw), dtype=float), min(part[1] - part[0], _SHOWN)
     lines = [
         Line("raw", time, raw[:, 0], "#aaaaaa"),
-        Line("filtered, Eq 3.6", time, filtered[:, 0], ORANGE),
+        Line("filtered, Eq 3.6", time, filtered[:, 0], look.ORANGE),
     ]
     drawn = histories(
         {"accelerometer of leg 1\nless gravity [g]": lines}, (0.0, span), "time [s]", 3.5
@@ -249,7 +239,7 @@ def feedback_signals(runs: Runs, figure: ReportFigure) -> Drawing:
     computed = (case.step["leg_force"][:, 0] - plant.static_load()[0]) / mass / _GRAVITY
     signals = leg_signals(case.step)
     panels = {t: [Line("leg sensor", time, y)] for t, y in zip(_LEG, signals, strict=True)}
-    panels[_LEG[2]].append(Line("(force - static load) / mass", time, computed, ORANGE, "--"))
+    panels[_LEG[2]].append(Line("(force - static load) / mass", time, computed, look.ORANGE, "--"))
     apart = float(np.abs(np.interp(time - FRAME, time, computed) - signals[2]).max())
     return histories(panels, (-0.1, 1.0)), {
         "law": case.case.law.title,
@@ -310,9 +300,9 @@ def open_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     for title, values, equation, model in zip(_LEG, legs, _EQUATIONS[number], ours, strict=True):
         theirs, our = (driven(system, command, step) for system in (report_model(equation), model))
         panels[title] = (
-            Line(_HARDWARE, time, values, GREY),
-            Line(_REPORT, time, theirs, ORANGE),
-            Line(_OURS, time, our, BLUE, "--"),
+            Line(_HARDWARE, time, values, look.GREY),
+            Line(_REPORT, time, theirs, look.ORANGE),
+            Line(_OURS, time, our, look.BLUE, "--"),
         )
         fits.append(
             f"{title.split()[0]} {fit_text(values, theirs)} (Eq {equation}) and "
@@ -329,12 +319,10 @@ def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
     """A step or sine with velocity feedback closed around the report's model and ours."""
     number, signal, span = (figure.options[name] for name in ("number", "signal", "span"))
     demand, leg = demand_and_leg(runs.record("machine", "velocity", signal))
-    models = [
-        Line(name, demand.time, driven(closed_loop("velocity", velocity), demand.values), *style)
-        for (name, velocity), style in zip(
-            velocity_models(runs, number).items(), ((BLUE, "-"), (GREEN, "--")), strict=True
-        )
-    ]
+    styles, models = ((look.BLUE, "-"), (look.GREEN, "--")), []
+    for (name, velocity), style in zip(velocity_models(runs, number).items(), styles, strict=True):
+        moved = driven(closed_loop("velocity", velocity), demand.values)
+        models.append(Line(name, demand.time, moved, *style))
     inside = (demand.time > span[0]) & (demand.time < span[1])
     sizes = (
         f"{line.name.removeprefix('hardware ')} {np.ptp(line.values[inside]) / 2:.3f} in"
@@ -351,20 +339,21 @@ def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
 
 def linear_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     """Frequency responses with velocity feedback closed around models."""
-    drawn, gain, phase = bode_axes(limits=True)
+    drawn, gain, phase = look.bode_axes(limits=True)
     (hardware,), lines = figure.cases(runs), np.geomspace(0.1, 10.0, 300)
     if hardware.response is not None:
-        plot_bode(gain, phase, hardware.response, label=_HARDWARE, color=GREY, linestyle=":")
+        dotted: dict[str, Any] = {"color": look.GREY, "linestyle": ":"}
+        look.plot_bode(gain, phase, hardware.response, label=_HARDWARE, **dotted)
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for model, colour in zip(figure.options["numbers"], COLOURS, strict=False):
+    for model, colour in zip(figure.options["numbers"], look.COLOURS, strict=False):
         models = velocity_models(runs, model).items()
         for (name, velocity), style in zip(models, ("-", "--"), strict=True):
             closed = loop_response(closed_loop("velocity", velocity), lines)
-            plot_bode(gain, phase, closed, label=name, color=colour, linestyle=style)
-        plot_printed(gain, phase, printed[f"linear_{model}"], colour)
+            look.plot_bode(gain, phase, closed, label=name, color=colour, linestyle=style)
+        look.plot_printed(gain, phase, printed[f"linear_{model}"], colour)
     gain.set(ylim=(-20.0, 10.0))
     phase.set(ylim=(-270.0, 20.0), xlim=(0.1, 10.0))
-    legend(drawn)
+    look.legend(drawn)
     return drawn, {}
 
 
@@ -377,8 +366,8 @@ def linear_model_a(runs: Runs, figure: ReportFigure) -> Drawing:
     demand, leg = demand_and_leg(runs.record("machine", "velocity", "rise"))
     lines = (
         *(demand, leg),
-        Line("non-linear model", after_step(model), turned_over, GREEN),
-        Line("linear model A", demand.time, driven(loop, demand.values), BLUE, "--"),
+        Line("non-linear model", after_step(model), turned_over, look.GREEN),
+        Line("linear model A", demand.time, driven(loop, demand.values), look.BLUE, "--"),
     )
     return histories({_EXTENSION: lines}, (-0.1, 2.0), height=3.5), {
         "phase": measures.phase_bandwidth_hz,
