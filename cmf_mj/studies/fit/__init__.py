@@ -1,1 +1,1 @@
-"""A machine fitted to recordings of it: plan, campaign, model, likelihood, engine, doubt, results."""
+"""A machine fitted to recordings of it: campaign, plan, model, likelihood, engine, results."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
-from cmf_mj.core.errors import InputError, OutOfBounds
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.facility.unknowns import Unknowns
@@ -118,7 +118,7 @@ class Model:
             for number, one in enumerate(self.pieces):
                 clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
                 found[one.name] = self.compared(one, one.simulated(plant, clock))
-        except (InputError, OutOfBounds):
+        except (InputError, RunError):
             return None
         return found
 
