@@ -123,7 +123,7 @@ class Fitter:
         with ThreadPoolExecutor(self.jobs) as pool:
             return list(pool.map(self.residuals, points))
 
-    def slopes(self, x: Array, here: Residuals, width: Array) -> list[Residuals]:
+    def slopes(self, x: Array, here: Residuals, width: Array) -> Sequence[Residuals]:
         """Derivatives of the residuals by each coordinate, differences over `width`."""
         moves = np.diag(width)
         found = []
@@ -145,9 +145,7 @@ class Fitter:
         """What the recordings say about a point."""
         here = self.residuals(x)
         if here is None:
-            raise InputError(
-                "fit: the machine begun with leaves its physical bounds; allowed: one that can follow the demand"
-            )
+            raise InputError("fit: the machine to begin with cannot follow the recorded demand")
         return information(here, self.slopes(x, here, width), self.order, self.spacing), here
 
 
