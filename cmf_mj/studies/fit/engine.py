@@ -3,9 +3,9 @@
     slow    the first `SLOW` seconds of each recording, up to `SLOW_TOP` Hz
     whole   all of them, up to the campaign's highest frequency
 
-A step is found from derivatives by differences, each a simulation of all recordings, on threads,
-and shortened by Levenberg and Marquardt: of (H + mu diag H) dz = g with several mu the best is
-kept. A stage ends where no step gains, or where a step is small beside the deviations.
+Derivatives are differences, each a simulation of all recordings, on threads. Steps are shortened by
+Levenberg and Marquardt: of (H + mu diag H) dz = g with several mu the best is kept, and Broyden's
+update carries the derivatives on while steps gain. A stage ends where they promise next to nothing.
 
 Two lags in series can be exchanged without a trace; the fit tries it, and says so.
 
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.studies.engine import Journal
 from cmf_mj.studies.fit.campaign import Campaign
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
@@ -35,10 +35,11 @@ SLOW, SLOW_TOP = 10.0, 6.0
 Progress = Callable[[str], None]
 
 _DAMPING = (0.0, 0.01, 0.1, 1.0)
-_STEPS = {"slow": 10, "whole": 6}  #: Most steps of a stage.
+_STEPS = {"slow": 8, "whole": 6}  #: Most steps of a stage.
 _ORDER = {"slow": 4, "whole": 12}  #: Of the noise's autoregression.
 _FAR = 1.5  #: Longest step of a number, in deviations of the prior.
-_GAIN = 0.5  #: Gain of -ln L below which a stage ends.
+_INNER = 6  #: Most steps on one set of derivatives.
+_ENOUGH = {"slow": 20.0, "whole": 0.5}  #: Promised gain of -ln L below which a stage ends.
 _TWINS = (("drive_lag", "valve_lag"),)
 _SAME = 2.0  #: Loss of -ln L that an exchange may cost: two deviations.
 _WIDEST = 4.0  #: Coordinates that an exchange may reach.
@@ -106,13 +107,19 @@ class Fitter:
         self.clocks = campaign.settings.clocks
         self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
         self.size = len(names_of(campaign.unknowns))
+        self._latest: Look | None = None
 
-    def residuals(self, x: Array) -> Residuals | None:
-        """Residuals at numbers, and clocks where they are fitted."""
-        clocks = None
-        if self.clocks:
-            clocks = x[self.size :].reshape(-1, 2) * _CLOCK
+    def residuals(self, x: Array) -> Residuals:
+        """Residuals at numbers, and clocks where they are fitted; errors as those of `Model`."""
+        clocks = x[self.size :].reshape(-1, 2) * _CLOCK if self.clocks else None
         return self.model.residuals(x[: self.size], clocks)
+
+    def tried(self, x: Array) -> Residuals | None:
+        """The same; None where there is no such machine, or it leaves its bounds."""
+        try:
+            return self.residuals(x)
+        except (InputError, RunError):
+            return None
 
     def merit(self, x: Array, residuals: Residuals | None) -> float:
         """-ln L; infinite where the machine cannot do it."""
@@ -121,7 +128,7 @@ class Fitter:
     def all(self, points: Sequence[Array]) -> list[Residuals | None]:
         """Residuals at several points, on threads."""
         with ThreadPoolExecutor(self.jobs) as pool:
-            return list(pool.map(self.residuals, points))
+            return list(pool.map(self.tried, points))
 
     def slopes(self, x: Array, here: Residuals, width: Array) -> Sequence[Residuals]:
         """Derivatives of the residuals by each coordinate, differences over `width`."""
@@ -130,7 +137,7 @@ class Fitter:
         for number, there in enumerate(self.all([x + move for move in moves])):
             step = width[number]
             if there is None:
-                there, step = self.residuals(x - moves[number]), -step
+                there, step = self.tried(x - moves[number]), -step
             if there is None:
                 raise InputError(f"number {number}: the machine leaves its bounds on either side")
             found.append(
@@ -141,12 +148,71 @@ class Fitter:
             )
         return found
 
-    def look(self, x: Array, width: Array) -> tuple[Information, Residuals]:
+    def look(self, x: Array, width: Array) -> "Look":
         """What the recordings say about a point."""
-        here = self.residuals(x)
-        if here is None:
-            raise InputError("fit: the machine to begin with cannot follow the recorded demand")
-        return information(here, self.slopes(x, here, width), self.order, self.spacing), here
+        if self._latest is None or not np.array_equal(self._latest.x, x):
+            here = self.residuals(x)
+            slopes = self.slopes(x, here, width)
+            self._latest = self.seen(x, here, slopes)
+        return self._latest
+
+    def seen(self, x: Array, here: Residuals, slopes: Sequence[Residuals]) -> "Look":
+        """The same of residuals and their derivatives."""
+        found = information(here, slopes, self.order, self.spacing)
+        return Look(x, here, slopes, found, self.merit(x, here))
+
+
+class Look(NamedTuple):
+    """Residuals and derivatives at a point, and what they say."""
+
+    x: Array
+    here: Residuals
+    slopes: Sequence[Residuals]
+    found: Information
+    merit: float
+
+    @property
+    def gradient(self) -> Array:
+        """Of ln L with the prior, (n,)."""
+        return self.found.gradient - self.x
+
+    @property
+    def promise(self) -> float:
+        """Gain of -ln L if all were linear."""
+        full = self.found.matrix + np.eye(self.x.size)
+        return 0.5 * float(self.gradient @ np.linalg.solve(full, self.gradient))
+
+    def moves(self) -> list[Array]:
+        """Steps of several dampings, none longer than `_FAR`."""
+        found = []
+        for damping in _DAMPING:
+            matrix = self.found.matrix + np.eye(self.x.size)
+            matrix += damping * np.diag(np.diag(self.found.matrix))
+            move = np.linalg.solve(matrix, self.gradient)
+            found.append(move * min(1.0, _FAR / max(float(np.abs(move).max()), 1e-12)))
+        return found
+
+    def after(self, move: Array, there: Residuals) -> list[Residuals]:
+        """Broyden's derivatives after a step: they give the change of residuals along it."""
+        share = move / float(move @ move)
+        updated: list[Residuals] = []
+        missing = {
+            name: {
+                c: there[name][c]
+                - value
+                - sum(x * one[name][c] for x, one in zip(move, self.slopes, strict=True))
+                for c, value in channels.items()
+            }
+            for name, channels in self.here.items()
+        }
+        for x, one in zip(share, self.slopes, strict=True):
+            updated.append(
+                {
+                    n: {c: v + x * missing[n][c] for c, v in parts.items()}
+                    for n, parts in one.items()
+                }
+            )
+        return updated
 
 
 _CLOCK = np.array([0.02, 1e-4])
@@ -182,47 +248,45 @@ def fit(
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
             if number not in journal.results:
-                journal.add(number, [_step(fitter, x, width)])
+                journal.add(number, [_step(fitter, x, width, _ENOUGH[stage])])
             row = journal.results[number][0]
             number += 1
-            x, width = np.array(row["x"]), np.array(row["width"])
             say(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
+            x, width = np.array(row["x"]), np.array(row["width"])
             if row["done"]:
                 break
-    found, here = fitter.look(x, width)
-    covariance = spread(found, x)[: len(names), : len(names)]
-    best = fitter.merit(x, here)
+    look = fitter.look(x, width)
+    covariance = spread(look.found, x)[: len(names), : len(names)]
+    found, here, best = look.found, look.here, look.merit
     twins, exchanged = _twins(fitter, names, x, best)
     how = max(3.0, pieces - 1.0), found, here, best, twins, exchanged[: len(names)]
     return Posterior(campaign, names, x[: len(names)], covariance, *how)
 
 
-def _step(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
-    """The best of several steps from a point, as a row of the journal."""
-    found, here = fitter.look(x, width)
-    before = fitter.merit(x, here)
-    gradient, one = found.gradient - x, np.eye(x.size)
-    moves = []
-    for damping in _DAMPING:
-        matrix = found.matrix + one + damping * np.diag(np.diag(found.matrix))
-        move = np.linalg.solve(matrix, gradient)
-        moves.append(move * min(1.0, _FAR / max(float(np.abs(move).max()), 1e-12)))
-    tried = [
-        fitter.merit(x + m, r)
-        for m, r in zip(moves, fitter.all([x + m for m in moves]), strict=True)
-    ]
-    best = int(np.argmin(tried))
-    gain = before - tried[best]
-    deviation = np.sqrt(np.diag(np.linalg.inv(found.matrix + one)))
-    if gain > 0.0:
-        x = x + moves[best]
+def _step(fitter: Fitter, x: Array, width: Array, enough: float) -> dict[str, Any]:
+    """Steps on one set of derivatives, as a row of the journal; none where they promise little."""
+    look = first = fitter.look(x, width)
+    ended = first.promise < enough
+    for _ in range(0 if ended else _INNER):
+        moves = look.moves()
+        there = fitter.all([look.x + move for move in moves])
+        merits = [fitter.merit(look.x + move, one) for move, one in zip(moves, there, strict=True)]
+        best = int(np.argmin(merits))
+        gain, here = look.merit - merits[best], there[best]
+        if here is None or gain <= 0.0:
+            break
+        promised = look.promise
+        look = fitter.seen(look.x + moves[best], here, look.after(moves[best], here))
+        if gain < max(enough, 0.1 * promised):
+            break
+    deviation = np.sqrt(np.diag(np.linalg.inv(first.found.matrix + np.eye(x.size))))
+    gained = first.merit - look.merit
     return {
-        "x": x.tolist(),
-        "width": np.clip(deviation, 2e-3, 0.03).tolist(),
-        "merit": min(before, tried[best]),
-        "gain": max(gain, 0.0),
-        "damping": _DAMPING[best],
-        "done": bool(gain < _GAIN),
+        "x": look.x.tolist(),
+        "width": (width if ended else np.clip(deviation, 2e-3, 0.03)).tolist(),
+        "merit": look.merit,
+        "gain": gained,
+        "done": bool(ended or gained <= 0.0),
     }
 
 
@@ -244,7 +308,7 @@ def _twins(
             grid = np.linspace(-_WIDEST, _WIDEST, 2001)
             values = unknown.number(nominal.si, unknown.at(stats.norm.cdf(grid)))
             moved[names.index(one)] = np.interp(getattr(oil, other).si, values, grid)
-        if fitter.merit(moved, fitter.residuals(moved)) - best < _SAME:
+        if fitter.merit(moved, fitter.tried(moved)) - best < _SAME:
             found.append(pair)
             x = moved
     return tuple(found), x

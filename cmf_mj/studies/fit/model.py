@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
-from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
 
@@ -73,7 +73,7 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
     how = {
         "law": recording.law,
         "source": source,
-        "start": plant.configuration(begin),
+        "start": legs_to_pose(begin, plant.machine),
         "record_every": max(1, int(rate // _MOST_RATE)),
         "command_delay": 0 if driven else 1,
     }
@@ -110,16 +110,15 @@ class Model:
         """The plant with these numbers."""
         return self.unknowns.apply(self.values(z), self.plant)
 
-    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals | None:
-        """Measured less simulated below `top`; None where the machine leaves its bounds."""
-        try:
-            plant = self.machine(z)
-            found = {}
-            for number, one in enumerate(self.pieces):
-                clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
-                found[one.name] = self.compared(one, one.simulated(plant, clock))
-        except (InputError, RunError):
-            return None
+    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals:
+        """Measured less simulated below `top`.
+
+        Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
+        """
+        plant, found = self.machine(z), {}
+        for number, one in enumerate(self.pieces):
+            clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
+            found[one.name] = self.compared(one, one.simulated(plant, clock))
         return found
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
