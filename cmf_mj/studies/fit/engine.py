@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import Journal
-from cmf_mj.studies.fit.campaign import Campaign
+from cmf_mj.studies.fit.campaign import Campaign, Recording
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
 from cmf_mj.studies.fit.model import Model, Residuals, names_of
 
@@ -84,6 +85,10 @@ class Posterior(NamedTuple):
         """Whether the recordings tell each number: twice as narrow as before, and no twin."""
         paired = {name for pair in self.twins for name in pair}
         return (self.deviation < 0.5) & ~np.isin(self.names, sorted(paired))
+
+    def digests(self) -> list[tuple[Recording, str]]:
+        """The recordings that were fitted, with what tells each from any other."""
+        return [(one, digest(one.record)) for one in self.campaign.of(held_back=False)]
 
     def samples(self, count: int, seed: int = 0) -> Array:
         """Coordinates of machines that the recordings allow, (count, n)."""
@@ -182,7 +187,7 @@ class Look(NamedTuple):
         full = self.found.matrix + np.eye(self.x.size)
         return 0.5 * float(self.gradient @ np.linalg.solve(full, self.gradient))
 
-    def moves(self) -> list[Array]:
+    def moves(self) -> list[Any]:
         """Steps of several dampings, none longer than `_FAR`."""
         found = []
         for damping in _DAMPING:
@@ -234,7 +239,7 @@ def fit(
     say = progress or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
-        "recordings": {one.name: _digest(one.record) for one in campaign.recordings},
+        "recordings": {one.name: digest(one.record) for one in campaign.recordings},
         "start": None if start is None else list(start),
     }
     journal = Journal(Path(folder) / "steps", identity)
@@ -314,9 +319,9 @@ def _twins(
     return tuple(found), x
 
 
-def _digest(record: Any) -> str:
+def digest(record: Record) -> str:
     """What tells a recording from another."""
-    digest = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
+    found = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
     for name in sorted(record.channels):
-        digest.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())
-    return digest.hexdigest()[:16]
+        found.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())
+    return found.hexdigest()[:8]
