@@ -27,7 +27,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import Journal
 from cmf_mj.studies.fit.campaign import Campaign, Recording
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
-from cmf_mj.studies.fit.model import Model, Residuals, names_of
+from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,7 @@ class Posterior(NamedTuple):
     z: Array  #: Their coordinates, see `Model`.
     covariance: Array  #: Of the coordinates.
     degrees: float  #: Of freedom of Student's t about them.
-    information: Information
-    residuals: Residuals
-    merit: float  #: -ln L.
+    look: "Look"  #: Residuals and derivatives there.
     twins: tuple[tuple[str, str], ...]  #: Numbers that can be exchanged.
     exchanged: Array  #: The coordinates with all twins exchanged.
 
@@ -116,8 +114,11 @@ class Fitter:
 
     def residuals(self, x: Array) -> Residuals:
         """Residuals at numbers, and clocks where they are fitted; errors as those of `Model`."""
-        clocks = x[self.size :].reshape(-1, 2) * _CLOCK if self.clocks else None
-        return self.model.residuals(x[: self.size], clocks)
+        return self.model.residuals(x[: self.size], self.clocks_of(x))
+
+    def clocks_of(self, x: Array) -> Array | None:
+        """Offset [s] and skew [s/s] of each recording's clock, where they are fitted."""
+        return x[self.size :].reshape(-1, 2) * _CLOCK if self.clocks else None
 
     def tried(self, x: Array) -> Residuals | None:
         """The same; None where there is no such machine, or it leaves its bounds."""
@@ -145,12 +146,7 @@ class Fitter:
                 there, step = self.tried(x - moves[number]), -step
             if there is None:
                 raise InputError(f"number {number}: the machine leaves its bounds on either side")
-            found.append(
-                {
-                    name: {c: (there[name][c] - here[name][c]) / step for c in channels}
-                    for name, channels in here.items()
-                }
-            )
+            found.append(minus(there, here, step))
         return found
 
     def look(self, x: Array, width: Array) -> "Look":
@@ -262,9 +258,8 @@ def fit(
                 break
     look = fitter.look(x, width)
     covariance = spread(look.found, x)[: len(names), : len(names)]
-    found, here, best = look.found, look.here, look.merit
-    twins, exchanged = _twins(fitter, names, x, best)
-    how = max(3.0, pieces - 1.0), found, here, best, twins, exchanged[: len(names)]
+    twins, exchanged = _twins(fitter, names, look)
+    how = max(3.0, pieces - 1.0), look, twins, exchanged[: len(names)]
     return Posterior(campaign, names, x[: len(names)], covariance, *how)
 
 
@@ -296,10 +291,10 @@ def _step(fitter: Fitter, x: Array, width: Array, enough: float) -> dict[str, An
 
 
 def _twins(
-    fitter: Fitter, names: tuple[str, ...], x: Array, best: float
+    fitter: Fitter, names: tuple[str, ...], look: Look
 ) -> tuple[tuple[tuple[str, str], ...], Array]:
     """Pairs of lags whose exchange costs next to nothing, and the coordinates after it."""
-    found, x = [], x.copy()
+    found, x, best = [], look.x, look.merit
     oil = fitter.model.machine(x[: fitter.size]).parameters
     for pair in _TWINS:
         if not set(pair) <= set(names):

@@ -22,7 +22,7 @@ from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.certificate_family import KINDS, WIDEST
+from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.tuning.search import save_law
 
@@ -192,6 +192,7 @@ _OF_BOX = {
     "leak_rate": ".leak_rate",
     "bulk_modulus": ".bulk_modulus",
     "cab_mass": ".mass",
+    "cab_place": ".centre_of_mass.",
     "cab_inertia": ".second_moment.",
 }
 """What of the machine a number of the box stands for, as part of its path."""
@@ -206,17 +207,12 @@ def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     bounds, best = physical(posterior, posterior.bounds(each)), physical(posterior, posterior.z)
     off = np.abs(bounds - best).max(axis=0)
     ratio = np.minimum(off / np.maximum(np.abs(best), 1e-12), WIDEST)
-    listed, table = paths(posterior), dict[str, dict[str, Any]]()
+    listed, unit = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)
     source = f"{100 * share:g} % of the machines that the recordings allow, all numbers together"
     for name, part in _OF_BOX.items():
-        widths = [ratio[i] for i, known in enumerate(listed) if part in known]
+        place = name == "cab_place"
+        widths = [(off if place else 100.0 * ratio)[i] for i, p in enumerate(listed) if part in p]
         if widths:
-            width = round(max(0.01, 100.0 * float(max(widths))), 4)
-            table[name] = {"path": KINDS[name][0], "deviation": width, "source": source}
-    places = [off[i] for i, known in enumerate(listed) if "centre_of_mass" in known]
-    if places:
-        width = round(max(1e-4, float(max(places))), 6)
-        place = {"effect": "offset", "unit": "m", "deviation": width, "source": source}
-        table["cab_place"] = {"path": KINDS["cab_place"][0]} | place
-    shares = {"pose_share": 0.6, "corner_share": 0.15}
-    return {"title": "What the recordings leave open"} | shares | {"unknowns": table}
+            width = float(f"{max(1e-4, *map(float, widths)):.4g}")
+            unit["unknowns"][name] |= {"deviation": width, "source": source}
+    return unit | {"title": "What the recordings leave open"}
