@@ -1,0 +1,1 @@
+"""A machine from its recordings: what to record, and what the recordings say of its numbers."""
