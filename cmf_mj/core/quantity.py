@@ -22,9 +22,11 @@ class _Known(Settings, Generic[Value]):
 
     value: Value  #: Value in `unit`.
     unit: str  #: Unit as published, e.g. `in/s/%`.
-    status: Literal["stated", "derived", "calibrated", "assumed", "published", "recalled"]
-    """How the number is known: `published` by another source than the report, `recalled` from
-    general knowledge of the field and not checked."""
+    status: Literal[
+        "stated", "derived", "calibrated", "identified", "assumed", "published", "recalled"
+    ]
+    """How the number is known: `identified` from recordings of the machine, `published` by another
+    source than the report, `recalled` from general knowledge of the field and not checked."""
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
     @model_validator(mode="before")

@@ -40,11 +40,12 @@ DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
 _FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
 
 _NO_NUMBERS = {"name", "supply", "actuators"}
+_OF_THE_SET = {*HydraulicParameters.model_fields, "friction", "stiction"} - _NO_NUMBERS
 _PATH = re.compile(
-    rf"hydraulics\.({'|'.join(HydraulicParameters.model_fields.keys() - _NO_NUMBERS)}|supply)"
+    rf"hydraulics\.({'|'.join(_OF_THE_SET)}|supply)"
     rf"|hydraulics\.actuators\.(\*|[^.*]+)\.({'|'.join([*ACTUATOR_FIELDS, *DERIVED])})"
     rf"|hydraulics\.actuators\.(\*|[^.*]+)\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
-    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)"
+    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?|second_moment\.[xyz])"
     r"|legs\.mass|payload\.density"
     r"|model\.(body\.[^.*]+\.(mass|inertia)|geom\.[^.*]+\.friction"
     r"|joint\.[^.*]+\.(damping|stiffness|frictionloss|armature))"
@@ -66,7 +67,7 @@ class Unknown(Settings):
     one before it is cut off, that of the logarithm; in `unit`."""
     unit: str = "%"  #: As in the files; 1 for a factor between bounds.
     effect: Literal["value", "factor", "offset"] = "factor"
-    status: Literal["stated", "derived", "calibrated", "assumed"] = "assumed"
+    status: Literal["stated", "derived", "calibrated", "identified", "assumed"] = "assumed"
     """How the range is known."""
     source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
 

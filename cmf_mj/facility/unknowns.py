@@ -3,6 +3,8 @@
     path                                       the number
     hydraulics.leg_speed                       of a hydraulic set: of all actuators, oil or supply
     hydraulics.supply                          its pressure and the pressures in proportion to it
+    hydraulics.friction                        Coulomb friction, and breakaway in proportion
+    hydraulics.stiction                        breakaway over Coulomb friction
     hydraulics.actuators.leg_3.leg_speed       of one actuator; with * one of each
     hydraulics.actuators.*.valve_1.null_bias   of one valve; with valve_* one of each
     hydraulics.actuators.*.valve_gain          speed over the root of the supply pressure
@@ -10,6 +12,8 @@
     cab.mass, platform.mass, legs.mass         with the inertia, where that is no unknown too
     cab.inertia, cab.density                   the inertia alone; mass and inertia together
     cab.centre_of_mass.z                       z up; without an axis all three
+    cab.second_moment.x                        integral of x^2 dm about the centre of mass, so that
+                                               Ixx is that of y and z: a possible body's inertia
     payload.density                            mass and inertia of platform and cab
     law.derivative_pole                        any number of a law; machine.legs.half_stroke, any of
     electronics.leg_position.gain_errors.*     a machine; of each sensor of a channel
@@ -216,8 +220,9 @@ def _hydraulics(
     table = base.model_dump(exclude_none=True)
     ratio = {"supply_pressure": 1.0, "bulk_modulus": 1.0}
     own = {path: entry for path, entry in given.items() if ".actuators." in path}
+    _friction(given, base, table)
     for path, (one, value) in given.items():
-        if path not in own:
+        if path not in own and path not in _FRICTION:
             asked = path.split(".")[1]
             field = "supply_pressure" if asked == "supply" else asked
             before: Quantity = getattr(base, field)
@@ -241,6 +246,24 @@ def _hydraulics(
     return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
 
 
+_FRICTION = ("hydraulics.friction", "hydraulics.stiction")
+
+
+def _friction(given: _Given, base: HydraulicParameters, table: dict[str, Any]) -> None:
+    """Coulomb friction, and breakaway friction as many times it as before."""
+    if not given.keys() & set(_FRICTION):
+        return
+    size, over = base.coulomb_friction, 1.0
+    if size.si > 0.0:
+        over = base.breakaway_friction.si / size.si
+    if (found := given.get(_FRICTION[0])) is not None:
+        size = Quantity(**found[0].changed(size, float(found[1])))
+    if (found := given.get(_FRICTION[1])) is not None:
+        over = max(1.0, float(found[0].number(over, found[1])))
+    table["coulomb_friction"] = size.model_dump()
+    table["breakaway_friction"] = size.model_dump() | {"value": size.value * over}
+
+
 def _cab(given: _Given, base: Cab, name: str) -> Cab:
     bodies: dict[str, dict[str, Any]] = {}
     for body, part in (("cab", base), ("platform", base.platform)):
@@ -249,6 +272,13 @@ def _cab(given: _Given, base: Cab, name: str) -> Cab:
         inertia = dense * factor.get(f"{body}.inertia", 1.0)
         own = {f"{body}.inertia", f"{body}.density", "payload.density"} & given.keys()
         table = {"inertia": inertia * part.tensor} if own else {}
+        moments = {p: entry for p, entry in given.items() if p.startswith(f"{body}.second_moment")}
+        if moments:
+            spread = 0.5 * np.trace(part.tensor) * np.eye(3) - part.tensor
+            for path, (one, value) in moments.items():
+                axis = "xyz".index(path[-1])
+                spread[axis, axis] = one.number(spread[axis, axis], value)
+            table["inertia"] = dense * (np.trace(spread) * np.eye(3) - spread)
         mass, place = dense * part.mass.si, np.array(part.centre_of_mass.si)
         for path, (one, value) in given.items():
             if path == f"{body}.mass":

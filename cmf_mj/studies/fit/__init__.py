@@ -1,1 +1,1 @@
-"""A machine from its recordings: what to record, and what the recordings say of its numbers."""
+"""A machine fitted to recordings of it: campaign, plan, model, likelihood, engine, results."""

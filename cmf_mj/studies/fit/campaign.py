@@ -1,0 +1,185 @@
+"""A campaign: a folder of recordings of one machine, and `campaign.toml` that says what each is.
+
+    machine = "mine.toml"               # the data sheet; files lie in the folder
+    law = "velocity"                    # the law that the machine ran
+    columns = "columns.toml"            # how the files' columns are read; default the facility's
+
+    [recordings.surge]
+    file = "surge.csv"
+    kind = "multisine"                  # hold, ramp, sweep, multisine, step, valves
+    held_back = true                    # kept for the test of the fit, by default false
+    law = "original"                    # where it is not the campaign's
+    pose = "heave 5 in below neutral"
+
+    [unknowns.mass]                     # what is not known, default `data_sheet`
+    path = "cab.mass"
+    deviation = 30.0
+    source = "guess"
+
+Recordings hold the demand of the legs, `leg_reference`, or of kind `valves` `valve_command`, and of
+`leg_position`, `cap_pressure`, `rod_pressure` what was measured.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError, within
+from cmf_mj.core.settings import Name, Settings, read_toml, validated
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.models import CMF
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters import hydraulics_of
+from cmf_mj.record.facility_csv import LEGS
+from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.record import Record
+
+FILE = "campaign.toml"  #: Name of a campaign's file in its folder.
+
+MEASURED = ("leg_position", "cap_pressure", "rod_pressure")
+"""Channels that a fit explains."""
+
+Kind = Literal["hold", "ramp", "sweep", "multisine", "step", "valves"]
+
+
+class RecordingSettings(Settings):
+    """What one recording is."""
+
+    file: str  #: In the campaign's folder.
+    kind: Kind  #: What was commanded; of `valves` the valve commands are given, else the legs'.
+    held_back: bool = False  #: Whether the fit must predict it unseen.
+    columns: str | None = None  #: Its column map, by default the campaign's.
+    law: str | None = None  #: The law it ran, by default the campaign's.
+    pose: str = ""  #: About which pose, in words.
+    source: str | None = None  #: Scenario that makes the demand.
+
+
+class CampaignSettings(Settings):
+    """The file of a campaign."""
+
+    title: str = ""  #: What was recorded, and when.
+    machine: str = CMF  #: The data sheet: the motion base by name or TOML file.
+    cab: str | None = None  #: Its cab, default the first.
+    hydraulics: str | None = None  #: The hydraulic set, default the machine's.
+    law: str | None = None  #: The law it ran, default the machine's.
+    columns: str | None = None  #: Column map of the files, default the facility's.
+    clocks: bool = False
+    """Whether demand and measurement were logged by two clocks: offset and skew are then fitted."""
+    highest: Annotated[float, Field(gt=0.0)] = 50.0
+    """Frequency up to which recordings are explained [Hz], at most 0.4 of a recording's rate."""
+    recordings: Mapping[Name, RecordingSettings] = Field(min_length=1)
+    unknowns: Mapping[Name, Unknown] = {}  #: Default those of `data_sheet`.
+
+
+class Recording(NamedTuple):
+    """One recording, read."""
+
+    name: str
+    settings: RecordingSettings
+    record: Record
+    law: Law | None  #: None for valve commands.
+
+
+class Campaign(NamedTuple):
+    """A campaign, read."""
+
+    folder: Path
+    settings: CampaignSettings
+    plant: Hexapod  #: The data sheet's machine.
+    unknowns: Unknowns
+    recordings: tuple[Recording, ...]
+
+    def of(self, held_back: bool) -> tuple[Recording, ...]:
+        """The recordings that are held back, or those that are fitted."""
+        return tuple(one for one in self.recordings if one.settings.held_back == held_back)
+
+
+def beside(folder: Path, name: str | None) -> Any:
+    """A file of the folder, or a name."""
+    return folder / name if name is not None and (folder / name).is_file() else name
+
+
+def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
+    """What nobody knows exactly who only has a data sheet.
+
+    The speed of each leg, lags of drives and valves, leakage, bulk modulus, friction, and mass,
+    centre of mass and inertia of what is carried, wide about what the data sheet says.
+    """
+    heavy = "cab" if cab.mass.si >= cab.platform.mass.si else "platform"
+    numbers = hydraulics.actuator()
+    weight = cab.payload.mass * STANDARD_GRAVITY / LEGS
+    reach = 0.1 * float(cab.machine.geometry.upper[:, :2].max())
+    wide: dict[str, Any] = {"distribution": "loguniform", "unit": "1"}
+    said = {"source": "data sheets are this far from machines"}
+    ranges: dict[str, dict[str, Any]] = {
+        "leg_speed": {"path": "hydraulics.actuators.*.leg_speed", "deviation": 20.0},
+        "drive_lag": {"path": "hydraulics.drive_lag", "low": 0.4, "high": 2.5} | wide,
+        "valve_lag": {"path": "hydraulics.valve_lag", "low": 0.4, "high": 2.5} | wide,
+        "leak_rate": {"path": "hydraulics.leak_rate", "low": 0.2, "high": 5.0} | wide,
+        "bulk_modulus": {"path": "hydraulics.bulk_modulus", "low": 0.4, "high": 2.5} | wide,
+        "mass": {"path": f"{heavy}.mass", "deviation": 40.0},
+    }
+    force = max(0.05 * weight, 3.0 * numbers["coulomb_friction"].si)
+    value: dict[str, Any] = {"effect": "value", "low": 0.0, "high": force, "unit": "N"}
+    ranges["friction"] = {"path": "hydraulics.friction"} | value
+    ranges["stiction"] = (
+        {"path": "hydraulics.stiction"}
+        | value
+        | {
+            "low": 1.0,
+            "high": 2.5,
+            "unit": "1",
+        }
+    )
+    for axis in "xyz":
+        place: dict[str, Any] = {"effect": "offset", "deviation": reach, "unit": "m"}
+        ranges[f"centre_{axis}"] = {"path": f"{heavy}.centre_of_mass.{axis}"} | place
+    for axis in "xyz":
+        moment = {"path": f"{heavy}.second_moment.{axis}", "low": 0.3, "high": 3.0}
+        ranges[f"moment_{axis}"] = moment | wide
+    return Unknowns({name: validated(Unknown, one | said, name) for name, one in ranges.items()})
+
+
+def load_campaign(folder: str | Path) -> Campaign:
+    """Read a campaign and its recordings.
+
+    Raises `InputError` that names the file, the recording and what is wrong.
+    """
+    where = Path(folder)
+    path = where / FILE if where.is_dir() else where
+    where = path.parent
+    settings = validated(CampaignSettings, read_toml(path), str(path))
+    with within(path):
+        cab = load_cab(beside(where, settings.cab), beside(where, settings.machine))
+        hydraulics = hydraulics_of(cab.machine, beside(where, settings.hydraulics))
+        plant = Hexapod(cab, hydraulics)
+        unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
+        law = settings.law or cab.machine.law
+        recordings = [_recording(where, name, law, settings) for name in settings.recordings]
+    made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings))
+    if not made.of(held_back=False):
+        raise InputError(f"{path}: recordings: all are held back; allowed: at least one to fit")
+    return made
+
+
+def _recording(folder: Path, name: str, law: str, settings: CampaignSettings) -> Recording:
+    said = settings.recordings[name]
+    with within(f"recordings.{name}"):
+        record = _read(folder / said.file)
+        driven = said.kind == "valves"
+        given = "valve_command" if driven else "leg_reference"
+        for channel in (given, MEASURED[0]):
+            if channel not in record.channels:
+                raise InputError(f"{said.file}: {channel}: is missing; a {said.kind} needs it")
+        chosen = None if driven else load_law(beside(folder, said.law or law))
+    return Recording(name, said, record, chosen)
+
+
+def _read(path: Path) -> Record:
+    return Record.load(path) if path.suffix == ".parquet" else read_facility_csv(path)

@@ -1,0 +1,147 @@
+"""What a machine with given numbers would have measured: each recording simulated again.
+
+The demand of the legs is interpolated by a cubic spline to the control rate and played to the
+recording's law on the plant with the numbers; sensors and electronics are ideal, since noise is
+what the likelihood explains. The machine begins at rest at the first demand, `LEAD` before the
+recording, whose first `LEAD` is left out too: what moved before is forgotten then.
+
+The residual, measured less simulated, is low-passed below `top` without phase and taken at about
+2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+from scipy.interpolate import CubicSpline
+
+from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.signal import LegDemand, ValveCommands
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
+
+Array = NDArray[np.float64]
+
+LEAD = 0.5  #: Rest before a recording, and what is left out of its beginning [s].
+
+_MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
+
+Residuals = Mapping[str, Mapping[str, Array]]
+"""By recording and channel, (samples, legs), in SI."""
+
+
+class Piece(NamedTuple):
+    """A recording, ready to be simulated and compared."""
+
+    name: str
+    how: Mapping[str, Any]  #: Law, source, start and spacing of its `Run`.
+    since: Array  #: Times of the samples from the beginning of the simulation [s].
+    measured: Mapping[str, Array]  #: By channel, (samples, legs).
+    rate: float  #: Of the recording [Hz].
+
+    def simulated(self, plant: Plant, clock: Sequence[float] = (0.0, 0.0)) -> dict[str, Array]:
+        """The channels as the machine would have measured them.
+
+        `clock` is how late the measurement's clock is [s], and by how much it gains on the demand's
+        [s/s]. Raises `OutOfBounds` as `simulate`.
+        """
+        record = Run(plant=plant, **self.how).record()
+        late, gain = clock
+        at = self.since + late + gain * (self.since - LEAD)
+        return {
+            name: np.asarray(CubicSpline(record.time, record[name])(at)) for name in self.measured
+        }
+
+
+def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> Piece:
+    """Make one of a recording, or of its first `seconds`."""
+    record, rate = recording.record, plant.machine.rate
+    count = record.time.size if seconds is None else int(seconds * record.rate) + 1
+    time = record.time[:count] - record.time[0]
+    frames = np.arange(int(time[-1] * rate) + 1) / rate
+    lead = round(LEAD * rate)
+    driven = recording.law is None
+    given = record["valve_command" if driven else "leg_reference"][:count]
+    rows = CubicSpline(time, given)(frames)
+    rows = np.concatenate([np.repeat(given[:1] * (not driven), lead, axis=0), rows])
+    begin = record["leg_position"][0] if driven else given[0]
+    source = ValveCommands(np.clip(rows, -1.0, 1.0)) if driven else LegDemand(rows)
+    how = {
+        "law": recording.law,
+        "source": source,
+        "start": plant.configuration(begin),
+        "record_every": max(1, int(rate // _MOST_RATE)),
+        "command_delay": 0 if driven else 1,
+    }
+    measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
+    return Piece(recording.name, how, time + lead / rate, measured, record.rate)
+
+
+class Model:
+    """The machine of a campaign as a function of its numbers.
+
+    Numbers have the coordinates z = Phi^-1(u), u the quantile of what is known of each: the prior
+    is then standard normal. Beyond them each recording has a clock's offset and skew, where asked.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        *,
+        held_back: bool = False,
+        top: float | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        """Take the recordings that are fitted, or those held back, up to `top` [Hz]."""
+        self.plant, self.unknowns = campaign.plant, campaign.unknowns
+        self.top = min(top or np.inf, campaign.settings.highest)
+        chosen = campaign.of(held_back)
+        self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
+
+    def values(self, z: Array) -> dict[str, Any]:
+        """Values of the unknowns at coordinates (n,)."""
+        return self.unknowns.at(stats.norm.cdf(z))
+
+    def machine(self, z: Array) -> Plant:
+        """The plant with these numbers."""
+        return self.unknowns.apply(self.values(z), self.plant)
+
+    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals | None:
+        """Measured less simulated below `top`; None where the machine leaves its bounds."""
+        try:
+            plant = self.machine(z)
+            found = {}
+            for number, one in enumerate(self.pieces):
+                clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
+                found[one.name] = self.compared(one, one.simulated(plant, clock))
+        except (InputError, RunError):
+            return None
+        return found
+
+    def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
+        """Residuals of one recording by channel, low-passed and thinned."""
+        top = min(self.top, 0.4 * one.rate)
+        sections = signal.butter(4, top, fs=one.rate, output="sos")
+        every, first = max(1, int(one.rate / (2.5 * top))), int(LEAD * one.rate)
+        return {
+            name: signal.sosfiltfilt(sections, one.measured[name] - value, axis=0)[first::every]
+            for name, value in simulated.items()
+        }
+
+    def spacing(self, one: Piece) -> float:
+        """Time between the samples of a recording's residuals [s]."""
+        top = min(self.top, 0.4 * one.rate)
+        return max(1, int(one.rate / (2.5 * top))) / one.rate
+
+
+def names_of(unknowns: Unknowns) -> tuple[str, ...]:
+    """Names of all numbers, `leg_speed 3` of one of six, in the order of the coordinates."""
+    names: list[str] = []
+    for name, shape in unknowns.shapes().items():
+        size = int(np.prod(shape))
+        names += [name] if not shape else [f"{name} {i + 1}" for i in range(size)]
+    return tuple(names)
