@@ -32,6 +32,7 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import signal
 
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import check_file
@@ -52,17 +53,20 @@ from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.record.facility_csv import LAYOUT, RATE, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, plain
+from cmf_mj.studies.fit.campaign import FILE
+from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 Source = str | Path
 
-CAMPAIGN, SCENARIOS = "campaign.toml", "scenarios"  #: File and folder of a campaign.
+SCENARIOS = "scenarios"  #: Folder of them in a campaign's.
 LEAD = 1.0  #: Rest at neutral before each demand [s].
 SHORTEST, LONGEST = 10.0, 600.0  #: Lengths of a recording [s].
 HOST_RATE = 128.0  #: Poses a second of the host files [Hz].
 SAMPLES = 256  #: Samples a second of a record, of a facility's CSV half as many [Hz].
 STEP_CORNER = 3.0  #: Of the critically damped low-pass at which a step's speed is judged [Hz].
 BAND = (10.0, 25.0)  #: Least and most of the highest frequency of multisines [Hz].
+SLOWER = 0.7  #: Direct gain of the law that is held back, over that of the law.
 MOST = 0.9  #: Largest share that a demand may use.
 
 POSES = (
@@ -97,7 +101,7 @@ def plan_campaign(
     *,
     seconds: float = 20.0,
     share: float = 0.4,
-    other_law: Source = "velocity",
+    other_law: Source | None = None,
 ) -> Path:
     """Write a plan for a machine of which the data sheet is known; its `campaign.toml` comes back.
 
@@ -109,10 +113,11 @@ def plan_campaign(
         folder: where to; one that holds a campaign is refused.
         seconds: length of each of the eight recordings [s].
         share: most that a demand may use of stroke, speed, acceleration and force, up to 0.9.
-        other_law: law of a recording that is held back, by name or TOML file.
+        other_law: law of a recording that is held back, by name or TOML file; default the first at
+            `SLOWER` of its direct gain, since another may make the machine ring.
     """
     target = Path(folder)
-    if (target / CAMPAIGN).exists():
+    if (target / FILE).exists():
         raise InputError(f"folder: {target} holds a campaign, which is kept; allowed: another one")
     if not SHORTEST <= seconds <= LONGEST:
         raise InputError(f"seconds: {seconds:g} is refused; allowed: {SHORTEST:g} to {LONGEST:g} s")
@@ -123,6 +128,8 @@ def plan_campaign(
     room = Room(Hexapod(cab, hydraulics, machine=machine), share)
     every = max(round(room.machine.rate / (RATE if room.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
+    if other_law is None:
+        other_law = _slower(load_law(law or room.machine.law), target / "slower.toml")
     tables: dict[str, Any] = {}
     for name, one in _planned(room, seconds - LEAD).items():
         own = named | ({"law": str(other_law)} if one.other_law else {})
@@ -137,9 +144,20 @@ def plan_campaign(
         tables[name] = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
         if one.other_law:
             tables[name] |= _beside({"law": str(other_law)}, target)
-        tables[name]["source"] = {key: scenario[key] for key in ("duration", "change")}
-    head = _beside(named, target) | {"columns": "facility", "recordings": tables}
-    return write_text(target / CAMPAIGN, tomlkit.dumps(head))
+        tables[name]["source"] = f"{SCENARIOS}/{name}.toml"
+    head = _beside(named, target) | {"recordings": tables}
+    return write_text(target / FILE, tomlkit.dumps(head))
+
+
+def _slower(law: Law, file: Path) -> Path:
+    """A file of the law with a smaller direct gain."""
+    scaled = {
+        name: (SLOWER * np.asarray(gain)).tolist()
+        for name, gain in law.direct_gain
+        if gain is not None
+    }
+    changes = {"name": f"{law.name}_slower", "direct_gain": type(law.direct_gain)(**scaled)}
+    return save_law(law.model_copy(update=changes), file)
 
 
 def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
@@ -326,7 +344,7 @@ def record_campaign(
     The CMF's are facility CSV, others the project's own records. They hold what a recorder sees,
     and neither numbers of the machine nor seeds.
     """
-    place = Path(folder) / CAMPAIGN
+    place = Path(folder) / FILE
     table = tomlkit.parse(check_file(place).read_text(encoding="utf-8"))
     names = list(table["recordings"])  # type: ignore[arg-type]
     runs = {name: load_scenario(place.parent / SCENARIOS / f"{name}.toml") for name in names}
