@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cmf_mj.core.files import write_csv, write_json
+from cmf_mj.core.units import factor
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.hexapod import Hexapod
@@ -144,7 +145,8 @@ def compared(truth: dict[str, float], rows: list[dict[str, str]]) -> list[dict[s
         row = found.get(number)
         line: dict[str, Any] = {"number": number, "truth": true, "identifiable": False}
         if row is not None:
-            value, low, high = (float(row[key]) for key in ("value", "low", "high"))
+            size = factor(row["unit"])
+            value, low, high = (size * float(row[key]) for key in ("value", "low", "high"))
             said = row["identifiable"].strip().lower() in ("true", "1", "yes")
             line |= {"value": value, "low": low, "high": high, "identifiable": said}
             line |= {"holds": low <= true <= high}

@@ -32,7 +32,7 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import check_file
@@ -66,7 +66,7 @@ HOST_RATE = 128.0  #: Poses a second of the host files [Hz].
 SAMPLES = 256  #: Samples a second of a record, of a facility's CSV half as many [Hz].
 STEP_CORNER = 3.0  #: Of the critically damped low-pass at which a step's speed is judged [Hz].
 BAND = (10.0, 25.0)  #: Least and most of the highest frequency of multisines [Hz].
-SLOWER = 0.7  #: Direct gain of the law that is held back, over that of the law.
+SLOWER = 0.7  #: Gains of the law that is held back by default, over those of the law.
 MOST = 0.9  #: Largest share that a demand may use.
 
 POSES = (
@@ -114,7 +114,7 @@ def plan_campaign(
         seconds: length of each of the eight recordings [s].
         share: most that a demand may use of stroke, speed, acceleration and force, up to 0.9.
         other_law: law of a recording that is held back, by name or TOML file; default the first at
-            `SLOWER` of its direct gain, since another may make the machine ring.
+            `SLOWER` of its gains, since others may make the machine ring.
     """
     target = Path(folder)
     if (target / FILE).exists():
@@ -126,6 +126,8 @@ def plan_campaign(
     sheet = {"machine": machine, "cab": cab, "hydraulics": hydraulics, "law": law}
     named = {name: str(one) for name, one in sheet.items() if one is not None}
     room = Room(Hexapod(cab, hydraulics, machine=machine), share)
+    if named.get("law") == room.machine.law:
+        del named["law"]
     every = max(round(room.machine.rate / (RATE if room.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
     if other_law is None:
@@ -150,14 +152,11 @@ def plan_campaign(
 
 
 def _slower(law: Law, file: Path) -> Path:
-    """A file of the law with a smaller direct gain."""
-    scaled = {
-        name: (SLOWER * np.asarray(gain)).tolist()
-        for name, gain in law.direct_gain
-        if gain is not None
-    }
-    changes = {"name": f"{law.name}_slower", "direct_gain": type(law.direct_gain)(**scaled)}
-    return save_law(law.model_copy(update=changes), file)
+    """A file of the law with its whole feedback at `SLOWER`."""
+    gains = {name: (SLOWER * np.asarray(gain)).tolist() for name, gain in law.direct_gain}
+    changes = {"name": f"{law.name}_slower", "title": f"{law.title}, slower"}
+    changes |= {"direct_gain": Gains(**gains), "output_gain": SLOWER * law.output_gain}
+    return save_law(law.model_copy(update=changes), file, "For a recording that is held back.")
 
 
 def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
