@@ -20,6 +20,7 @@ from cmf_mj.core.files import write_csv, write_json
 from cmf_mj.core.units import factor
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.fit.plan import plan_campaign, record_campaign
 
@@ -100,7 +101,7 @@ def draw(options: argparse.Namespace) -> None:
         known = unknowns(sheet, largest)
         values = known.streams(options.seed, i)
         oil = known.apply(values, sheet.parameters, "hidden")
-        cab = known.apply(values, sheet.cab_parameters, "hidden")
+        cab = known.apply(values, load_cab(None, kind.machine), "hidden")
         folder = out / name
         if not (folder / "campaign.toml").exists():
             how = {"seconds": options.seconds, "other_law": kind.other_law}

@@ -154,7 +154,7 @@ def plan_campaign(
 def _slower(law: Law, file: Path) -> Path:
     """A file of the law with its whole feedback at `SLOWER`."""
     gains = {name: (SLOWER * np.asarray(gain)).tolist() for name, gain in law.direct_gain}
-    changes = {"name": f"{law.name}_slower", "title": f"{law.title}, slower"}
+    changes: dict[str, Any] = {"name": f"{law.name}_slower", "title": f"{law.title}, slower"}
     changes |= {"direct_gain": Gains(**gains), "output_gain": SLOWER * law.output_gain}
     return save_law(law.model_copy(update=changes), file, "For a recording that is held back.")
 
@@ -205,7 +205,7 @@ class Room:
         speed = np.diff(legs, axis=0) * rate
         acceleration = np.diff(speed, axis=0) * rate
         still = []
-        for pose in poses[:: max(len(poses) // 40, 1)]:
+        for pose in poses[:: max(len(poses) // 20, 1)]:
             self._plant.place(pose)
             still.append(np.abs(self._plant.static_load() - self._load).max(axis=0))
         force = np.abs(acceleration @ self._mass.T) + np.max(still)
@@ -345,7 +345,7 @@ def record_campaign(
     """
     place = Path(folder) / FILE
     table = tomlkit.parse(check_file(place).read_text(encoding="utf-8"))
-    names = list(table["recordings"])  # type: ignore[arg-type]
+    names = list(table["recordings"])
     runs = {name: load_scenario(place.parent / SCENARIOS / f"{name}.toml") for name in names}
     first = runs[names[0]]
     base = load_machine(machine or first.machine)
@@ -367,7 +367,7 @@ def record_campaign(
         return f"{name}.parquet"
 
     for name, file in zip(names, on_threads(made, names, jobs, progress), strict=True):
-        table["recordings"][name]["file"] = file  # type: ignore[index]
+        table["recordings"][name]["file"] = file
     return write_text(place, tomlkit.dumps(table))
 
 
