@@ -15,9 +15,10 @@ frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and 
 step from where the fit ended; its gain of -ln L says whether it would help.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from scipy import signal, stats
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, Table, fields_of
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.unknown import Unknown
@@ -43,13 +46,14 @@ WITHIN_DB, WITHIN_DEG = 0.5, 3.0  #: What a prediction may be off.
 _LAGS = 20
 _ORDER = 12
 _HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
+_CHANCE = 2.0  #: Correlation over its bound from which the model is said to miss something.
 _POWER = 1e-4  #: Share of the largest power above which a frequency counts.
 
 
 class Weak(NamedTuple):
     """A direction that the recordings leave open."""
 
-    deviation: float  #: Over that before the recordings.
+    deviation: Annotated[float, Field(title="deviation over that before", form=".2f")]
     numbers: str  #: What changes together, with signs.
 
 
@@ -71,11 +75,11 @@ class Left(NamedTuple):
 
     recording: str
     channel: str
-    rms: float  #: SI.
-    share: float  #: Of the measured channel's own deviation.
-    correlation: float  #: With the demand, over the bound; above 1 the model misses something.
-    worst_at: float  #: Time of the second with the largest residual [s].
-    worst: float  #: Its rms over that of all.
+    rms: Annotated[float, Field(title="rms, SI", form=".3g")]
+    share: Annotated[float, Field(title="of the channel", form=".2%")]
+    correlation: Annotated[float, Field(title="with demand, over chance", form=".2f")]
+    worst_at: Annotated[float, Field(title="worst at", form=".1f s")]
+    worst: Annotated[float, Field(title="there, over rms", form=".1f")]
 
 
 def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
@@ -138,9 +142,9 @@ class Prediction(NamedTuple):
     """A held-back recording against what the fit says."""
 
     recording: str
-    gain: float  #: Worst of measured over simulated up to `TO` [dB].
-    phase: float  #: Worst [deg].
-    pressure: float  #: Residual of the pressures over their own deviation.
+    gain: Annotated[float, Field(title="worst gain to 8 Hz", form="+.2f dB")]
+    phase: Annotated[float, Field(title="worst phase", form="+.1f deg")]
+    pressure: Annotated[float, Field(title="pressures missed", form=".2%")]
 
     @property
     def close(self) -> bool:
@@ -204,8 +208,8 @@ per full speed, of hoses over what there is."""
 class Effect(NamedTuple):
     """An effect that was tried."""
 
-    name: str
-    gain: float  #: Of -ln L by one step with it.
+    name: Annotated[str, Field(title="effect")]
+    gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]  #: By one step with it.
 
     @property
     def helps(self) -> bool:
@@ -213,10 +217,9 @@ class Effect(NamedTuple):
         return self.gain > _HELPS
 
 
-def effects(posterior: Posterior, jobs: int = 2) -> list[Effect]:
+def tried(posterior: Posterior, fitter: Fitter) -> list[Effect]:
     """Gain of each effect that is no unknown yet, the largest first."""
     there = {one.path for one in posterior.campaign.unknowns.values()}
-    fitter = Fitter(posterior.campaign, "whole", jobs)
     found = [
         Effect(name, _gain(posterior.look, fitter, extra))
         for name, extra in _EFFECTS.items()
@@ -234,7 +237,7 @@ def _gain(look: Look, fitter: Fitter, extra: Extra) -> float:
     said = {"path": extra.path, "unit": extra.unit, "effect": "value", "low": -1.0, "high": 1.0}
     alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, extra.path))
 
-    def tried(point: tuple[Array, Array]) -> Residuals | None:
+    def there_at(point: tuple[Array, Array]) -> Residuals | None:
         x, added = point
         value = (before + added * size) / units.factor(extra.unit)
         values = {"extra": value if "*" in extra.path else float(value[0])}
@@ -246,7 +249,7 @@ def _gain(look: Look, fitter: Fitter, extra: Extra) -> float:
 
     def all_(points: Sequence[tuple[Array, Array]]) -> list[Residuals | None]:
         with ThreadPoolExecutor(fitter.jobs) as pool:
-            return list(pool.map(tried, points))
+            return list(pool.map(there_at, points))
 
     there = all_([(look.x, one) for one in np.eye(len(legs))])
     if any(one is None for one in there):
@@ -281,38 +284,76 @@ def _size(extra: Extra, plant: Plant, before: Array) -> float:
     return size
 
 
-def verdict(
-    lefts: Sequence[Left], predictions: Sequence[Prediction], tried: Sequence[Effect]
-) -> str:
-    """Whether the model explains the recordings, in words."""
-    missed = [one for one in lefts if one.correlation > 2.0]
-    far = [one for one in predictions if not one.close]
-    helping = [one for one in tried if one.helps]
-    lines = []
-    if not missed and not far:
-        lines.append("The model explains the recordings: nothing left depends on the demand")
-        if predictions:
-            lines[0] += f", and {len(predictions)} held-back recordings are predicted within "
-            lines[0] += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
-        lines[0] += "."
-    else:
+class Doubt(NamedTuple):
+    """All that speaks against a fit."""
+
+    open: tuple[Weak, ...]
+    twins: tuple[tuple[str, str], ...]
+    left: tuple[Left, ...]
+    predictions: tuple[Prediction, ...]
+    effects: tuple[Effect, ...]
+
+    @property
+    def missed(self) -> list[Left]:
+        """What is left that goes with the demand, the worst first."""
+        found = [one for one in self.left if one.correlation > _CHANCE]
+        return sorted(found, key=lambda one: -one.correlation)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains all recordings, those held back included."""
+        return not self.missed and all(one.close for one in self.predictions)
+
+    def tables(self) -> list[Table]:
+        """What the recordings leave open, residuals, predictions, effects; none of them empty."""
+        found: list[Result[Any]] = [
+            Result(self.open, fields_of(Weak), "What the recordings leave open"),
+            Result(self.left, fields_of(Left), "What is left"),
+            Result(self.predictions, fields_of(Prediction), "Recordings held back"),
+            Result(self.effects, fields_of(Effect), "Effects that were tried"),
+        ]
+        return [one.table for one in found if len(one)]
+
+    @property
+    def verdict(self) -> str:
+        """How far the fit may be trusted, in words."""
+        lines = [f"{one} and {other} cannot be told apart." for one, other in self.twins]
+        if self.explained:
+            text = "The model explains the recordings: nothing left goes with the demand"
+            if self.predictions:
+                text += f", and {len(self.predictions)} held back are predicted within "
+                text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
+            return "\n".join([*lines, f"{text}."])
         lines.append("The model does not explain the recordings.")
-    for one in sorted(missed, key=lambda one: -one.correlation)[:3]:
-        lines.append(
-            f"{one.recording}, {one.channel}: what is left goes with the demand, "
-            f"{one.correlation:.1f} times the bound of chance, most at {one.worst_at:.1f} s."
-        )
-    for prediction in far:
-        lines.append(
-            f"{prediction.recording}: held back, predicted {prediction.gain:+.2f} dB and "
-            f"{prediction.phase:+.1f} deg off."
-        )
-    if missed or far:
-        names = ", ".join(one.name for one in helping[:3])
-        lines.append(
-            f"Most would be gained by: {names}."
-            if names
-            else "None of the effects tried helps: "
-            "look for one that the model lacks, such as a floor or a leg that bends."
-        )
-    return "\n".join(lines)
+        for one in self.missed[:3]:
+            lines.append(
+                f"{one.recording}, {one.channel}: what is left goes with the demand, "
+                f"{one.correlation:.1f} times the bound of chance, most at {one.worst_at:.1f} s."
+            )
+        for two in self.predictions:
+            if not two.close:
+                off = f"{two.gain:+.2f} dB and {two.phase:+.1f} deg"
+                lines.append(f"{two.recording}: held back, predicted {off} off.")
+        helping = ", ".join(one.name for one in self.effects if one.helps)
+        if helping:
+            lines.append(f"These effects would explain more, the most first: {helping}.")
+        elif self.effects:
+            lines.append("None of the effects tried helps: the model lacks one, such as a floor or")
+            lines.append("a leg that bends.")
+        return "\n".join(lines)
+
+    def page(self, numbers: Table) -> Callable[[Path], Path]:
+        """What writes the page of the fit, its numbers first."""
+        parts = ["# How far this fit may be trusted", self.verdict]
+        parts += [f"## {one.title}\n\n{one.markdown()}" for one in (numbers, *self.tables())]
+        return lambda path: write_text(path, "\n\n".join(parts) + "\n")
+
+
+def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt:
+    """Look for what speaks against a fit; further `effects` are tried where it misses."""
+    fitter = Fitter(posterior.campaign, "whole", jobs)
+    rest = tuple(left(posterior, fitter)), tuple(predicted(posterior))
+    found = Doubt(tuple(weak(posterior)), posterior.twins, *rest, ())
+    if effects and not found.explained:
+        found = found._replace(effects=tuple(tried(posterior, fitter)))
+    return found

@@ -25,7 +25,7 @@ from scipy import stats
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import Journal
-from cmf_mj.studies.fit.campaign import Campaign, Recording
+from cmf_mj.studies.fit.campaign import Campaign, Recording, load_campaign
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
 from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
 
@@ -221,7 +221,7 @@ _CLOCK = np.array([0.02, 1e-4])
 
 
 def fit(
-    campaign: Campaign,
+    campaign: str | Path | Campaign,
     folder: str | Path,
     *,
     jobs: int = 2,
@@ -230,8 +230,17 @@ def fit(
 ) -> Posterior:
     """Fit the unknowns of a campaign; finished steps in `folder` are not computed again.
 
-    `start` are coordinates to begin at, by default those of the data sheet, 0.
+    Args:
+        campaign: its folder, or a loaded one.
+        folder: of the journal of steps.
+        jobs: threads that simulate.
+        progress: called with a line after each step.
+        start: coordinates (n,) to begin at, by default those of the data sheet, 0.
+
+    Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
+    cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
     """
+    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     say = progress or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
@@ -249,7 +258,7 @@ def fit(
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
             if number not in journal.results:
-                journal.add(number, [_step(fitter, x, width, _ENOUGH[stage])])
+                journal.add(number, [_step(fitter, x, width, stage)])
             row = journal.results[number][0]
             number += 1
             say(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
@@ -263,9 +272,10 @@ def fit(
     return Posterior(campaign, names, x[: len(names)], covariance, *how)
 
 
-def _step(fitter: Fitter, x: Array, width: Array, enough: float) -> dict[str, Any]:
+def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
     """Steps on one set of derivatives, as a row of the journal; none where they promise little."""
-    look = first = fitter.look(x, width)
+    enough, look = _ENOUGH[stage], fitter.look(x, width)
+    first = look
     ended = first.promise < enough
     for _ in range(0 if ended else _INNER):
         moves = look.moves()
@@ -281,12 +291,13 @@ def _step(fitter: Fitter, x: Array, width: Array, enough: float) -> dict[str, An
             break
     deviation = np.sqrt(np.diag(np.linalg.inv(first.found.matrix + np.eye(x.size))))
     gained = first.merit - look.merit
+    over = ended or gained <= 0.0 or (stage == "slow" and look.promise < enough)
     return {
         "x": look.x.tolist(),
         "width": (width if ended else np.clip(deviation, 2e-3, 0.03)).tolist(),
         "merit": look.merit,
         "gain": gained,
-        "done": bool(ended or gained <= 0.0),
+        "done": bool(over),
     }
 
 
