@@ -14,7 +14,7 @@ from cmf_mj.cli.common import app, show, written
 
 Campaign = Annotated[Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml")]
 Try = Annotated[
-    bool, Option("--effects/--no-effects", help="try further effects where the model misses")
+    bool, Option("--effects/--no-effects", help="try what else the machine may have")
 ]
 
 

@@ -228,7 +228,8 @@ def _hydraulics(
             before: Quantity = getattr(base, field)
             table[field] = one.changed(before, float(value))
             factor = one.effect == "factor"
-            ratio[field] = value if factor else Quantity(**table[field]).si / before.si
+            if field in ratio:
+                ratio[field] = value if factor else Quantity(**table[field]).si / before.si
             for other in OF_THE_SUPPLY if asked == "supply" else ():
                 table[other] |= {"value": float(table[other]["value"] * ratio[field])}
     scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}

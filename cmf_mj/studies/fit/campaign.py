@@ -125,7 +125,7 @@ def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
         "bulk_modulus": {"path": "hydraulics.bulk_modulus", "low": 0.4, "high": 2.5} | wide,
         "mass": {"path": f"{heavy}.mass", "deviation": 40.0},
     }
-    force = max(0.05 * weight, 3.0 * numbers["coulomb_friction"].si)
+    force = max(0.15 * weight, 3.0 * numbers["coulomb_friction"].si)
     value: dict[str, Any] = {"effect": "value", "low": 0.0, "high": force, "unit": "N"}
     ranges["friction"] = {"path": "hydraulics.friction"} | value
     ranges["stiction"] = (

@@ -291,7 +291,7 @@ def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
             break
     deviation = np.sqrt(np.diag(np.linalg.inv(first.found.matrix + np.eye(x.size))))
     gained = first.merit - look.merit
-    over = ended or gained <= 0.0 or (stage == "slow" and look.promise < enough)
+    over = ended or gained < enough or (stage == "slow" and look.promise < enough)
     return {
         "x": look.x.tolist(),
         "width": (width if ended else np.clip(deviation, 2e-3, 0.03)).tolist(),

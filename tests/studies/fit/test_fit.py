@@ -1,0 +1,168 @@
+"""A machine is found from its recordings, and what they cannot tell is said."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+import cmf_mj
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.studies.certificate_family import load_box
+from cmf_mj.studies.fit import doubt, results
+from cmf_mj.studies.fit.campaign import FILE, data_sheet, load_campaign
+from cmf_mj.studies.fit.engine import Posterior, fit
+
+SECONDS, RATE = 5.0, 128
+
+KNOWN = {
+    "leg_speed": {"path": "hydraulics.leg_speed", "deviation": 20.0},
+    "mass": {"path": "cab.mass", "deviation": 30.0},
+    "drive_lag": {"path": "hydraulics.drive_lag", "low": 0.5, "high": 2.0, "unit": "1"},
+    "valve_lag": {"path": "hydraulics.valve_lag", "low": 0.5, "high": 2.0, "unit": "1"},
+}
+TRUTH = {"leg_speed": 1.1, "mass": 0.85, "drive_lag": 1.2, "valve_lag": 0.8}
+
+
+def motion(dof: int, seed: int) -> np.ndarray:
+    """Poses (N, 6) of a sum of sines about neutral [m, rad], faded in and out."""
+    machine = cmf_mj.load_machine("lab")
+    time = np.arange(int(SECONDS * machine.rate)) / machine.rate
+    generator = np.random.default_rng(seed)
+    sines = [
+        np.sin(2.0 * np.pi * f * time + generator.uniform(0.0, 6.0)) / (1.0 + f**2)
+        for f in np.arange(0.4, 20.0, 0.4)
+    ]
+    fade = np.clip(time, 0.0, 1.0) ** 2 * np.clip(SECONDS - time, 0.0, 1.0) ** 2
+    poses = np.zeros((time.size, 6))
+    poses[:, dof] = 0.02 * (3.0 if dof > 2 else 1.0) * fade * np.sum(sines, axis=0)
+    return poses
+
+
+def campaign(folder: Path, plant: cmf_mj.Plant) -> Path:
+    """Record a plant in three motions, the last one held back."""
+    folder.mkdir()
+    recordings = {}
+    for number, dof in enumerate((0, 2, 4)):
+        record = cmf_mj.simulate(
+            plant, "original", motion(dof, number), electronics="noisy", record_every=16
+        )
+        keep = ("leg_reference", "leg_position", "cap_pressure", "rod_pressure")
+        cmf_mj.Record(
+            record.time,
+            {name: record[name] for name in keep},
+            {name: record.units[name] for name in keep},
+            {"sample_rate": record.rate},
+        ).save(folder / f"{dof}.parquet")
+        said = {"file": f"{dof}.parquet", "kind": "multisine", "held_back": number == 2}
+        recordings[f"axis_{dof}"] = said
+    unknowns = {name: one | {"source": "test"} for name, one in KNOWN.items()}
+    table = {"machine": "lab", "law": "original", "recordings": recordings, "unknowns": unknowns}
+    (folder / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
+    return folder
+
+
+def hidden(**changes: float) -> cmf_mj.Hexapod:
+    plant = cmf_mj.Hexapod(machine="lab")
+    known = {name: one | {"source": "test"} for name, one in KNOWN.items()}
+    made = Unknowns({name: Unknown(**one) for name, one in known.items()})  # type: ignore[arg-type]
+    oil = made.apply(TRUTH, plant.parameters, "hidden")
+    overlap = oil.overlap.model_copy(update={"value": changes.get("overlap", 0.0)})
+    cab = made.apply(TRUTH, cmf_mj.load_cab(None, "lab"), "hidden")
+    return cmf_mj.Hexapod(cab, oil.model_copy(update={"overlap": overlap}))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Posterior, Path]:
+    """The fit of a hidden machine, and its folder."""
+    folder = tmp_path_factory.mktemp("fit")
+    made = campaign(folder / "campaign", hidden())
+    return fit(made, folder / "out", jobs=2), folder
+
+
+def test_the_machine_is_found_and_twins_are_said(found: tuple[Posterior, Path]) -> None:
+    """Mass and speed within 1 %; lags, which can be exchanged, within intervals that say so."""
+    posterior, _ = found
+    truth = dict(zip(results.paths(posterior), TRUTH.values(), strict=True))
+    rows = {row[0]: row for row in results.numbers(posterior).rows}
+    for path, factor in truth.items():
+        real = factor * results.nominal(posterior.campaign.plant, path)
+        _, value, low, high, _, told = rows[path]
+        assert low <= real <= high, path
+        if not path.endswith("_lag"):
+            assert told
+            assert value == pytest.approx(real, rel=0.01)
+    assert posterior.twins == (("drive_lag", "valve_lag"),)
+    assert not rows["hydraulics.drive_lag"][-1]
+
+
+def test_a_held_back_recording_is_predicted(found: tuple[Posterior, Path]) -> None:
+    doubts = doubt.doubt(found[0])
+    assert [one.recording for one in doubts.predictions] == ["axis_4"]
+    assert doubts.predictions[0].close
+    assert doubts.explained, doubts.verdict
+    assert "cannot be told apart" in doubts.verdict
+
+
+def test_the_fitted_machine_is_a_file_that_commands_take(found: tuple[Posterior, Path]) -> None:
+    """The same plant as that of the fit, its numbers identified, and a box for `certify`."""
+    posterior, folder = found
+    path = results.save(posterior, folder / "out")
+    machine = cmf_mj.load_machine(path)
+    plant, own = cmf_mj.Hexapod(cmf_mj.load_cab(None, machine)), results.fitted(posterior)
+    assert plant.model.body_mass == pytest.approx(own.model.body_mass)
+    assert plant.model.body_inertia == pytest.approx(own.model.body_inertia)
+    speed = plant.parameters.leg_speed
+    assert speed.si == pytest.approx(own.parameters.leg_speed.si)
+    assert (speed.status, plant.cab_parameters.mass.status) == ("identified", "identified")
+    assert load_box(folder / "out" / "box.toml").unknowns["cab_mass"].half < 0.05
+
+
+def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None:
+    posterior, folder = found
+    said: list[str] = []
+    again = fit(folder / "campaign", folder / "out", jobs=1, progress=said.append)
+    assert np.array_equal(again.z, posterior.z)
+    assert np.array_equal(again.covariance, posterior.covariance)
+
+
+def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
+    """2 % of the spool's travel: the model is said not to explain, and overlap would help most."""
+    made = campaign(tmp_path / "campaign", hidden(overlap=0.02))
+    doubts = doubt.doubt(fit(made, tmp_path / "out", jobs=2))
+    assert not doubts.explained
+    assert doubts.effects[0].name == "valve overlap"
+    assert doubts.effects[0].helps
+
+
+def test_what_is_wrong_with_a_campaign_is_named(tmp_path: Path) -> None:
+    said = {"file": "a.parquet", "kind": "hold", "held_back": True}
+    table = {"machine": "lab", "recordings": {"a": said}}
+    (tmp_path / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
+    with pytest.raises(InputError, match=r"recordings\.a: .*a\.parquet"):
+        load_campaign(tmp_path)
+    time = np.arange(256) / RATE
+    legs = np.zeros((256, 6))
+    channels = {"leg_reference": legs, "leg_position": legs}
+    units, about = dict.fromkeys(channels, "m"), {"sample_rate": float(RATE)}
+    cmf_mj.Record(time, channels, units, about).save(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match="all are held back"):
+        load_campaign(tmp_path)
+    said["kind"], said["held_back"] = "valves", False
+    (tmp_path / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
+    with pytest.raises(InputError, match="valve_command: is missing"):
+        load_campaign(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cmf", "simona", "lab"])
+def test_any_data_sheet_has_unknowns_that_change_the_plant(name: str) -> None:
+    """At 0.1 quantiles off the middle every number differs, at the middle mass and speed do not."""
+    plant = cmf_mj.Hexapod(machine=name)
+    known = data_sheet(plant.cab_parameters, plant.parameters).on(plant)
+    size = sum(int(np.prod(shape)) for shape in known.shapes().values())
+    middle, off = (known.apply(known.at(np.full(size, at)), plant) for at in (0.5, 0.6))
+    assert middle.cab_parameters.payload.mass == pytest.approx(plant.cab_parameters.payload.mass)
+    assert off.cab_parameters.payload.mass > middle.cab_parameters.payload.mass
+    assert off.parameters.coulomb_friction.si > middle.parameters.coulomb_friction.si
