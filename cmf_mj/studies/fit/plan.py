@@ -35,7 +35,7 @@ from scipy import signal
 from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import check_file
+from cmf_mj.core.settings import read_toml
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.facility.run import Run
@@ -344,8 +344,10 @@ def record_campaign(
     and neither numbers of the machine nor seeds.
     """
     place = Path(folder) / FILE
-    table = tomlkit.parse(check_file(place).read_text(encoding="utf-8"))
-    names = list(table["recordings"])
+    names = list(read_toml(place).get("recordings", ()))
+    if not names:
+        raise InputError(f"{place}: recordings: are missing; allowed: at least one")
+    table = tomlkit.parse(place.read_text(encoding="utf-8"))
     runs = {name: load_scenario(place.parent / SCENARIOS / f"{name}.toml") for name in names}
     first = runs[names[0]]
     base = load_machine(machine or first.machine)
