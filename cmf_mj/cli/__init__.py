@@ -16,6 +16,7 @@ from cmf_mj.cli import (  # noqa: F401
     analyse,
     campaign,
     facility,
+    fit,
     flight,
     machine,
     simulate,

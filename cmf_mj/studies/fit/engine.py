@@ -3,9 +3,9 @@
     slow    the first `SLOW` seconds of each recording, up to `SLOW_TOP` Hz
     whole   all of them, up to the campaign's highest frequency
 
-A step is found from derivatives by differences, each a simulation of all recordings, on threads,
-and shortened by Levenberg and Marquardt: of (H + mu diag H) dz = g with several mu the best is
-kept. A stage ends where no step gains, or where a step is small beside the deviations.
+Derivatives are differences, each a simulation of all recordings, on threads. Steps are shortened by
+Levenberg and Marquardt: of (H + mu diag H) dz = g with several mu the best is kept, and Broyden's
+update carries the derivatives on while steps gain. A stage ends where they promise next to nothing.
 
 Two lags in series can be exchanged without a trace; the fit tries it, and says so.
 
@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import Journal
-from cmf_mj.studies.fit.campaign import Campaign
+from cmf_mj.studies.fit.campaign import Campaign, Recording, load_campaign
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
-from cmf_mj.studies.fit.model import Model, Residuals, names_of
+from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
 
 Array = NDArray[np.float64]
 
@@ -35,10 +36,11 @@ SLOW, SLOW_TOP = 10.0, 6.0
 Progress = Callable[[str], None]
 
 _DAMPING = (0.0, 0.01, 0.1, 1.0)
-_STEPS = {"slow": 10, "whole": 6}  #: Most steps of a stage.
+_STEPS = {"slow": 8, "whole": 6}  #: Most steps of a stage.
 _ORDER = {"slow": 4, "whole": 12}  #: Of the noise's autoregression.
 _FAR = 1.5  #: Longest step of a number, in deviations of the prior.
-_GAIN = 0.5  #: Gain of -ln L below which a stage ends.
+_INNER = 6  #: Most steps on one set of derivatives.
+_ENOUGH = {"slow": 20.0, "whole": 0.5}  #: Promised gain of -ln L below which a stage ends.
 _TWINS = (("drive_lag", "valve_lag"),)
 _SAME = 2.0  #: Loss of -ln L that an exchange may cost: two deviations.
 _WIDEST = 4.0  #: Coordinates that an exchange may reach.
@@ -52,9 +54,7 @@ class Posterior(NamedTuple):
     z: Array  #: Their coordinates, see `Model`.
     covariance: Array  #: Of the coordinates.
     degrees: float  #: Of freedom of Student's t about them.
-    information: Information
-    residuals: Residuals
-    merit: float  #: -ln L.
+    look: "Look"  #: Residuals and derivatives there.
     twins: tuple[tuple[str, str], ...]  #: Numbers that can be exchanged.
     exchanged: Array  #: The coordinates with all twins exchanged.
 
@@ -84,6 +84,10 @@ class Posterior(NamedTuple):
         paired = {name for pair in self.twins for name in pair}
         return (self.deviation < 0.5) & ~np.isin(self.names, sorted(paired))
 
+    def digests(self) -> list[tuple[Recording, str]]:
+        """The recordings that were fitted, with what tells each from any other."""
+        return [(one, digest(one.record)) for one in self.campaign.of(held_back=False)]
+
     def samples(self, count: int, seed: int = 0) -> Array:
         """Coordinates of machines that the recordings allow, (count, n)."""
         generator = np.random.default_rng(seed)
@@ -106,13 +110,22 @@ class Fitter:
         self.clocks = campaign.settings.clocks
         self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
         self.size = len(names_of(campaign.unknowns))
+        self._latest: Look | None = None
 
-    def residuals(self, x: Array) -> Residuals | None:
-        """Residuals at numbers, and clocks where they are fitted."""
-        clocks = None
-        if self.clocks:
-            clocks = x[self.size :].reshape(-1, 2) * _CLOCK
-        return self.model.residuals(x[: self.size], clocks)
+    def residuals(self, x: Array) -> Residuals:
+        """Residuals at numbers, and clocks where they are fitted; errors as those of `Model`."""
+        return self.model.residuals(x[: self.size], self.clocks_of(x))
+
+    def clocks_of(self, x: Array) -> Array | None:
+        """Offset [s] and skew [s/s] of each recording's clock, where they are fitted."""
+        return x[self.size :].reshape(-1, 2) * _CLOCK if self.clocks else None
+
+    def tried(self, x: Array) -> Residuals | None:
+        """The same; None where there is no such machine, or it leaves its bounds."""
+        try:
+            return self.residuals(x)
+        except (InputError, RunError):
+            return None
 
     def merit(self, x: Array, residuals: Residuals | None) -> float:
         """-ln L; infinite where the machine cannot do it."""
@@ -121,7 +134,7 @@ class Fitter:
     def all(self, points: Sequence[Array]) -> list[Residuals | None]:
         """Residuals at several points, on threads."""
         with ThreadPoolExecutor(self.jobs) as pool:
-            return list(pool.map(self.residuals, points))
+            return list(pool.map(self.tried, points))
 
     def slopes(self, x: Array, here: Residuals, width: Array) -> Sequence[Residuals]:
         """Derivatives of the residuals by each coordinate, differences over `width`."""
@@ -130,23 +143,77 @@ class Fitter:
         for number, there in enumerate(self.all([x + move for move in moves])):
             step = width[number]
             if there is None:
-                there, step = self.residuals(x - moves[number]), -step
+                there, step = self.tried(x - moves[number]), -step
             if there is None:
                 raise InputError(f"number {number}: the machine leaves its bounds on either side")
-            found.append(
-                {
-                    name: {c: (there[name][c] - here[name][c]) / step for c in channels}
-                    for name, channels in here.items()
-                }
-            )
+            found.append(minus(there, here, step))
         return found
 
-    def look(self, x: Array, width: Array) -> tuple[Information, Residuals]:
+    def look(self, x: Array, width: Array) -> "Look":
         """What the recordings say about a point."""
-        here = self.residuals(x)
-        if here is None:
-            raise InputError("fit: the machine to begin with cannot follow the recorded demand")
-        return information(here, self.slopes(x, here, width), self.order, self.spacing), here
+        if self._latest is None or not np.array_equal(self._latest.x, x):
+            here = self.residuals(x)
+            slopes = self.slopes(x, here, width)
+            self._latest = self.seen(x, here, slopes)
+        return self._latest
+
+    def seen(self, x: Array, here: Residuals, slopes: Sequence[Residuals]) -> "Look":
+        """The same of residuals and their derivatives."""
+        found = information(here, slopes, self.order, self.spacing)
+        return Look(x, here, slopes, found, self.merit(x, here))
+
+
+class Look(NamedTuple):
+    """Residuals and derivatives at a point, and what they say."""
+
+    x: Array
+    here: Residuals
+    slopes: Sequence[Residuals]
+    found: Information
+    merit: float
+
+    @property
+    def gradient(self) -> Array:
+        """Of ln L with the prior, (n,)."""
+        return self.found.gradient - self.x
+
+    @property
+    def promise(self) -> float:
+        """Gain of -ln L if all were linear."""
+        full = self.found.matrix + np.eye(self.x.size)
+        return 0.5 * float(self.gradient @ np.linalg.solve(full, self.gradient))
+
+    def moves(self) -> list[Any]:
+        """Steps of several dampings, none longer than `_FAR`."""
+        found = []
+        for damping in _DAMPING:
+            matrix = self.found.matrix + np.eye(self.x.size)
+            matrix += damping * np.diag(np.diag(self.found.matrix))
+            move = np.linalg.solve(matrix, self.gradient)
+            found.append(move * min(1.0, _FAR / max(float(np.abs(move).max()), 1e-12)))
+        return found
+
+    def after(self, move: Array, there: Residuals) -> list[Residuals]:
+        """Broyden's derivatives after a step: they give the change of residuals along it."""
+        share = move / float(move @ move)
+        updated: list[Residuals] = []
+        missing = {
+            name: {
+                c: there[name][c]
+                - value
+                - sum(x * one[name][c] for x, one in zip(move, self.slopes, strict=True))
+                for c, value in channels.items()
+            }
+            for name, channels in self.here.items()
+        }
+        for x, one in zip(share, self.slopes, strict=True):
+            updated.append(
+                {
+                    n: {c: v + x * missing[n][c] for c, v in parts.items()}
+                    for n, parts in one.items()
+                }
+            )
+        return updated
 
 
 _CLOCK = np.array([0.02, 1e-4])
@@ -154,7 +221,7 @@ _CLOCK = np.array([0.02, 1e-4])
 
 
 def fit(
-    campaign: Campaign,
+    campaign: str | Path | Campaign,
     folder: str | Path,
     *,
     jobs: int = 2,
@@ -163,12 +230,21 @@ def fit(
 ) -> Posterior:
     """Fit the unknowns of a campaign; finished steps in `folder` are not computed again.
 
-    `start` are coordinates to begin at, by default those of the data sheet, 0.
+    Args:
+        campaign: its folder, or a loaded one.
+        folder: of the journal of steps.
+        jobs: threads that simulate.
+        progress: called with a line after each step.
+        start: coordinates (n,) to begin at, by default those of the data sheet, 0.
+
+    Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
+    cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
     """
+    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     say = progress or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
-        "recordings": {one.name: _digest(one.record) for one in campaign.recordings},
+        "recordings": {one.name: digest(one.record) for one in campaign.recordings},
         "start": None if start is None else list(start),
     }
     journal = Journal(Path(folder) / "steps", identity)
@@ -182,55 +258,54 @@ def fit(
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
             if number not in journal.results:
-                journal.add(number, [_step(fitter, x, width)])
+                journal.add(number, [_step(fitter, x, width, stage)])
             row = journal.results[number][0]
             number += 1
-            x, width = np.array(row["x"]), np.array(row["width"])
             say(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
+            x, width = np.array(row["x"]), np.array(row["width"])
             if row["done"]:
                 break
-    found, here = fitter.look(x, width)
-    covariance = spread(found, x)[: len(names), : len(names)]
-    best = fitter.merit(x, here)
-    twins, exchanged = _twins(fitter, names, x, best)
-    how = max(3.0, pieces - 1.0), found, here, best, twins, exchanged[: len(names)]
+    look = fitter.look(x, width)
+    covariance = spread(look.found, x)[: len(names), : len(names)]
+    twins, exchanged = _twins(fitter, names, look)
+    how = max(3.0, pieces - 1.0), look, twins, exchanged[: len(names)]
     return Posterior(campaign, names, x[: len(names)], covariance, *how)
 
 
-def _step(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
-    """The best of several steps from a point, as a row of the journal."""
-    found, here = fitter.look(x, width)
-    before = fitter.merit(x, here)
-    gradient, one = found.gradient - x, np.eye(x.size)
-    moves = []
-    for damping in _DAMPING:
-        matrix = found.matrix + one + damping * np.diag(np.diag(found.matrix))
-        move = np.linalg.solve(matrix, gradient)
-        moves.append(move * min(1.0, _FAR / max(float(np.abs(move).max()), 1e-12)))
-    tried = [
-        fitter.merit(x + m, r)
-        for m, r in zip(moves, fitter.all([x + m for m in moves]), strict=True)
-    ]
-    best = int(np.argmin(tried))
-    gain = before - tried[best]
-    deviation = np.sqrt(np.diag(np.linalg.inv(found.matrix + one)))
-    if gain > 0.0:
-        x = x + moves[best]
+def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
+    """Steps on one set of derivatives, as a row of the journal; none where they promise little."""
+    enough, look = _ENOUGH[stage], fitter.look(x, width)
+    first = look
+    ended = first.promise < enough
+    for _ in range(0 if ended else _INNER):
+        moves = look.moves()
+        there = fitter.all([look.x + move for move in moves])
+        merits = [fitter.merit(look.x + move, one) for move, one in zip(moves, there, strict=True)]
+        best = int(np.argmin(merits))
+        gain, here = look.merit - merits[best], there[best]
+        if here is None or gain <= 0.0:
+            break
+        promised = look.promise
+        look = fitter.seen(look.x + moves[best], here, look.after(moves[best], here))
+        if gain < max(enough, 0.1 * promised):
+            break
+    deviation = np.sqrt(np.diag(np.linalg.inv(first.found.matrix + np.eye(x.size))))
+    gained = first.merit - look.merit
+    over = ended or gained <= 0.0 or (stage == "slow" and look.promise < enough)
     return {
-        "x": x.tolist(),
-        "width": np.clip(deviation, 2e-3, 0.03).tolist(),
-        "merit": min(before, tried[best]),
-        "gain": max(gain, 0.0),
-        "damping": _DAMPING[best],
-        "done": bool(gain < _GAIN),
+        "x": look.x.tolist(),
+        "width": (width if ended else np.clip(deviation, 2e-3, 0.03)).tolist(),
+        "merit": look.merit,
+        "gain": gained,
+        "done": bool(over),
     }
 
 
 def _twins(
-    fitter: Fitter, names: tuple[str, ...], x: Array, best: float
+    fitter: Fitter, names: tuple[str, ...], look: Look
 ) -> tuple[tuple[tuple[str, str], ...], Array]:
     """Pairs of lags whose exchange costs next to nothing, and the coordinates after it."""
-    found, x = [], x.copy()
+    found, x, best = [], look.x, look.merit
     oil = fitter.model.machine(x[: fitter.size]).parameters
     for pair in _TWINS:
         if not set(pair) <= set(names):
@@ -244,15 +319,15 @@ def _twins(
             grid = np.linspace(-_WIDEST, _WIDEST, 2001)
             values = unknown.number(nominal.si, unknown.at(stats.norm.cdf(grid)))
             moved[names.index(one)] = np.interp(getattr(oil, other).si, values, grid)
-        if fitter.merit(moved, fitter.residuals(moved)) - best < _SAME:
+        if fitter.merit(moved, fitter.tried(moved)) - best < _SAME:
             found.append(pair)
             x = moved
     return tuple(found), x
 
 
-def _digest(record: Any) -> str:
+def digest(record: Record) -> str:
     """What tells a recording from another."""
-    digest = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
+    found = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
     for name in sorted(record.channels):
-        digest.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())
-    return digest.hexdigest()[:16]
+        found.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())
+    return found.hexdigest()[:8]

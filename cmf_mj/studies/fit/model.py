@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
-from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
 
@@ -34,6 +34,14 @@ Residuals = Mapping[str, Mapping[str, Array]]
 """By recording and channel, (samples, legs), in SI."""
 
 
+def minus(one: Residuals, other: Residuals, by: float = 1.0) -> Residuals:
+    """Difference of two sets of residuals, over `by`."""
+    return {
+        name: {c: (value - other[name][c]) / by for c, value in channels.items()}
+        for name, channels in one.items()
+    }
+
+
 class Piece(NamedTuple):
     """A recording, ready to be simulated and compared."""
 
@@ -41,6 +49,7 @@ class Piece(NamedTuple):
     how: Mapping[str, Any]  #: Law, source, start and spacing of its `Run`.
     since: Array  #: Times of the samples from the beginning of the simulation [s].
     measured: Mapping[str, Array]  #: By channel, (samples, legs).
+    demand: Array  #: Of the legs, or of the valves, (samples, legs).
     rate: float  #: Of the recording [Hz].
 
     def simulated(self, plant: Plant, clock: Sequence[float] = (0.0, 0.0)) -> dict[str, Array]:
@@ -73,12 +82,12 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
     how = {
         "law": recording.law,
         "source": source,
-        "start": plant.configuration(begin),
+        "start": legs_to_pose(begin, plant.machine),
         "record_every": max(1, int(rate // _MOST_RATE)),
         "command_delay": 0 if driven else 1,
     }
     measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
-    return Piece(recording.name, how, time + lead / rate, measured, record.rate)
+    return Piece(recording.name, how, time + lead / rate, measured, given, record.rate)
 
 
 class Model:
@@ -110,16 +119,19 @@ class Model:
         """The plant with these numbers."""
         return self.unknowns.apply(self.values(z), self.plant)
 
-    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals | None:
-        """Measured less simulated below `top`; None where the machine leaves its bounds."""
-        try:
-            plant = self.machine(z)
-            found = {}
-            for number, one in enumerate(self.pieces):
-                clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
-                found[one.name] = self.compared(one, one.simulated(plant, clock))
-        except (InputError, RunError):
-            return None
+    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals:
+        """Measured less simulated below `top`.
+
+        Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
+        """
+        return self.residuals_of(self.machine(z), clocks)
+
+    def residuals_of(self, plant: Plant, clocks: Array | None = None) -> Residuals:
+        """The same of a plant."""
+        found = {}
+        for number, one in enumerate(self.pieces):
+            clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
+            found[one.name] = self.compared(one, one.simulated(plant, clock))
         return found
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:

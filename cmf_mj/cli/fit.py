@@ -1,0 +1,40 @@
+"""A machine from its recordings: `cmf fit`."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option, echo
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import app, show, written
+
+Campaign = Annotated[Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml")]
+Try = Annotated[
+    bool, Option("--effects/--no-effects", help="try further effects where the model misses")
+]
+
+
+@options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")
+def fit_command(
+    campaign: Campaign,
+    effects: Try = True,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/fit"),
+) -> None:
+    """Find a machine's numbers from recordings of it, and say how far to trust them."""
+    from cmf_mj.show.fit import figures
+    from cmf_mj.show.look import save_files
+    from cmf_mj.studies.fit import doubt, results
+    from cmf_mj.studies.fit.campaign import load_campaign
+    from cmf_mj.studies.fit.engine import fit
+
+    jobs = jobs or os.cpu_count() or 1
+    posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
+    results.save(posterior, out)
+    doubts, table = doubt.doubt(posterior, jobs, effects=effects), results.numbers(posterior)
+    files = save_files(figures(posterior) | {"fit.md": doubts.page(table)}, out)
+    show(table, *doubts.tables(), doubts.verdict, written(files, out))

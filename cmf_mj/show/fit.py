@@ -1,0 +1,53 @@
+"""Figures of a fit: what is known of each number, and the recordings beside the fitted machine."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import stats
+
+from cmf_mj.show.look import legend, new_figure, stack
+from cmf_mj.studies.fit.engine import Posterior
+from cmf_mj.studies.fit.model import Model
+
+_SHOWN = 4.0  #: Seconds of a recording.
+
+
+def figures(posterior: Posterior) -> dict[str, Figure]:
+    """Figures by file name."""
+    return {"numbers.png": numbers(posterior), "recordings.png": recordings(posterior)}
+
+
+def numbers(posterior: Posterior) -> Figure:
+    """90 % intervals of all numbers in quantiles of what was known before."""
+    figure = new_figure(7.0, 0.28 * len(posterior.names) + 1.0)
+    axes = figure.add_subplot()
+    low, high = stats.norm.cdf(posterior.bounds())
+    told, place = posterior.identified(), np.arange(len(posterior.names))[::-1]
+    for chosen, colour, name in ((told, "C0", "told by the recordings"), (~told, "C3", "open")):
+        if chosen.any():
+            axes.hlines(place[chosen], low[chosen], high[chosen], colour, lw=5, label=name)
+    axes.plot(stats.norm.cdf(posterior.z), place, "k|")
+    axes.set_yticks(place, posterior.names)
+    axes.set(xlim=(0.0, 1.0), xlabel="quantile of what the data sheet allows")
+    legend(axes)
+    return figure
+
+
+def recordings(posterior: Posterior) -> Figure:
+    """A few seconds of each recording held back, else of each fitted, leg 1."""
+    held = bool(posterior.campaign.of(held_back=True))
+    model = Model(posterior.campaign, held_back=held)
+    machine, pieces = model.machine(posterior.z), model.pieces[:4]
+    channel = next((name for name in pieces[0].measured if "pressure" in name), "leg_position")
+    scale, unit = (1e-5, "bar") if channel != "leg_position" else (1e3, "mm")
+    label = f"{channel.replace('_', ' ')} 1 [{unit}]"
+    figure, rows = stack(7.0, 2.0 * len(pieces) + 1.0, *[label] * len(pieces))
+    for axes, one in zip(rows, pieces, strict=True):
+        found, since = one.simulated(machine), one.since - one.since[0]
+        shown = since <= _SHOWN
+        axes.plot(since[shown], scale * one.measured[channel][shown, 0], label="measured")
+        axes.plot(since[shown], scale * found[channel][shown, 0], "--", label="fitted machine")
+        axes.set_title(one.name)
+    legend(rows[0])
+    return figure

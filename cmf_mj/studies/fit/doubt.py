@@ -1,0 +1,359 @@
+"""What a fit does not know: numbers in doubt, residuals, held-back recordings, effects, a verdict.
+
+**Directions.** Eigenvectors of the covariance in the prior's coordinates: along those whose
+deviation is near 1 the recordings say nothing.
+
+**Residuals.** Of a model that explains everything they do not depend on the demand. With both
+whitened, r_eu(k) is their correlation at lag k; of K lags of independent ones the largest is below
+
+    Phi^-1(1 - 0.005 / K) / sqrt(N)                     in 99 of 100 cases.
+
+**Held back.** Recordings the fit never saw: ratio of measured to simulated leg positions over
+frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and phase in deg.
+
+**Effects.** Of each that the machine may have beside its numbers, one more number is fitted by a
+step from where the fit ended; its gain of -ln L says whether it would help.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, Table, fields_of
+from cmf_mj.core.settings import validated
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.fit.engine import Fitter, Look, Posterior
+from cmf_mj.studies.fit.likelihood import BLOCK, coefficients, information
+from cmf_mj.studies.fit.model import LEAD, Model, Piece, Residuals, minus
+from cmf_mj.studies.fit.results import nominal
+
+Array = NDArray[np.float64]
+
+TO = 8.0  #: Frequency to which a prediction is judged [Hz].
+WITHIN_DB, WITHIN_DEG = 0.5, 3.0  #: What a prediction may be off.
+
+_LAGS = 20
+_ORDER = 12
+_HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
+_CHANCE = 2.0  #: Correlation over its bound from which the model is said to miss something.
+_POWER = 1e-4  #: Share of the largest power above which a frequency counts.
+
+
+class Weak(NamedTuple):
+    """A direction that the recordings leave open."""
+
+    deviation: Annotated[float, Field(title="deviation over that before", form=".2f")]
+    numbers: str  #: What changes together, with signs.
+
+
+def weak(posterior: Posterior, above: float = 0.5) -> list[Weak]:
+    """Directions along which more than a share `above` of the prior's width is left."""
+    values, vectors = np.linalg.eigh(posterior.covariance)
+    found = []
+    for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
+        if (deviation := float(np.sqrt(value))) > above:
+            vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+            chosen = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.3]
+            said = [f"{posterior.names[i]} {'up' if vector[i] > 0 else 'down'}" for i in chosen]
+            found.append(Weak(deviation, ", ".join(said)))
+    return found
+
+
+class Left(NamedTuple):
+    """What is left of a channel in a recording."""
+
+    recording: str
+    channel: str
+    rms: Annotated[float, Field(title="rms, SI", form=".3g")]
+    share: Annotated[float, Field(title="of the channel", form=".2%")]
+    correlation: Annotated[float, Field(title="with demand, over chance", form=".2f")]
+    worst_at: Annotated[float, Field(title="worst at", form=".1f s")]
+    worst: Annotated[float, Field(title="there, over rms", form=".1f")]
+
+
+def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
+    """Residuals by recording and channel; the worst correlation of any leg."""
+    found = []
+    for one in fitter.model.pieces:
+        spacing = fitter.spacing[one.name]
+        zero = {name: np.zeros_like(value) for name, value in one.measured.items()}
+        measured = fitter.model.compared(one, zero)
+        demand = fitter.model.compared(_demand(one), {"demand": 0.0 * one.since[:, None]})["demand"]
+        for channel, residual in posterior.look.here[one.name].items():
+            still = residual - residual.mean(axis=0)
+            block = max(1, round(BLOCK / spacing))
+            sizes = [np.std(still[i : i + block]) for i in range(0, len(still) - block + 1, block)]
+            rms = float(np.std(still))
+            worst = int(np.argmax(sizes))
+            found.append(
+                Left(
+                    one.name,
+                    channel,
+                    rms,
+                    rms / max(float(np.std(measured[channel])), 1e-300),
+                    max(_correlated(still[:, i], demand[:, i]) for i in range(still.shape[1])),
+                    LEAD + worst * block * spacing,
+                    float(sizes[worst]) / max(rms, 1e-300),
+                )
+            )
+    return found
+
+
+def _demand(one: Piece) -> Piece:
+    """The recording with its demand in the place of what was measured."""
+    return one._replace(measured={"demand": one.demand})
+
+
+def _correlated(residual: Array, demand: Array) -> float:
+    """Largest correlation of whitened histories over its bound."""
+    e = _white(residual)
+    u = _white(demand)
+    if not e.any() or not u.any():
+        return 0.0
+    count = e.size
+    e, u = (x / np.sqrt(np.mean(x**2)) for x in (e, u))
+    lags = range(-_LAGS // 4, _LAGS)
+    values = [
+        float(np.dot(e[max(k, 0) : count + min(k, 0)], u[max(-k, 0) : count - max(k, 0)])) / count
+        for k in lags
+    ]
+    bound = stats.norm.ppf(1.0 - 0.005 / len(lags)) / np.sqrt(count)
+    return float(np.abs(values).max() / bound)
+
+
+def _white(history: Array) -> Array:
+    column = (history - history.mean())[:, None]
+    colour = coefficients(column, _ORDER)
+    return np.asarray(signal.lfilter(colour, [1.0], column[:, 0])[colour.size - 1 :])
+
+
+class Prediction(NamedTuple):
+    """A held-back recording against what the fit says."""
+
+    recording: str
+    gain: Annotated[float, Field(title="worst gain to 8 Hz", form="+.2f dB")]
+    phase: Annotated[float, Field(title="worst phase", form="+.1f deg")]
+    pressure: Annotated[float, Field(title="pressures missed", form=".2%")]
+
+    @property
+    def close(self) -> bool:
+        """Whether it is as close as asked."""
+        return abs(self.gain) <= WITHIN_DB and abs(self.phase) <= WITHIN_DEG
+
+
+def predicted(posterior: Posterior, machine: Plant | None = None) -> list[Prediction]:
+    """The recordings held back, simulated on the fitted machine or another."""
+    model = Model(posterior.campaign, held_back=True)
+    plant = machine or model.machine(posterior.z)
+    found = []
+    for one in model.pieces:
+        simulated = one.simulated(plant)
+        gain, phase = _ratio(one.measured["leg_position"], simulated["leg_position"], one.rate)
+        shares = [
+            np.std(one.measured[c] - simulated[c] - (one.measured[c] - simulated[c]).mean(axis=0))
+            / np.std(one.measured[c])
+            for c in simulated
+            if c != "leg_position"
+        ]
+        found.append(Prediction(one.name, gain, phase, float(max(shares, default=0.0))))
+    return found
+
+
+def _ratio(measured: Array, simulated: Array, rate: float) -> tuple[float, float]:
+    """Worst gain [dB] and phase [deg] of measured over simulated histories up to `TO`."""
+    length = min(int(4.0 * rate), measured.shape[0])
+    how: dict[str, Any] = {"fs": rate, "nperseg": length, "axis": 0}
+    frequency, cross = signal.csd(simulated, measured, **how)
+    power = signal.welch(simulated, **how)[1].sum(axis=1)
+    chosen = (frequency > 0.0) & (frequency <= TO)
+    chosen &= power > _POWER * power[chosen].max()
+    ratio = cross.sum(axis=1)[chosen] / power[chosen]
+    gain, phase = 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+    return float(gain[np.argmax(np.abs(gain))]), float(phase[np.argmax(np.abs(phase))])
+
+
+class Extra(NamedTuple):
+    """A number that a machine may have beside those that are fitted."""
+
+    path: str
+    unit: str
+    size: float  #: What is tried, in `unit`.
+    signed: bool = False  #: Whether it may go either way.
+
+
+_EFFECTS = {
+    "valve overlap": Extra("hydraulics.overlap", "1", 0.01),
+    "valve hysteresis": Extra("hydraulics.hysteresis", "1", 0.01),
+    "unequal null bias": Extra("hydraulics.actuators.*.null_bias", "1", 0.005, signed=True),
+    "viscous friction": Extra("hydraulics.viscous_friction", "N s/m", 0.05),
+    "Coulomb friction": Extra("hydraulics.friction", "N", 0.02),
+    "entrained gas": Extra("hydraulics.entrained_gas", "1", 0.002),
+    "resistance of the supply hoses": Extra("hydraulics.supply_hose", "Pa s/m^3", 1.0),
+}
+"""What a machine may have beside its numbers; of friction over a leg's static load and, viscous,
+per full speed, of hoses over what there is."""
+
+
+class Effect(NamedTuple):
+    """An effect that was tried."""
+
+    name: Annotated[str, Field(title="effect")]
+    gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]  #: By one step with it.
+
+    @property
+    def helps(self) -> bool:
+        """Whether it explains more than chance."""
+        return self.gain > _HELPS
+
+
+def tried(posterior: Posterior, fitter: Fitter) -> list[Effect]:
+    """Gain of each effect that is no unknown yet, the largest first."""
+    there = {one.path for one in posterior.campaign.unknowns.values()}
+    found = [
+        Effect(name, _gain(posterior.look, fitter, extra))
+        for name, extra in _EFFECTS.items()
+        if extra.path not in there
+    ]
+    return sorted(found, key=lambda effect: -effect.gain)
+
+
+def _gain(look: Look, fitter: Fitter, extra: Extra) -> float:
+    """Gain by one step of all numbers together with those of an effect."""
+    plant = fitter.model.plant
+    legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
+    before = np.array([nominal(plant, extra.path.replace("*", leg)) for leg in legs])
+    size = _size(extra, plant, before)
+    said = {"path": extra.path, "unit": extra.unit, "effect": "value", "low": -1.0, "high": 1.0}
+    alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, extra.path))
+
+    def there_at(point: tuple[Array, Array]) -> Residuals | None:
+        x, added = point
+        value = (before + added * size) / units.factor(extra.unit)
+        values = {"extra": value if "*" in extra.path else float(value[0])}
+        try:
+            machine = alone.apply(values, fitter.model.machine(x[: fitter.size]))
+            return fitter.model.residuals_of(machine, fitter.clocks_of(x))
+        except (InputError, RunError):
+            return None
+
+    def all_(points: Sequence[tuple[Array, Array]]) -> list[Residuals | None]:
+        with ThreadPoolExecutor(fitter.jobs) as pool:
+            return list(pool.map(there_at, points))
+
+    there = all_([(look.x, one) for one in np.eye(len(legs))])
+    if any(one is None for one in there):
+        return 0.0
+    slopes = [*look.slopes, *(minus(one, look.here) for one in there if one is not None)]
+    found = information(look.here, slopes, fitter.order, fitter.spacing)
+    point = np.concatenate([look.x, np.zeros(len(legs))])
+    step = np.linalg.solve(found.matrix + np.eye(point.size), found.gradient - point)
+    move, added = step[: look.x.size], step[look.x.size :]
+    if not extra.signed and added[0] <= 0.0:
+        return 0.0
+    points = [(look.x + part * move, part * added) for part in (1.0, 0.5, 0.25)]
+    merits = [
+        fitter.merit(x, residuals) + 0.5 * float(more @ more)
+        for (x, more), residuals in zip(points, all_(points), strict=True)
+    ]
+    return max(0.0, look.merit - min(merits))
+
+
+def _size(extra: Extra, plant: Plant, before: Array) -> float:
+    """What is tried, in SI."""
+    size = float(units.to_si(extra.unit, extra.size))
+    cab = plant.cab_parameters
+    force = (cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / plant.legs
+    match extra.path.split(".")[-1]:
+        case "friction":
+            return size * force
+        case "viscous_friction":
+            return size * force / (100.0 * plant.parameters.leg_speed.si)
+        case "supply_hose":
+            return size * float(before[0])
+    return size
+
+
+class Doubt(NamedTuple):
+    """All that speaks against a fit."""
+
+    open: tuple[Weak, ...]
+    twins: tuple[tuple[str, str], ...]
+    left: tuple[Left, ...]
+    predictions: tuple[Prediction, ...]
+    effects: tuple[Effect, ...]
+
+    @property
+    def missed(self) -> list[Left]:
+        """What is left that goes with the demand, the worst first."""
+        found = [one for one in self.left if one.correlation > _CHANCE]
+        return sorted(found, key=lambda one: -one.correlation)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains all recordings, those held back included."""
+        return not self.missed and all(one.close for one in self.predictions)
+
+    def tables(self) -> list[Table]:
+        """What the recordings leave open, residuals, predictions, effects; none of them empty."""
+        found: list[Result[Any]] = [
+            Result(self.open, fields_of(Weak), "What the recordings leave open"),
+            Result(self.left, fields_of(Left), "What is left"),
+            Result(self.predictions, fields_of(Prediction), "Recordings held back"),
+            Result(self.effects, fields_of(Effect), "Effects that were tried"),
+        ]
+        return [one.table for one in found if len(one)]
+
+    @property
+    def verdict(self) -> str:
+        """How far the fit may be trusted, in words."""
+        lines = [f"{one} and {other} cannot be told apart." for one, other in self.twins]
+        if self.explained:
+            text = "The model explains the recordings: nothing left goes with the demand"
+            if self.predictions:
+                text += f", and {len(self.predictions)} held back are predicted within "
+                text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
+            return "\n".join([*lines, f"{text}."])
+        lines.append("The model does not explain the recordings.")
+        for one in self.missed[:3]:
+            lines.append(
+                f"{one.recording}, {one.channel}: what is left goes with the demand, "
+                f"{one.correlation:.1f} times the bound of chance, most at {one.worst_at:.1f} s."
+            )
+        for two in self.predictions:
+            if not two.close:
+                off = f"{two.gain:+.2f} dB and {two.phase:+.1f} deg"
+                lines.append(f"{two.recording}: held back, predicted {off} off.")
+        helping = ", ".join(one.name for one in self.effects if one.helps)
+        if helping:
+            lines.append(f"These effects would explain more, the most first: {helping}.")
+        elif self.effects:
+            lines.append("None of the effects tried helps: the model lacks one, such as a floor or")
+            lines.append("a leg that bends.")
+        return "\n".join(lines)
+
+    def page(self, numbers: Table) -> Callable[[Path], Path]:
+        """What writes the page of the fit, its numbers first."""
+        parts = ["# How far this fit may be trusted", self.verdict]
+        parts += [f"## {one.title}\n\n{one.markdown()}" for one in (numbers, *self.tables())]
+        return lambda path: write_text(path, "\n\n".join(parts) + "\n")
+
+
+def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt:
+    """Look for what speaks against a fit; further `effects` are tried where it misses."""
+    fitter = Fitter(posterior.campaign, "whole", jobs)
+    rest = tuple(left(posterior, fitter)), tuple(predicted(posterior))
+    found = Doubt(tuple(weak(posterior)), posterior.twins, *rest, ())
+    if effects and not found.explained:
+        found = found._replace(effects=tuple(tried(posterior, fitter)))
+    return found

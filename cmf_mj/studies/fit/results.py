@@ -1,0 +1,218 @@
+"""What a fit leaves: numbers with intervals, the fitted machine as files, samples, a box.
+
+    numbers.csv       each number: value, 90 % interval, unit, whether the recordings tell it
+    machine.toml      the machine with cab and hydraulic set, numbers of status `identified`
+    box.toml          how far its numbers may be off, for `cmf certify`
+    samples.parquet   machines that the recordings allow, a row each, a column a number
+
+A machine's file takes the place of the data sheet's in every command.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import tomlkit
+from numpy.typing import NDArray
+from scipy import stats
+
+from cmf_mj.control.law import load_law
+from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.result import Table
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.certificate_family import WIDEST, load_box
+from cmf_mj.studies.fit.engine import Posterior
+from cmf_mj.studies.tuning.search import save_law
+
+Array = NDArray[np.float64]
+
+CAB, SAMPLES = "fitted", 400
+
+FIELDS = ("number", "value", "low", "high", "unit", "identifiable")
+
+
+def paths(posterior: Posterior) -> tuple[str, ...]:
+    """Paths of all numbers, of each leg its own, in the order of the coordinates."""
+    found: list[str] = []
+    known = posterior.campaign.unknowns
+    for one in known.values():
+        legs = known.legs if "*" in one.path.split(".") else ("",)
+        found += [one.path.replace("*", leg) for leg in legs]
+    return tuple(found)
+
+
+def nominal(plant: Plant, path: str) -> float:
+    """A number of a machine in SI; 1 where only factors on it are known."""
+    root, *rest = path.split(".")
+    oil, cab = plant.parameters, plant.cab_parameters
+    match root, rest:
+        case "hydraulics", ["friction"]:
+            return oil.coulomb_friction.si
+        case "hydraulics", ["stiction"]:
+            size = oil.coulomb_friction.si
+            return oil.breakaway_friction.si / size if size else 1.0
+        case "hydraulics", [field] if isinstance(known := getattr(oil, field, None), Quantity):
+            return known.si
+        case "hydraulics", ["actuators", leg, field] if field in oil.actuator(leg):
+            return oil.actuator(leg)[field].si
+        case "cab" | "platform", _ if cab is not None:
+            body = cab if root == "cab" else cab.platform
+            match rest:
+                case ["mass"]:
+                    return body.mass.si
+                case ["centre_of_mass", axis]:
+                    return float(body.centre_of_mass.si["xyz".index(axis)])
+                case ["second_moment", axis]:
+                    at = "xyz".index(axis)
+                    return 0.5 * float(np.trace(body.tensor)) - float(body.tensor[at, at])
+    return 1.0
+
+
+def physical(posterior: Posterior, z: Array) -> Array:
+    """Numbers in SI at coordinates (..., n)."""
+    plant, known = posterior.campaign.plant, list(posterior.campaign.unknowns.values())
+    sizes = [int(np.prod(shape)) for shape in posterior.campaign.unknowns.shapes().values()]
+    columns = []
+    of = np.repeat(np.arange(len(known)), sizes)
+    for number, path in enumerate(paths(posterior)):
+        one = known[of[number]]
+        value = one.at(stats.norm.cdf(z[..., number]))
+        columns.append(np.asarray(one.number(nominal(plant, path), value)))
+    return np.stack(columns, axis=-1)
+
+
+def unit_of(path: str) -> str:
+    """SI unit of a number by its path."""
+    last = path.split(".")[-1]
+    known = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
+    if "centre_of_mass" in path or "second_moment" in path:
+        return "m" if "centre_of_mass" in path else "kg m^2"
+    if last.endswith("_lag"):
+        return "rad/s"
+    return known.get(last, "1/s" if last == "leak_rate" else "1")
+
+
+def numbers(posterior: Posterior) -> Table:
+    """Every number with its 90 % interval."""
+    low, high = physical(posterior, posterior.bounds())
+    value, told = physical(posterior, posterior.z), posterior.identified()
+    rows = [
+        (path, float(value[i]), float(low[i]), float(high[i]), unit_of(path), bool(told[i]))
+        for i, path in enumerate(paths(posterior))
+    ]
+    columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
+    return Table("Numbers of the machine, with 90 % intervals", columns, rows)
+
+
+def save(posterior: Posterior, folder: str | Path) -> Path:
+    """Write all files of a fit; gives the machine's."""
+    where = Path(folder)
+    table = numbers(posterior)
+    write_csv(in_folder(where, "numbers.csv"), FIELDS, table.rows)
+    drawn = physical(posterior, posterior.samples(SAMPLES))
+    columns = dict(zip(paths(posterior), drawn.T, strict=True))
+    write_parquet(pa.table(columns), in_folder(where, "samples.parquet"))
+    write_text(in_folder(where, "box.toml"), tomlkit.dumps(box(posterior)))
+    return save_machine(posterior, where)
+
+
+def save_machine(posterior: Posterior, where: Path) -> Path:
+    """Write the fitted machine, its law beside it.
+
+    A drawn model is left out: the numbers are those of the file, the machine is drawn from them.
+    """
+    plant = fitted(posterior)
+    machine, cab, oil = plant.machine, plant.cab_parameters, plant.parameters
+    assert cab is not None
+    table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
+    name = f"{machine.name}_fitted".replace(" ", "_")
+    law = load_law(posterior.campaign.settings.law or machine.law)
+    save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), in_folder(where, "law.toml"))
+    bodies = cab.model_dump(mode="json", exclude_none=True)
+    station = machine.cabs[cab.base].model_dump(mode="json")["station"]
+    parts = ("mass", "centre_of_mass", "inertia")
+    fit_ = {part: bodies[part] for part in parts}
+    flow = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
+    table |= {
+        "name": name,
+        "title": f"{machine.title}, fitted to recordings",
+        "law": "law.toml",
+        "hydraulics": {"base": "hardware"} | flow,
+        "platform": {part: bodies["platform"][part] for part in parts},
+        "cabs": {CAB: fit_ | {"station": station}},
+        "legs": table["legs"] | bodies["legs"],
+    }
+    return write_text(
+        in_folder(where, "machine.toml"), tomlkit.dumps(_identified(posterior, table))
+    )
+
+
+def fitted(posterior: Posterior) -> Plant:
+    """The plant with the fitted numbers."""
+    known = posterior.campaign.unknowns
+    return known.apply(known.at(stats.norm.cdf(posterior.z)), posterior.campaign.plant)
+
+
+def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
+    """The file's numbers that were fitted, with status and source."""
+    said = {
+        "status": "identified",
+        "source": "fitted to recordings "
+        + ", ".join(f"{one.name} {digest}" for one, digest in posterior.digests()),
+    }
+    for path in paths(posterior):
+        root, *rest = path.split(".")
+        at: Any = table["hydraulics"] if root == "hydraulics" else table["cabs"][CAB]
+        at = table["platform"] if root == "platform" else at
+        match rest:
+            case ["friction"]:
+                at["coulomb_friction"] |= said
+            case ["stiction"]:
+                at["breakaway_friction"] |= said
+            case ["second_moment", _]:
+                at["inertia"] |= said
+            case ["centre_of_mass", _]:
+                at["centre_of_mass"] |= said
+            case ["actuators", leg, *fields]:
+                entry = at["actuators"][leg]
+                for field in fields:
+                    entry = entry[field]
+                entry |= said
+            case [field] if field in at:
+                at[field] |= said
+    return table
+
+
+_OF_BOX = {
+    "drive_lag": ".drive_lag",
+    "valve_lag": ".valve_lag",
+    "valve_gain": ".leg_speed",
+    "leak_rate": ".leak_rate",
+    "bulk_modulus": ".bulk_modulus",
+    "cab_mass": ".mass",
+    "cab_place": ".centre_of_mass.",
+    "cab_inertia": ".second_moment.",
+}
+"""What of the machine a number of the box stands for, as part of its path."""
+
+
+def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
+    """A box that holds all numbers together with a probability, as `cmf certify --box` takes it.
+
+    Of n numbers each has the share 1 - (1 - share) / n. The larger half width counts, in %.
+    """
+    each = 1.0 - (1.0 - share) / len(posterior.names)
+    bounds, best = physical(posterior, posterior.bounds(each)), physical(posterior, posterior.z)
+    off = np.abs(bounds - best).max(axis=0)
+    ratio = np.minimum(off / np.maximum(np.abs(best), 1e-12), WIDEST)
+    listed, unit = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)
+    source = f"{100 * share:g} % of the machines that the recordings allow, all numbers together"
+    for name, part in _OF_BOX.items():
+        place = name == "cab_place"
+        widths = [(off if place else 100.0 * ratio)[i] for i, p in enumerate(listed) if part in p]
+        if widths:
+            width = float(f"{max(1e-4, *map(float, widths)):.4g}")
+            unit["unknowns"][name] |= {"deviation": width, "source": source}
+    return unit | {"title": "What the recordings leave open"}
