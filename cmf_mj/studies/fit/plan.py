@@ -123,11 +123,14 @@ def plan_campaign(
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
     if other_law is None:
         other_law = _slower(load_law(law or room.machine.law), target / "slower.toml")
-    tables: dict[str, Any] = {}
-    for name, one in _planned(room, seconds - LEAD).items():
-        chosen = {"law": str(other_law)} if one.other_law else {}
-        run = room.fitted(one, named | usual | chosen | {"title": f"{name}: {one.pose}"})
-        scenario = run.table() | {"law": None} | _beside(named | chosen, target / SCENARIOS)
+    plans, runs, tables = _planned(room, seconds - LEAD), {}, {}
+    laws = {name: {"law": str(other_law)} if one.other_law else {} for name, one in plans.items()}
+    for name, one in plans.items():
+        title = {"title": f"{name}: {one.pose}"}
+        runs[name] = room.fitted(one, named | usual | laws[name] | title)
+    for name, run in runs.items():
+        one, files = plans[name], _beside(named | laws[name], target / SCENARIOS)
+        scenario = run.table() | {"law": None} | files
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
         how = "zero" if one.kind == "step" else "spline"
@@ -135,7 +138,7 @@ def plan_campaign(
         stream = from_command(command, min(HOST_RATE, run.rate), derivatives=how)
         write_stream(stream, target / f"host/{name}.csv")
         said = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
-        tables[name] = said | _beside(chosen, target) | {"source": source.as_posix()}
+        tables[name] = said | _beside(laws[name], target) | {"source": source.as_posix()}
     head = _beside(named, target) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
 
