@@ -121,6 +121,7 @@ def _fits(out: Path) -> dict[str, Path]:
 
 def fit(options: argparse.Namespace) -> None:
     """Fit each machine that has no result."""
+    from cmf_mj.studies.fit import results
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit as fit_campaign
 
@@ -130,7 +131,8 @@ def fit(options: argparse.Namespace) -> None:
             continue
         began = time.monotonic()
         try:
-            fit_campaign(load_campaign(out / name), folder, jobs=options.jobs)
+            posterior = fit_campaign(load_campaign(out / name), folder, jobs=options.jobs)
+            results.save(posterior, folder)
         except Exception as error:  # one machine must not keep the others from being fitted
             print(f"{name}: {type(error).__name__}: {error}", flush=True)
             continue

@@ -25,6 +25,7 @@ LINES = {
     "study": "study ablation --laws velocity --dofs heave --quick --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",
     "certify": "certify velocity --cabs gfd --quick --out {out}",
+    "campaign plan": "campaign plan --seconds 10 --out {out}",
     "report calibrate": "report calibrate report --quick --samples 2 --out {out}",
     "report": "report --figures none --tables none --quick --out {out}",
     "report linear": "report linear --out {out}",

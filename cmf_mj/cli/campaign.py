@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -15,13 +15,10 @@ from cmf_mj.cli.options import name_or_file
 campaigns = typer.Typer(no_args_is_help=True, help="Recordings that tell a machine: plan, record.")
 app.add_typer(campaigns, name="campaign", rich_help_panel="Studies")
 
+_HELD = "of a recording held back; default a slower one"
 SomeCab = Annotated[str | None, name_or_file(options.CABS, "CAB", "default the machine's first")]
 SomeOil = Annotated[str | None, name_or_file(options.OIL, "SET", "default the machine's")]
 SomeLaw = Annotated[str | None, name_or_file(options.LAWS, "LAW", "default the machine's")]
-HeldLaw = Annotated[
-    str | None, name_or_file(options.LAWS, "LAW", "of a recording held back; default a slower one")
-]
-Folder = Annotated[Path, Argument(metavar="FOLDER", help="of the campaign")]
 
 
 @campaigns.command("plan")
@@ -30,7 +27,7 @@ def plan_command(
     cab: SomeCab = None,
     hydraulics: SomeOil = None,
     law: SomeLaw = None,
-    other_law: HeldLaw = None,
+    other_law: Annotated[str | None, name_or_file(options.LAWS, "LAW", _HELD)] = None,
     seconds: Annotated[float, Option(help="length of each recording [s]")] = 20.0,
     share: Annotated[float, Option(help="most of a limit that a demand uses")] = 0.4,
     out: options.Out = Path("out/campaign"),
@@ -38,14 +35,13 @@ def plan_command(
     """Write what to record of a machine: scenarios, host files and campaign.toml."""
     from cmf_mj.studies.fit.plan import plan_campaign
 
-    how = {"seconds": seconds, "share": share}
-    made = plan_campaign(machine, cab, hydraulics, law, out, other_law=other_law, **how)
-    show(f"written: {made}")
+    how: dict[str, Any] = {"seconds": seconds, "share": share, "other_law": other_law}
+    show(f"written: {plan_campaign(machine, cab, hydraulics, law, out, **how)}")
 
 
 @campaigns.command("record")
 def record_command(
-    folder: Folder,
+    folder: Annotated[Path, Argument(metavar="FOLDER", help="of the campaign")],
     machine: options.OtherMachine = None,
     cab: SomeCab = None,
     hydraulics: SomeOil = None,

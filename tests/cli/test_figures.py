@@ -14,6 +14,7 @@ OTHERS = {
     "tune",
     "report",
     "export",
+    "campaign plan",
     "video",
     *(f"machine {w}" for w in ("new", "build")),
 }

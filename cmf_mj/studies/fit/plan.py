@@ -20,10 +20,10 @@ stroke, of the limits of leg speed and leg acceleration, and of the force the cy
 with F the static load where the demand is plus M_leg d2l/dt2, F_0 the one at neutral.
 """
 
+import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,21 +35,22 @@ from scipy import signal
 from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import check_file
+from cmf_mj.core.settings import read_toml
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.facility.unknowns import load_unknowns
-from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.machine.models import CMF, machine_names
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
+from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.plant.plant import Plant
 from cmf_mj.record.facility_csv import LAYOUT, RATE, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, plain
@@ -61,14 +62,11 @@ Source = str | Path
 
 SCENARIOS = "scenarios"  #: Folder of them in a campaign's.
 LEAD = 1.0  #: Rest at neutral before each demand [s].
-SHORTEST, LONGEST = 10.0, 600.0  #: Lengths of a recording [s].
 HOST_RATE = 128.0  #: Poses a second of the host files [Hz].
 SAMPLES = 256  #: Samples a second of a record, of a facility's CSV half as many [Hz].
 STEP_CORNER = 3.0  #: Of the critically damped low-pass at which a step's speed is judged [Hz].
 BAND = (10.0, 25.0)  #: Least and most of the highest frequency of multisines [Hz].
 SLOWER = 0.7  #: Gains of the law that is held back by default, over those of the law.
-MOST = 0.9  #: Largest share that a demand may use.
-
 POSES = (
     {"heave": -1.0},
     {"heave": 0.6, "roll": 0.5},
@@ -103,26 +101,19 @@ def plan_campaign(
     share: float = 0.4,
     other_law: Source | None = None,
 ) -> Path:
-    """Write a plan for a machine of which the data sheet is known; its `campaign.toml` comes back.
+    """Write a plan for a machine as its data sheet has it; its `campaign.toml` comes back.
 
-    Args:
-        machine: by name or TOML file, as its data sheet has it.
-        cab: its cab, by name or TOML file; default its first.
-        hydraulics: its set, by name or TOML file; default the machine's.
-        law: that it is recorded with, by name or TOML file; default the machine's.
-        folder: where to; one that holds a campaign is refused.
-        seconds: length of each of the eight recordings [s].
-        share: most that a demand may use of stroke, speed, acceleration and force, up to 0.9.
-        other_law: law of a recording that is held back, by name or TOML file; default the first at
-            `SLOWER` of its gains, since others may make the machine ring.
+    Machine, cab, hydraulics and laws are names or TOML files, by default the machine's; `seconds`
+    is the length of each of the eight recordings. The law that is held back is by default the other
+    at `SLOWER` of its gains, since a law made for another machine may ring. A folder that holds a
+    campaign is refused.
     """
     target = Path(folder)
     if (target / FILE).exists():
         raise InputError(f"folder: {target} holds a campaign, which is kept; allowed: another one")
-    if not SHORTEST <= seconds <= LONGEST:
-        raise InputError(f"seconds: {seconds:g} is refused; allowed: {SHORTEST:g} to {LONGEST:g} s")
-    if not 0.0 < share <= MOST:
-        raise InputError(f"share: {share:g} is refused; allowed: above 0, at most {MOST:g}")
+    for field, value, low, high in (("seconds", seconds, 10, 600), ("share", share, 0.05, 0.9)):
+        if not low <= value <= high:
+            raise InputError(f"{field}: {value:g} is refused; allowed: {low} to {high}")
     sheet = {"machine": machine, "cab": cab, "hydraulics": hydraulics, "law": law}
     named = {name: str(one) for name, one in sheet.items() if one is not None}
     room = Room(Hexapod(cab, hydraulics, machine=machine), share)
@@ -132,21 +123,22 @@ def plan_campaign(
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
     if other_law is None:
         other_law = _slower(load_law(law or room.machine.law), target / "slower.toml")
-    tables: dict[str, Any] = {}
-    for name, one in _planned(room, seconds - LEAD).items():
-        own = named | ({"law": str(other_law)} if one.other_law else {})
-        run = room.fitted(one, own | usual | {"title": f"{name}: {one.pose}"})
-        scenario = run.table() | {"law": own.get("law")} | _beside(own, target / SCENARIOS)
+    plans, runs, tables = _planned(room, seconds - LEAD), {}, {}
+    laws = {name: {"law": str(other_law)} if one.other_law else {} for name, one in plans.items()}
+    for name, one in plans.items():
+        title = {"title": f"{name}: {one.pose}"}
+        runs[name] = room.fitted(one, named | usual | laws[name] | title)
+    for name, run in runs.items():
+        one, files = plans[name], _beside(named | laws[name], target / SCENARIOS)
+        scenario = run.table() | {"law": None} | files
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
-        write_text(target / SCENARIOS / f"{name}.toml", text)
+        source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
         how = "zero" if one.kind == "step" else "spline"
         command = Command.from_pose(demand(run), run.rate)
-        rate = min(HOST_RATE, run.rate)
-        write_stream(from_command(command, rate, derivatives=how), target / f"host/{name}.csv")
-        tables[name] = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
-        if one.other_law:
-            tables[name] |= _beside({"law": str(other_law)}, target)
-        tables[name]["source"] = f"{SCENARIOS}/{name}.toml"
+        stream = from_command(command, min(HOST_RATE, run.rate), derivatives=how)
+        write_stream(stream, target / f"host/{name}.csv")
+        said = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
+        tables[name] = said | _beside(laws[name], target) | {"source": source.as_posix()}
     head = _beside(named, target) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
 
@@ -161,9 +153,8 @@ def _slower(law: Law, file: Path) -> Path:
 
 def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
     """Names as they are, and files as they are named in a folder."""
-    return {
-        key: os.path.relpath(one, folder) if ".toml" in one else one for key, one in named.items()
-    }
+    files = {key: os.path.relpath(one, folder) for key, one in named.items() if ".toml" in one}
+    return {**named} | files
 
 
 def demand(run: Run) -> Array:
@@ -184,13 +175,13 @@ class Room:
         self._mass, self._load = plant.reflected_mass(np.zeros(6)), plant.static_load()
         cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
         cap, rod = cylinder.cap_area, cylinder.rod_area
-        most = cap * supply.pressure - rod * supply.return_pressure
-        least = cap * supply.return_pressure - rod * supply.pressure
+        high, low = supply.pressure, supply.return_pressure
+        most, least = cap * high - rod * low, cap * low - rod * high
         self._left = np.minimum(most - self._load, self._load - least)
         limits = load_motion_limits(None, self.machine)
-        self._limits, self._reach = limits.leg, np.abs(limits.operational).min(axis=1)
-        highest = 1.2 * float(plant.hydraulic_modes().frequency_hz.max())
-        self.top = float(np.clip(highest, *BAND))  #: Highest frequency of multisines [Hz].
+        self._limits, self.reach = limits.leg, np.abs(limits.operational).min(axis=1)
+        highest = 1.2 * plant.hydraulic_modes().frequency_hz.max()
+        self.top = _rounded(np.clip(highest, *BAND))  #: Highest frequency of multisines [Hz].
 
     def use(self, poses: Array, corner: float | None = None) -> float:
         """Largest share that poses (N, 6) use, behind a low-pass with this `corner` [Hz]."""
@@ -209,60 +200,49 @@ class Room:
             self._plant.place(pose)
             still.append(np.abs(self._plant.static_load() - self._load).max(axis=0))
         force = np.abs(acceleration @ self._mass.T) + np.max(still)
-        return float(
-            max(
-                stroke,
-                np.abs(speed).max() / self._limits.velocity.si,
-                np.abs(acceleration).max() / self._limits.acceleration.si,
-                (force / self._left).max(),
-            )
+        shares = (
+            np.abs(speed) / self._limits.velocity.si,
+            np.abs(acceleration) / self._limits.acceleration.si,
+            force / self._left,
         )
+        return max(stroke, *(float(share.max()) for share in shares))
 
     def fitted(self, one: Planned, how: Mapping[str, Any]) -> Run:
         """The recording at its part of the largest size, as a run."""
-
-        def run(size: float) -> Run:
-            return Run(**how, change=plain(one.changes(size)))
-
         size, corner = self.share, STEP_CORNER if one.kind == "step" else None
         for _ in range(12):
-            used = self.use(demand(run(size)), corner)
+            run = Run(**how, change=plain(one.changes(size)))
+            used = self.use(demand(run), corner)
             if 0.97 * self.share < used <= self.share:
                 break
             size *= 0.99 * self.share / used
-        return run(one.part * size)
+        return run.but(change=plain(one.changes(one.part * size)))
 
     def pose(self, direction: Mapping[str, float], part: float) -> Array:
         """A pose in this direction where the first leg has used a part of its working stroke."""
-        unit = np.array([direction.get(dof, 0.0) for dof in DOFS]) * self._reach
+        unit = np.array([direction.get(dof, 0.0) for dof in DOFS]) * self.reach
         pose = 0.5 * part * unit
         for _ in range(20):
             used = np.abs(pose_to_legs(pose, self.machine)).max() / self.machine.working_stroke
             pose = pose * (part / used)
         return pose
 
-    def path(self, times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]:
-        """Poses at rest, joined by paths of least jerk."""
-        listed = [[_rounded(value) for value in pose] for pose in poses]
-        return {"kind": "waypoints", "times": [_rounded(one) for one in times], "poses": listed}
-
     def multisine(self, dof: str, size: float, span: float, seed: int) -> dict[str, Any]:
         """Two periods in one degree of freedom that take `span` [s] with their fades."""
         rate, fade = self.machine.rate, min(0.15 * span, 2.0)
-        period = np.floor(0.5 * (span - fade) * rate) / rate
-        amplitude = _rounded(size * self._reach[dof_index(dof)])
-        lines = {"stop": _rounded(self.top), "period": float(period), "periods": 2, "fade": fade}
-        how = {"spectrum": "acceleration", "seed": seed} | lines
-        return {"kind": "multisine", "dof": dof, "amplitude": amplitude} | how
-
-    def pulse(self, dof: str, size: float, at: float, width: float) -> dict[str, Any]:
-        """A rectangular pulse."""
-        amplitude = _rounded(size * self._reach[dof_index(dof)])
-        return {"kind": "pulse", "dof": dof, "amplitude": amplitude, "at": at, "width": width}
+        period = float(np.floor(0.5 * (span - fade) * rate) / rate)
+        lines = {"stop": self.top, "period": period, "periods": 2, "fade": fade, "seed": seed}
+        how = {"amplitude": _rounded(size * self.reach[dof_index(dof)]), "spectrum": "acceleration"}
+        return {"kind": "multisine", "dof": dof} | how | lines
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.5g}") + 0.0
+def _rounded(value: Any) -> Any:
+    return (np.round(value, 6) + 0.0).tolist()
+
+
+def _path(times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]:
+    """Poses at rest, joined by paths of least jerk."""
+    return {"kind": "waypoints", "times": _rounded(times), "poses": _rounded(poses)}
 
 
 def _planned(room: Room, span: float) -> dict[str, Planned]:
@@ -273,16 +253,14 @@ def _planned(room: Room, span: float) -> dict[str, Planned]:
         return [{"at": LEAD, "fade": 0.0, "signal": list(signals)}]
 
     def hold(size: float) -> list[dict[str, Any]]:
-        poses = [neutral, *(room.pose(one, size) for one in POSES)]
-        times = [[i * slot - 0.5 * slot, i * slot] for i in range(1, len(poses))]
-        there = [0.0, *(time for pair in times for time in pair), span]
-        at = [neutral, *(pose for a, b in pairwise(poses) for pose in (a, b)), poses[-1]]
-        return once(room.path(there, at))
+        poses = np.repeat([neutral, *(room.pose(one, size) for one in POSES)], 2, axis=0)
+        moves = [0.5 * (i + 1) * slot for i in range(2 * len(POSES))]
+        return once(_path([0.0, *moves, span], list(poses)))
 
     def ramp(size: float) -> list[dict[str, Any]]:
         out = [room.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
         poses = [neutral, *(sign * pose for pose in out for sign in (1.0, -1.0)), neutral]
-        return once(room.path(np.linspace(0.0, span, len(poses)).tolist(), poses))
+        return once(_path(np.linspace(0.0, span, len(poses)).tolist(), poses))
 
     def axes(size: float) -> list[dict[str, Any]]:
         return [
@@ -291,31 +269,29 @@ def _planned(room: Room, span: float) -> dict[str, Planned]:
         ]
 
     def steps(size: float) -> list[dict[str, Any]]:
-        every = enumerate(DOFS)
-        return once(*(room.pulse(dof, size, (i + 0.2) * slot, 0.4 * slot) for i, dof in every))
+        one = {"kind": "pulse", "width": 0.4 * slot}
+        sizes = enumerate(_rounded(size * room.reach))
+        pulses = ({"dof": DOFS[i], "amplitude": a, "at": (i + 0.2) * slot} for i, a in sizes)
+        return once(*(one | pulse for pulse in pulses))
 
     def everything(first: int, where: Mapping[str, float] | None, size: float) -> Any:
         moved = []
         if where is not None:
             pose = room.pose(where, 0.5 * room.share)
-            moved = [room.path([0.0, 2.0, span - 2.0, span], [neutral, pose, pose, neutral])]
+            moved = [_path([0.0, 2.0, span - 2.0, span], [neutral, pose, pose, neutral])]
         seeded = enumerate(DOFS, first)
         return once(*moved, *(room.multisine(dof, size, span, seed) for seed, dof in seeded))
 
-    away, elsewhere = "up, rolled and ahead", "pitched, yawed and back"
+    multisine = partial(Planned, "multisine")
     return {
         "hold": Planned("hold", "five poses", hold),
         "ramp": Planned("ramp", "about neutral", ramp, 0.25),
-        "axes_small": Planned("multisine", "neutral", axes, 0.25),
-        "axes_large": Planned("multisine", "neutral", axes),
-        "all_legs": Planned("multisine", away, partial(everything, 10, AWAY)),
+        "axes_small": multisine("neutral", axes, 0.25),
+        "axes_large": multisine("neutral", axes),
+        "all_legs": multisine("up, rolled and ahead", partial(everything, 10, AWAY)),
         "steps": Planned("step", "neutral", steps),
-        "other_pose": Planned(
-            "multisine", elsewhere, partial(everything, 20, ELSEWHERE), 1.0, True
-        ),
-        "other_law": Planned(
-            "multisine", "neutral", partial(everything, 30, None), 1.0, True, True
-        ),
+        "other_pose": multisine("pitched and yawed", partial(everything, 20, ELSEWHERE), 1.0, True),
+        "other_law": multisine("neutral", partial(everything, 30, None), 1.0, True, True),
     }
 
 
@@ -331,54 +307,42 @@ def record_campaign(
 ) -> Path:
     """Record a plan on a simulated machine, and name its files in `campaign.toml`.
 
-    Args:
-        folder: the campaign's.
-        machine: to record, by name, TOML file or loaded; default that of the data sheet.
-        cab: of it, likewise.
-        hydraulics: of it, likewise; actuators all alike get unequal valves, `valve_gains` by seed.
-        seed: of noise and valves.
-        jobs: threads, default one a core.
-        progress: called with (recordings done, recordings in all).
-
-    The CMF's are facility CSV, others the project's own records. They hold what a recorder sees,
-    and neither numbers of the machine nor seeds.
+    Machine, cab and hydraulics are names, TOML files or loaded, by default those of the data sheet.
+    Actuators that are all alike get unequal valves, `valve_gains` by the seed, which is also that
+    of the noise. Files are the facility's CSV for the CMF, else the project's own records; they
+    hold the channels of `LAYOUT` and the demand, and no number of the machine. `progress` is called
+    with (recordings done, in all).
     """
     place = Path(folder) / FILE
-    table = tomlkit.parse(check_file(place).read_text(encoding="utf-8"))
-    names = list(table["recordings"])
-    runs = {name: load_scenario(place.parent / SCENARIOS / f"{name}.toml") for name in names}
-    first = runs[names[0]]
-    base = load_machine(machine or first.machine)
-    carried = load_cab(cab or (first.cab if machine is None else None), base)
-    oil = hydraulics_of(base, hydraulics or (first.hydraulics if machine is None else None))
-    if not oil.actuators:
+    names = list(read_toml(place).get("recordings", ()))
+    if not names:
+        raise InputError(f"{place}: recordings: are missing; allowed: at least one")
+    table = tomlkit.parse(place.read_text(encoding="utf-8"))
+    said = table["recordings"]
+    runs = {name: load_scenario(place.parent / said[name]["source"]) for name in names}
+    if machine is None:
+        sheet = runs[names[0]]
+        machine, cab = sheet.machine, cab or sheet.cab
+        hydraulics = hydraulics or sheet.hydraulics
+    plant: Plant = Hexapod(cab, hydraulics, machine=machine)
+    if not plant.parameters.actuators:
         gains = load_unknowns("valve_gains")
-        oil = gains.apply(gains.draw("random", 1, seed)[0], oil, oil.name)
+        plant = gains.apply(gains.draw("random", 1, seed)[0], plant)
 
     def made(name: str) -> str:
         noise = np.random.SeedSequence(seed, spawn_key=(names.index(name),)).generate_state(1)
-        run = runs[name].but(plant=Hexapod(carried, oil), seed=int(noise[0]))
         with within(name):
-            record = seen(run.record())
-        if base.name == CMF:
-            write_facility_csv(record, place.parent / f"{name}.csv")
-            return f"{name}.csv"
-        record.save(place.parent / f"{name}.parquet")
-        return f"{name}.parquet"
+            run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise[0])).record()
+        known = {key: run.metadata[key] for key in ("sample_rate", "law", "machine")}
+        if not plant.machine.shipped:
+            del known["machine"]
+        channels = {key: run[key] for key in KEPT if key in run.channels}
+        units = {key: run.units[key] for key in channels}
+        record = Record(run.time, channels, units, known | {"command": {"kind": "scenario"}})
+        if plant.machine.name == CMF:
+            return write_facility_csv(record, place.parent / f"{name}.csv").name
+        return record.save(place.parent / f"{name}.parquet").name
 
     for name, file in zip(names, on_threads(made, names, jobs, progress), strict=True):
-        table["recordings"][name]["file"] = file
+        said[name]["file"] = file
     return write_text(place, tomlkit.dumps(table))
-
-
-def seen(record: Record) -> Record:
-    """What a recorder sees of a run: the channels of `LAYOUT` and the demand, no number beside."""
-    said = record.metadata
-    known = {name: said[name] for name in ("sample_rate", "law")} | {
-        "command": {"kind": "scenario"}
-    }
-    if said["machine"] in machine_names():
-        known["machine"] = said["machine"]
-    kept = [name for name in KEPT if name in record.channels]
-    channels = {name: record[name] for name in kept}
-    return Record(record.time, channels, {name: record.units[name] for name in kept}, known)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,10 +32,10 @@ def machine_with_friction(folder: Path) -> Path:
     return path
 
 
-def planned(machine: str | Path, law: str | None, folder: Path) -> dict[str, object]:
+def planned(machine: str | Path, law: str | None, folder: Path) -> dict[str, Any]:
     """The table of a plan of ten seconds a recording."""
-    how = {"seconds": 10.0, "share": SHARE}
-    return read_toml(plan_campaign(machine, None, None, law, folder / "campaign", **how))
+    target = folder / "campaign"
+    return read_toml(plan_campaign(machine, None, None, law, target, seconds=10.0, share=SHARE))
 
 
 @pytest.mark.parametrize("name", ["cmf", "simona", "lab", "friction"])
