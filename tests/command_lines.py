@@ -25,6 +25,7 @@ LINES = {
     "study": "study ablation --laws velocity --dofs heave --quick --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",
     "certify": "certify velocity --cabs gfd --quick --out {out}",
+    "fit": "fit {campaign} --no-effects --out {out}",
     "campaign plan": "campaign plan --seconds 10 --out {out}",
     "report calibrate": "report calibrate report --quick --samples 2 --out {out}",
     "report": "report --figures none --tables none --quick --out {out}",
@@ -43,6 +44,7 @@ def line_of(words: str, folder: Path) -> list[str]:
     (source := folder / "files").mkdir()
     make_files(source, np.random.default_rng(19))
     names = {"facility": "facility.csv", "stream": "stream.csv", "motion": "motion.csv"}
+    names |= {"campaign": "campaign.toml"}
     places = {name: str(source / file) for name, file in names.items()}
     recording = str(source / "run.parquet")
     return LINES[words].format(out=folder / "out", recording=recording, **places).split()

@@ -13,6 +13,18 @@ from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.record import Record
 
 
+CAMPAIGN = """
+[recordings.sine]
+file = "facility.csv"
+kind = "multisine"
+
+[unknowns.mass]
+path = "cab.mass"
+deviation = 30.0
+source = "a guess"
+"""
+
+
 def small_record() -> Record:
     """A record with the channels that recordings need, 2 s at 128 Hz."""
     time = np.arange(256) / 128.0
@@ -52,6 +64,7 @@ def make_files(folder: Path, generator: np.random.Generator) -> list[str]:
     (folder / "cab.toml").write_text('base = "gfd"\n[mine]\n')
     (folder / "oil.toml").write_text('base = "hardware"\n[mine]\n')
     (folder / "scenario.toml").write_text('title = "$\\\\foo$"\nduration = 0.1\n')
+    (folder / "campaign.toml").write_text(CAMPAIGN)
     (folder / "huge.toml").write_text("duration = 1e9\n")
     (folder / "deep.toml").write_text("x = " + "[" * 3000)
     gap = "time,surge,sway,heave,roll,pitch,yaw\n"

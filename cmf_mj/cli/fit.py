@@ -13,9 +13,7 @@ from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show, written
 
 Campaign = Annotated[Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml")]
-Try = Annotated[
-    bool, Option("--effects/--no-effects", help="try what else the machine may have")
-]
+Try = Annotated[bool, Option("--effects/--no-effects", help="try what else the machine may have")]
 
 
 @options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")

@@ -38,6 +38,7 @@ FIGURES = {
     "omct": "omct",
     "study": "ladder",
     "certify": "certificates",
+    "fit": "numbers recordings",
     "report calibrate": "residuals",
     "report linear": "bode_velocity step_velocity",
 }

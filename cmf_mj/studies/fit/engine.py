@@ -80,9 +80,9 @@ class Posterior(NamedTuple):
         return order
 
     def identified(self) -> NDArray[np.bool_]:
-        """Whether the recordings tell each number: twice as narrow as before, and no twin."""
-        paired = {name for pair in self.twins for name in pair}
-        return (self.deviation < 0.5) & ~np.isin(self.names, sorted(paired))
+        """Whether the recordings tell each number: at least twice as narrow as before."""
+        low, high = self.bounds()
+        return (high - low) < 0.5 * 2.0 * stats.norm.ppf(0.95)
 
     def digests(self) -> list[tuple[Recording, str]]:
         """The recordings that were fitted, with what tells each from any other."""
@@ -93,7 +93,7 @@ class Posterior(NamedTuple):
         generator = np.random.default_rng(seed)
         spread_ = self.covariance * (self.degrees - 2.0) / self.degrees
         law = stats.multivariate_t(self.z, spread_, df=self.degrees, allow_singular=True)
-        drawn = np.atleast_2d(law.rvs(count, random_state=generator))
+        drawn = law.rvs(count, random_state=generator).reshape(count, -1)
         swapped = generator.random(count) < 0.5
         drawn[swapped] = self.exchanged + (drawn[swapped] - self.z)[:, self._order()]
         return drawn

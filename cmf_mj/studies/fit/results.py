@@ -99,7 +99,14 @@ def numbers(posterior: Posterior) -> Table:
     low, high = physical(posterior, posterior.bounds())
     value, told = physical(posterior, posterior.z), posterior.identified()
     rows = [
-        (path, float(value[i]), float(low[i]), float(high[i]), unit_of(path), bool(told[i]))
+        (
+            path,
+            float(value[i]),
+            float(low[i]),
+            float(high[i]),
+            unit_of(path),
+            "yes" if told[i] else "no",
+        )
         for i, path in enumerate(paths(posterior))
     ]
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
