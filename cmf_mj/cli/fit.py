@@ -10,6 +10,7 @@ from typing import Annotated
 from typer import Argument, Option, echo
 
 from cmf_mj.cli import options
+from cmf_mj.cli.campaign import campaigns
 from cmf_mj.cli.common import app, show, written
 
 Campaign = Annotated[Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml")]
@@ -36,3 +37,23 @@ def fit_command(
     doubts, table = doubt.doubt(posterior, jobs, effects=effects), results.numbers(posterior)
     files = save_files(figures(posterior) | {"fit.md": doubts.page(table)}, out)
     show(table, *doubts.tables(), doubts.verdict, written(files, out))
+
+
+@campaigns.command("next")
+def next_command(
+    campaign: Campaign,
+    plan: Annotated[Path, Argument(metavar="PLAN", help="folder of `cmf campaign plan`")],
+    number: Annotated[str, Option(help="to be told better, or `damping` of the law")] = "damping",
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/fit"),
+) -> None:
+    """Say which planned recording would tell a number best, after a fit in OUT."""
+    from cmf_mj.core.result import Result, fields_of
+    from cmf_mj.studies.fit.campaign import load_campaign
+    from cmf_mj.studies.fit.engine import fit
+    from cmf_mj.studies.fit.worth import Worth, worth
+
+    jobs = jobs or os.cpu_count() or 1
+    posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
+    rows = worth(posterior, plan, number, jobs)
+    show(Result(rows, fields_of(Worth), f"What to record next for {number}").table)

@@ -1,0 +1,128 @@
+"""What to record next: how much narrower each planned recording would make what is not known.
+
+A recording is simulated on the fitted machine and its derivatives by all numbers give the
+information H_c it would add, in noise as large and coloured as what the fit left. For a number, or
+the least damping of a law, with the gradient g in coordinates of the prior,
+
+    s^2 = g' (H + 1)^-1 g          before, and with H + H_c in the stead of H after.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.control.law import load_law
+from cmf_mj.core.errors import check_name
+from cmf_mj.core.result import Field
+from cmf_mj.core.settings import read_toml, validated
+from cmf_mj.facility.scenario import load_scenario
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.record.record import Record
+from cmf_mj.studies.fit.campaign import FILE, MEASURED, CampaignSettings, Recording, beside
+from cmf_mj.studies.fit.engine import Fitter, Posterior
+from cmf_mj.studies.fit.likelihood import information
+from cmf_mj.studies.fit.model import Residuals, piece
+from cmf_mj.studies.fit.plan import demand
+
+Array = NDArray[np.float64]
+
+DAMPING = "damping"  #: Stands for the law's least damping ratio.
+
+_STEP = 0.1  #: Of the coordinates, for the gradient of the damping.
+
+
+class Worth(NamedTuple):
+    """What a planned recording would tell."""
+
+    recording: str
+    wanted: Annotated[float, Field(title="deviation of it, after over before", form=".3f")]
+    mean: Annotated[float, Field(title="geometric mean of all", form=".3f")]
+
+
+def worth(posterior: Posterior, plan: str | Path, wanted: str, jobs: int = 2) -> list[Worth]:
+    """Recordings of a plan's folder, the best first.
+
+    `wanted` is one of the posterior's names, or `damping`: the least of the campaign's law.
+    """
+    check_name("number", wanted, (*posterior.names, DAMPING))
+    gradient = _gradient(posterior, wanted)
+    size = posterior.z.size
+    before = posterior.look.found.matrix[:size, :size] + np.eye(size)
+    here = np.linalg.inv(before)
+    found = []
+    for one in _planned(posterior, Path(plan)):
+        after = np.linalg.inv(before + _information(posterior, one, jobs))
+        ratio = np.sqrt(np.diag(after) / np.diag(here))
+        narrower = np.sqrt(gradient @ after @ gradient / (gradient @ here @ gradient))
+        found.append(Worth(one.name, float(narrower), float(np.exp(np.log(ratio).mean()))))
+    return sorted(found, key=lambda one: one.wanted)
+
+
+def _gradient(posterior: Posterior, wanted: str) -> Array:
+    """Of a number, or of the least damping, by the coordinates."""
+    unit = np.eye(posterior.z.size)
+    if wanted != DAMPING:
+        return np.asarray(unit[posterior.names.index(wanted)])
+    known, base = posterior.campaign.unknowns, posterior.campaign.plant
+    law = posterior.campaign.of(held_back=False)[0].law or load_law(base.machine.law)
+    values = Fitter(posterior.campaign, "slow", 1).model.values
+
+    def least(z: Array) -> float:
+        return Linear(known.apply(values(z), base)).damping(law)["least"]
+
+    steps = _STEP * posterior.deviation[:, None] * unit
+    ends = [(least(posterior.z + step), least(posterior.z - step)) for step in steps]
+    return np.array([high - low for high, low in ends]) / (2.0 * _STEP * posterior.deviation)
+
+
+def _planned(posterior: Posterior, folder: Path) -> list[Recording]:
+    """Recordings of a plan with their demands, as far as they have scenarios."""
+    settings = validated(CampaignSettings, read_toml(folder / FILE), str(folder / FILE))
+    plant = posterior.campaign.plant
+    rate = posterior.campaign.recordings[0].record.rate
+    found = []
+    for name, said in settings.recordings.items():
+        if said.source is None:
+            continue
+        run = load_scenario(folder / said.source)
+        every = max(1, round(plant.machine.rate / rate))
+        legs = pose_to_legs(demand(run)[::every], plant.machine)
+        time = np.arange(legs.shape[0]) * every / plant.machine.rate
+        channels = {"leg_reference": legs} | dict.fromkeys(MEASURED, legs)
+        units = {"leg_reference": "m", "leg_position": "m"}
+        units |= {"cap_pressure": "Pa", "rod_pressure": "Pa"}
+        record = Record(time, channels, units, {"sample_rate": plant.machine.rate / every})
+        law = load_law(beside(folder, said.law or settings.law or plant.machine.law))
+        found.append(Recording(name, said, record, law))
+    return found
+
+
+def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
+    """What a recording would add, (n, n)."""
+    kept = planned.settings.model_copy(update={"held_back": False})
+    alone = posterior.campaign._replace(recordings=(planned._replace(settings=kept),))
+    fitter = Fitter(alone, "whole", jobs)
+    plant = fitter.model.machine(posterior.z)
+    one = piece(planned, posterior.campaign.plant)
+    made = one._replace(measured=one.simulated(plant))
+    fitter.model.pieces = (made,)
+    here = fitter.residuals(posterior.z)
+    slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))
+    noise = {planned.name: _noise(posterior, here[planned.name])}
+    spacing = {planned.name: fitter.model.spacing(made)}
+    return information(noise, slopes, fitter.order, spacing).matrix
+
+
+def _noise(posterior: Posterior, like: Mapping[str, Array]) -> Mapping[str, Array]:
+    """What the fit left of each channel, repeated to a length."""
+    left: Residuals = posterior.look.here
+    found = {}
+    for channel, shape in ((name, value.shape) for name, value in like.items()):
+        parts = [one[channel] for one in left.values() if channel in one]
+        joined = np.concatenate([part - part.mean(axis=0) for part in parts])
+        found[channel] = np.resize(joined, shape)
+    return found
