@@ -26,7 +26,7 @@ LISTS = ("laws", "machines", "hydraulics", "sensors")  #: What `cmf list` shows.
 _LIST = "laws or machines; one set of hydraulics or sensors, number by number"
 
 
-@app.command("list", rich_help_panel="Show")
+@app.command("list", rich_help_panel="Show", no_args_is_help=True)
 def list_command(
     what: Annotated[str, argument("cli.machine:LISTS", "WHAT", _LIST)],
     name: Annotated[str | None, Argument(metavar="[SET]", help="by name or TOML file")] = None,

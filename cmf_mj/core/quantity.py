@@ -5,7 +5,7 @@ from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
@@ -35,12 +35,6 @@ class _Known(Settings, Generic[Value]):
         if not isinstance(known, _Known | Mapping):
             raise InputError("must be a table of value, unit, status and source")
         return known
-
-    @field_validator("unit")
-    @classmethod
-    def _known(cls, unit: str) -> str:
-        units.factor(unit)
-        return unit
 
 
 class Quantity(_Known[float]):

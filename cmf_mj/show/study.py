@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.measurable import CLEAR, dof_history
@@ -30,8 +31,8 @@ _LINES = {"hexapod": "-", "single_legs": "--"}
 
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
-    "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
-    "undiminished 12 s after the step, and only that counts. ~: the phase grazes -90 deg; "
+    "peak in dB; at rest: gain; zeta: damping ratio from the step's overshoot; unstable: the legs "
+    "ring on undiminished 12 s after the step, and only that counts. ~: the phase grazes -90 deg; "
     "a/b: it falls through it at a and, having come back, at b; [c]: -90 deg of small motion, "
     f"where that is more than {AGREEMENT:g} Hz off. Published: h measured on the hardware, m from "
     "the report's non-linear model of six single legs."
@@ -60,7 +61,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     columns: list[Column] = ["law", "dof"]
     for name in [*plants, "published"]:
         columns += [(f"{name.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
-        columns += [] if name == "published" else [("\npeak", ".1f")]
+        columns += [] if name == "published" else [("\npeak", ".1f"), ("\nat rest", ".3f")]
         columns += [("\nzeta", ".2f")]
     by_case = {(r.case.law.name, r.case.dof, r.case.plant): r for r in results}
     cells = []
@@ -70,6 +71,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
             result = by_case[law, dof, plant]
             measures = result.measures
             line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
+            line.append(measures.static_gain)
             line.append(measures.damping_ratio if measures.stable else "unstable")
         printed = by_case[law, dof, plants[0]].published
         line += [getattr(printed, name, None) for name in PUBLISHED]
@@ -278,14 +280,16 @@ def save_report(table: pa.Table, folder: Path) -> list[Path]:
 
 
 def summary_table(table: pa.Table) -> Table:
-    """Cases by law and method: how many ran, were stable, failed."""
+    """Cases by law and method: how many ran, were stable, failed; the least -90 deg."""
     lines = []
     for names, rows in groups(table, "method", "law"):
         stable, done = sum(rows["stable"].to_pylist()), finished(rows).num_rows
         cases = len(rows["case"].unique())
-        lines.append((*names, cases, stable, done, rows.num_rows - done))
-    counts = ((name, "d") for name in ("cases", "stable rows", "rows", "failed"))
-    return Table(f"{len(table['case'].unique())} cases", ("method", "law", *counts), lines)
+        least = pc.min(rows["phase_bandwidth_hz"]).as_py()
+        lines.append((*names, cases, stable, done, rows.num_rows - done, least))
+    counts = [(name, "d") for name in ("cases", "stable rows", "rows", "failed")]
+    header = ("method", "law", *counts, ("least -90 deg [Hz]", ".2f"))
+    return Table(f"{len(table['case'].unique())} cases", header, lines)
 
 
 def save_failures(results: Result[FailureResult], folder: Path) -> list[Path]:

@@ -74,7 +74,7 @@ class MachineCheck(NamedTuple):
 
 CABS = (
     Field("cab"),
-    Field("mass", "mass [kg]", ".0f"),
+    Field("mass", "platform, cab [kg]", ".0f"),
     Field("load", "static load [kN]", ".2f", "kN", of=lambda one: float(np.abs(one.load).max())),
     Field("speed", "leg speed [m/s]", ".3f", of=lambda one: float(one.speed.min())),
     Field("sustained", "heave sustained [m/s]", ".3f"),

@@ -129,6 +129,13 @@ def test_a_machine_may_be_in_millimetres(tmp_path: Path) -> None:
     np.testing.assert_allclose(ends[0].velocity, ends[1].velocity, rtol=1e-9)
 
 
+def test_an_unknown_unit_is_refused_with_those_of_its_kind(tmp_path: Path) -> None:
+    table = table_of()
+    table["legs"]["half_stroke"] = stated(1.0, "furlong")
+    with pytest.raises(cmf_mj.InputError, match=r"half_stroke: 'furlong' is .* one of in, m, mm$"):
+        load_machine(written(tmp_path, table))
+
+
 def test_a_stated_limit_stays(tmp_path: Path) -> None:
     table = table_of()
     span = {"low": -0.1, "high": 0.1, "unit": "m", "status": "stated", "source": "test"}

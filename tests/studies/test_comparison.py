@@ -87,16 +87,17 @@ def test_a_law_that_rings_has_no_bandwidth_but_its_mark(tmp_path: Path) -> None:
     first, last = COLUMNS.index("phase_bandwidth_hz"), COLUMNS.index("small_motion_phase_hz")
     assert [row[name] for name in COLUMNS[first : last + 1] if name != "stable"] == [""] * 10
     (cells,) = comparison_table(done).cells
-    assert cells[:6] == ["velocity_error", "heave", "-", "-", "-", "unstable"]
+    assert cells[:7] == ["velocity_error", "heave", "-", "-", "-", "-", "unstable"]
 
 
 def test_small_motion_stands_beside_a_sweep_that_is_not() -> None:
     """Surge under the law flown: 2.5 Hz at 0.33 in, where the valves' opening damps, 2.7 Hz small;
     a sweep of a fiftieth agrees."""
     (large,) = compare(["velocity"], ["surge"], plants=["hexapod"], quick=True)
-    cell = comparison_table([large]).cells[0][2]
+    cells = comparison_table([large]).cells[0]
     first, small = large.measures.phase_bandwidth_hz, large.small_motion_phase_hz
-    assert cell == f"{first:.2f} [{small:.2f}]"
+    assert cells[2] == f"{first:.2f} [{small:.2f}]"
+    assert cells[5] == f"{47.0 / 50.48:.3f}"  # at rest: the gain of the demand over the position's
     assert small - first > AGREEMENT
     options = {"plants": ["hexapod"], "quick": True, "amplitude": AMPLITUDE / 50.0}
     (tiny,) = compare(["velocity"], ["surge"], **options)  # type: ignore[arg-type]
