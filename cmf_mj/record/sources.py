@@ -86,8 +86,10 @@ def _csv(path: Path) -> _Columns:
     names = _distinct(path, names)
     decimal = "," if separator != "," and re.search(r"\d,\d", lines[first][1]) else "."
     rows = [_cells(line, separator) for _, line in lines[first:]] if separator is None else None
-    body = "\n".join("\t".join(row) for row in rows) if rows else "\n".join(
-        line for _, line in lines[first:]
+    body = (
+        "\n".join("\t".join(row) for row in rows)
+        if rows
+        else "\n".join(line for _, line in lines[first:])
     )
     kinds = dict.fromkeys(names, pa.string())
     table = pyarrow.csv.read_csv(
@@ -113,9 +115,12 @@ def _numbers(column: pa.ChunkedArray, decimal: str) -> Array | None:
         text = pa.compute.replace_substring(text, ",", ".")
     known = pa.compute.match_substring_regex(text, r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
     numbers = pa.compute.if_else(known, text, None).cast(pa.float64())
-    if numbers.null_count > 0.5 * len(numbers) and pa.compute.any(
-        pa.compute.and_(pa.compute.invert(known), pa.compute.is_valid(text))
-    ).as_py():
+    if (
+        numbers.null_count > 0.5 * len(numbers)
+        and pa.compute.any(
+            pa.compute.and_(pa.compute.invert(known), pa.compute.is_valid(text))
+        ).as_py()
+    ):
         return None
     return np.array(pa.compute.fill_null(numbers, np.nan).to_numpy())
 
@@ -130,7 +135,8 @@ def _cut(path: Path, lines: list[str]) -> tuple[str | None, int]:
         rows = [_cells(line, separator) for line in lines]
         width = len(rows[-1]) if rows else 0
         numeric = [
-            len(row) == width and all(_NUMBER.fullmatch(c) or c in _NULLS for c in row)
+            len(row) == width
+            and all(_NUMBER.fullmatch(c) or c in _NULLS for c in row)
             or sum(bool(_NUMBER.fullmatch(c)) for c in row) > 0.5 * width
             for row in rows
         ]

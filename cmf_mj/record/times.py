@@ -10,8 +10,8 @@ from cmf_mj.core.errors import InputError
 
 Array = NDArray[np.float64]
 
-_OFF = 0.25
-"""How far a stamp may lie from its sample, in samples: clocks are printed in few digits."""
+_OFF = 0.4
+"""How far a stamp may lie from its sample, in samples: clocks have few digits; a lost row is 0.5."""
 
 _GAP = 3.0  #: Intervals, in usual ones, from which on a resampled recording has a gap.
 
@@ -80,7 +80,9 @@ def resampled(
     even = time[0] + np.arange(count) / rate
     widest = max(bridge, _GAP * float(np.median(steps)))
     after = np.clip(np.searchsorted(time, even, side="left"), 1, time.size - 1)
-    lost = (time[after] - time[after - 1] > widest) & (even > time[after - 1]) & (even < time[after])
+    lost = (
+        (time[after] - time[after - 1] > widest) & (even > time[after - 1]) & (even < time[after])
+    )
     made = {name: np.interp(even, time, values) for name, values in columns.items()}
     for values in made.values():
         values[lost] = np.nan
