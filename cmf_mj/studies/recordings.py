@@ -1,0 +1,469 @@
+"""Whether a recording is what its map says, against the machine: what `cmf recording check` reports.
+
+missing     channels and legs that were not recorded, and what cannot be known without them
+gaps        samples without a number
+range       leg positions beyond the stroke, pressures beyond the supply
+clipping    a sensor that stays at its largest or smallest value while the machine goes on
+resolution  least step of a sensor over the stroke or the supply pressure
+saturation  share of the time in which valves are fully open
+legs        positions against the demand's, which are those of its pose by the kinematics (Eq C.6)
+velocity    against the slope of the positions: signs, units, time base
+valves      commands against velocities: positive extends
+force       Ac p_cap - Ar p_rod against the leg's force, or against J^-T (weight) and inertia
+clock       delay of the motion behind its demand; no machine moves before it is asked to
+law         response of the first half against that of the second, where both drive the same
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.result import Field, Result, fields_of
+from cmf_mj.core.units import DEGREE, FOOT, INCH, PSI
+from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.columns import POSES
+from cmf_mj.record.record import Record
+from cmf_mj.studies.recording_pairs import Agreement, agree, corner_of, halves, runs, smooth, swaps
+
+Array = NDArray[np.float64]
+Status = Literal["fault", "loss", "fine", "unseen"]
+
+PRESSURES = ("cap_pressure", "rod_pressure")
+MEASURED = ("leg_position", "leg_velocity", "leg_acceleration", *PRESSURES, "leg_force")
+
+_LENGTHS = {"ft": FOOT, "in": INCH, "mm": 1e-3, "cm": 1e-2}
+_PRESSURES = {"psi": PSI, "bar": 1e5, "kPa": 1e3, "MPa": 1e6}
+_SLOWEST = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
+_CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
+_COARSE = 0.01  #: Step of a sensor over its range that is too coarse.
+_OPEN = 0.2  #: Share of the time with a valve fully open that costs much.
+_CHANGED = 0.15  #: Change of the response from half to half that is another law's.
+
+
+class Finding(NamedTuple):
+    """What one check found."""
+
+    name: str
+    status: Status  #: fault: wrong; loss: usable, less known; unseen: these data cannot show it.
+    channel: str
+    value: Annotated[float, Field(form=".3g")]  #: Its figure, NaN where it has none.
+    unit: str
+    said: Annotated[str, Field(title="")]  #: In words.
+
+
+def check_recording(record: Record, machine: Machine, cab: str | None = None) -> list[Finding]:
+    """Everything that can be said of a recording with a machine's data sheet.
+
+    >>> machine = cmf_mj.load_machine("lab")
+    >>> plant = cmf_mj.Hexapod(machine=machine)
+    >>> record = cmf_mj.simulate(plant, machine.law, cmf_mj.signals.sine("heave", 0.01, 1.0, 4))
+    >>> verdict(check_recording(record, machine))
+    'the recording fits the machine'
+    """
+    plant = Hexapod(load_cab(cab, machine))
+    checks = (_missing, _gaps, _range, _sensors, _motion, _velocity, _valves, _force)
+    return [one for check in checks for one in check(record, machine, plant)]
+
+
+def verdict(findings: list[Finding]) -> str:
+    """The faults in words, or that there are none and what is lost."""
+    faults, losses = ([f for f in findings if f.status == s] for s in ("fault", "loss"))
+    if faults:
+        return "; ".join(f"{one.channel}: {one.said}" for one in faults)
+    lost = f"; lost: {'; '.join(one.said for one in losses)}" if losses else ""
+    return f"the recording fits the machine{lost}"
+
+
+def table(findings: list[Finding], title: str) -> Result[Finding]:
+    """The findings to print."""
+    return Result(findings, fields_of(Finding), title)
+
+
+def _legs(values: Array) -> NDArray[np.bool_]:
+    """Which legs were recorded, (6,)."""
+    return ~np.isnan(values).all(axis=0)
+
+
+def _named(legs: NDArray[np.bool_]) -> str:
+    return (
+        "leg " * (legs.sum() == 1)
+        + "legs " * (legs.sum() > 1)
+        + " ".join(str(k + 1) for k in np.flatnonzero(legs))
+    )
+
+
+def _whole(record: Record, channel: str) -> tuple[Array, list[int]] | None:
+    """A channel of the legs that were recorded, gaps bridged, and their numbers."""
+    if channel not in record.channels:
+        return None
+    values = np.atleast_2d(record[channel].T).T
+    there = np.flatnonzero(_legs(values))
+    if not there.size:
+        return None
+    at = np.arange(values.shape[0])
+    made = [np.interp(at, at[ok], values[ok, k]) for k in there for ok in [~np.isnan(values[:, k])]]
+    return np.column_stack(made), [int(k) + 1 for k in there]
+
+
+def _missing(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    for channel in record.channels:
+        values = record[channel]
+        if channel in MEASURED and values.ndim == 2:
+            dead = np.ptp(np.nan_to_num(values), axis=0) == 0.0
+            absent = ~_legs(values)
+            if absent.any():
+                yield _loss(
+                    "missing", channel, absent.sum(), "legs", f"{_named(absent)} not recorded"
+                )
+            if (dead & ~absent).any() and record.time.size > 100 and (~dead).any():
+                lost = f"{_named(dead & ~absent)} constant: not connected?"
+                yield Finding("missing", "fault", channel, float(dead.sum()), "legs", lost)
+    there = [name for name in PRESSURES if name in record.channels]
+    if len(there) == 1:
+        other = PRESSURES[1 - PRESSURES.index(there[0])]
+        yield _loss("missing", other, 6, "legs", "not recorded: no force, so no mass and friction")
+    elif not there:
+        lost = "no pressures: mass, centre of mass and friction are known by the data sheet alone"
+        yield _loss("missing", "pressures", 12, "columns", lost)
+
+
+def _loss(name: str, channel: str, value: float, unit: str, said: str) -> Finding:
+    return Finding(name, "loss", channel, float(value), unit, said)
+
+
+def _gaps(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    for channel, values in record.channels.items():
+        columns = np.atleast_2d(values.T)
+        for k, column in enumerate(columns):
+            empty = np.isnan(column)
+            if not empty.any() or empty.all():
+                continue
+            spans = list(runs(empty))
+            first, end = max(spans, key=lambda span: span[1] - span[0])
+            leg = f"leg {k + 1}, " * (len(columns) > 1)
+            said = (
+                f"{leg}{int(empty.sum())} samples without a number in {len(spans)} gaps, the "
+                f"longest from {record.time[first]:.4g} to {record.time[end - 1]:.4g} s"
+            )
+            yield Finding("gaps", "fault", channel, (end - first) / record.rate, "s", said)
+    bridged = record.metadata.get("recording", {}).get("bridged", {})
+    if bridged:
+        most = max(bridged, key=bridged.__getitem__)
+        said = f"straight lines fill up to {bridged[most]} samples a column"
+        yield _loss("gaps", most.split("/")[0], bridged[most] / record.rate, "s", said)
+
+
+def _range(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    supply = float(plant.hydraulics.supply.pressure)
+    for channel, most, slips in (
+        ("leg_position", machine.half_stroke, _LENGTHS),
+        ("leg_reference", machine.half_stroke, _LENGTHS),
+        *((name, 1.5 * supply, _PRESSURES) for name in PRESSURES),
+    ):
+        if channel not in record.channels or not np.isfinite(record[channel]).any():
+            continue
+        unit, largest = record.units[channel], float(np.nanmax(np.abs(record[channel])))
+        lowest = float(np.nanmin(record[channel]))
+        if largest > 1.02 * most:
+            likely = [name for name, size in slips.items() if largest * size <= most]
+            said = (
+                f"up to {largest:.4g} {unit}, beyond {most:.4g}: is its unit {' or '.join(likely)}?"
+            )
+            if channel.startswith("leg") and lowest > 0.5 * machine.retracted:
+                said = f"{lowest:.4g} to {largest:.4g} m: lengths from gimbal to gimbal? State `offset`"
+            yield Finding("range", "fault", channel, largest, unit, said)
+        elif channel in PRESSURES and lowest < -2e5:
+            yield Finding("range", "fault", channel, lowest, unit, "below a vacuum")
+        elif channel in PRESSURES and largest < 1e-3 * supply:
+            said = f"at most {largest:.3g} Pa of a supply of {supply:.3g}: is its unit bar or psi?"
+            yield Finding("range", "fault", channel, largest, unit, said)
+
+
+def _clipped(values: Array, step: float) -> tuple[float, int] | None:
+    """The limit at which a column stays while it comes and goes at speed, and the samples there."""
+    for limit in (np.nanmax(values), np.nanmin(values)):
+        found = []
+        for first, end in runs(values == limit):
+            if end - first >= _FLAT and first >= 2 and end + 2 <= values.size:
+                slopes = (values[first - 2] - limit, values[end + 1] - limit)
+                # A parabola through its quantised peak comes in at 4 steps over the run's samples.
+                over = 0.5 * min(abs(s) for s in slopes) * (end - first) / 4.0
+                if over > 4.0 * step and over > 0.02 * np.nanstd(values):
+                    found.append(end - first)
+        if len(found) >= _CLIPS:
+            return float(limit), int(sum(found))
+    return None
+
+
+def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    supply = float(plant.hydraulics.supply.pressure)
+    for channel in MEASURED:
+        found = _whole(record, channel)
+        if found is None or record.time.size < 100:
+            continue
+        steps = []
+        for column, leg in zip(found[0].T, found[1], strict=True):
+            moved = np.abs(np.diff(column))
+            steps.append(float(moved[moved > 1e-12 * np.abs(column).max()].min(initial=np.inf)))
+            if clip := _clipped(column, steps[-1]):
+                unit = record.units[channel]
+                said = f"leg {leg} stays at {clip[0]:.4g} {unit} for {clip[1]} samples: clipped"
+                yield Finding("clipping", "fault", channel, clip[0], unit, said)
+        size = {"leg_position": machine.half_stroke, **dict.fromkeys(PRESSURES, supply)}.get(
+            channel
+        )
+        if size is not None and np.isfinite(max(steps)):
+            coarse = max(s for s in steps if np.isfinite(s)) / size
+            said = "least step over the " + ("stroke" if channel == "leg_position" else "supply")
+            status: Status = "loss" if coarse > _COARSE else "fine"
+            yield Finding("resolution", status, channel, 100.0 * coarse, "%", said)
+    if (found := _whole(record, "valve_command")) is not None:
+        share = float((np.abs(found[0]) > 0.999).any(axis=1).mean())
+        status = "loss" if share > _OPEN else "fine"
+        yield Finding(
+            "saturation",
+            status,
+            "valve_command",
+            100.0 * share,
+            "%",
+            "of the time a valve is fully open",
+        )
+
+
+def _slipped(gain: float, slips: dict[str, float], *, loose: bool) -> str:
+    """What a gain says that no machine has: a unit that is another."""
+    if not np.isfinite(gain):
+        return ""
+    if gain < 0.0:
+        return "all legs have the other sign"
+    for name, size in slips.items():
+        for factor, said in (
+            (size, f"{name} are given as SI"),
+            (1.0 / size, f"SI is given as {name}"),
+        ):
+            if abs(np.log(gain * factor)) < 0.12:
+                return f"is {gain:.3g} of what is expected: {said}"
+    if loose or 0.4 < gain < 2.0:
+        return ""
+    return f"is {gain:.3g} of what is expected: its unit or scale is another"
+
+
+def _pose_slips(pose: Array, machine: Machine) -> dict[str, Callable[[], Array]]:
+    """Legs of the demand with one slip in its pose."""
+    made: dict[str, Callable[[], Array]] = {}
+
+    def legs(factors: Array, order: list[int]) -> Callable[[], Array]:
+        return lambda: pose_to_legs(pose[:, order] * factors, machine)
+
+    same = list(range(6))
+    for k, dof in enumerate(DOFS):
+        made[f"{dof} has the other sign"] = legs(np.where(np.arange(6) == k, -1.0, 1.0), same)
+    made["the pose is z up"] = legs(np.array([1.0, -1, -1, 1, -1, -1]), same)
+    for i, j in ((0, 1), (3, 4)):
+        order = same.copy()
+        order[i], order[j] = j, i
+        made[f"{DOFS[i]} and {DOFS[j]} are exchanged"] = legs(np.ones(6), order)
+    turns = np.array([0.0, 0, 0, 1, 1, 1])
+    for name, size, on in (
+        *((n, s, 1.0 - turns) for n, s in _LENGTHS.items()),
+        ("deg", DEGREE, turns),
+    ):
+        what = "its angles" if name == "deg" else "its lengths"
+        made[f"{name} are given as SI in {what}"] = legs(size**on, same)
+        made[f"SI is given as {name} in {what}"] = legs(size**-on, same)
+    return made
+
+
+def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    """Positions and references against what is demanded: legs, clock, law."""
+    if (position := _whole(record, "leg_position")) is None:
+        yield Finding("legs", "fault", "leg_position", np.nan, "", "not recorded; it is needed")
+        return
+    demands = [
+        name
+        for name in ("platform_pose", "demand_pose", "leg_reference")
+        if name in record.channels
+    ]
+    if not demands:
+        yield Finding(
+            "legs", "unseen", "leg_position", np.nan, "", "no demand and no pose to compare with"
+        )
+    floor = 2e-3 * machine.half_stroke
+    for demand in demands:
+        values, _ = _whole(record, demand) or (np.zeros((0, 0)), [])
+        legs = np.array(position[1]) - 1
+        if values.shape[1] < 6:
+            continue
+        slips = _pose_slips(values, machine) if demand in POSES else {}
+        expected = pose_to_legs(values, machine) if demand in POSES else values
+        measured = [("leg_position", position[0], legs)]
+        if demand == "demand_pose" and (other := _whole(record, "leg_reference")):
+            measured.append(("leg_reference", other[0], np.array(other[1]) - 1))
+        for channel, own, which in measured:
+            e, chosen = expected[:, which], {k: lambda f=f: f()[:, which] for k, f in slips.items()}
+            found = agree(e, own, record.rate, floor, swaps(own, which + 1), chosen)
+            yield from _judged("legs", channel, demand, found, _LENGTHS)
+            if channel == "leg_position":
+                yield from _timing(record, e, own, demand, found)
+
+
+def _judged(
+    name: str,
+    channel: str,
+    against: str,
+    found: Agreement,
+    slips: dict[str, float],
+    *,
+    loose: bool = False,
+) -> Iterator[Finding]:
+    wrong = [text for text in (found.slip, _slipped(found.gain, slips, loose=loose)) if text]
+    left = 100.0 * found.left
+    if wrong:
+        yield Finding(name, "fault", channel, left, "%", f"against {against}: {'; '.join(wrong)}")
+    elif found.left > 0.7:
+        yield _loss(name, channel, left, "%", f"does not follow {against}")
+    else:
+        yield Finding(name, "fine", channel, left, "%", f"differs from what {against} asks for")
+    if found.unseen:
+        more = f" and {len(found.unseen) - 3} more" if len(found.unseen) > 3 else ""
+        said = f"against {against} these data could not show: {', '.join(found.unseen[:3])}{more}"
+        yield Finding(name, "unseen", channel, float(len(found.unseen)), "", said)
+
+
+def _timing(
+    record: Record, expected: Array, measured: Array, demand: str, found: Agreement
+) -> Iterator[Finding]:
+    if np.isfinite(found.delay) and found.left < 0.7 or found.slip:
+        late = 1e3 * found.delay
+        early = -1.5 / record.rate - 2e-3
+        wrong = demand not in ("platform_pose",) and not early <= found.delay <= _SLOWEST
+        said = f"behind {demand}" + ": the clocks of the two are apart" * wrong
+        yield Finding("clock", "fault" if wrong else "fine", "leg_position", late, "ms", said)
+    if demand == "platform_pose":
+        return
+    two = halves(expected, measured, record.rate)
+    if two is None:
+        said = f"the halves do not drive the same lines of {demand}"
+        yield Finding("law", "unseen", "leg_position", np.nan, "", said)
+        return
+    other = two.change > max(_CHANGED, 3.0 * two.error)
+    said = "change of the response from the first half to the second"
+    said += ": another law, pose or supply" * other
+    yield Finding(
+        "law", "fault" if other else "fine", "leg_position", 100.0 * two.change, "%", said
+    )
+
+
+def _slope(record: Record) -> tuple[Array, list[int]] | None:
+    """Slope of the positions [m/s]."""
+    found = _whole(record, "leg_position")
+    if found is None or record.time.size < 30:
+        return None
+    return np.gradient(found[0], 1.0 / record.rate, axis=0), found[1]
+
+
+def _shared(
+    one: tuple[Array, list[int]], other: tuple[Array, list[int]]
+) -> tuple[Array, Array, list[int]]:
+    """Both for the legs that both have."""
+    legs = sorted(set(one[1]) & set(other[1]))
+    return (*(v[:, [k.index(leg) for leg in legs]] for v, k in (one, other)), legs)  # type: ignore[return-value]
+
+
+def _velocity(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    slope, found = _slope(record), _whole(record, "leg_velocity")
+    if slope is None or found is None:
+        return
+    e, m, legs = _shared(slope, found)
+    fits = agree(e, m, record.rate, 1e-3, swaps(m, legs), shift=False)
+    units = _LENGTHS | {"ms": 1e-3}
+    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, units)
+
+
+def _valves(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    slope, found = _slope(record), _whole(record, "valve_command")
+    if slope is None or found is None:
+        return
+    e, m, legs = _shared(slope, found)
+    fits = agree(e, m, record.rate, 2e-3, swaps(m, legs), shift=False, centred=True)
+    if fits.left < 0.8 or fits.slip:
+        yield from _judged("valves", "valve_command", "velocities", fits, {}, loose=True)
+
+
+def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
+    cap, rod, place = (_whole(record, name) for name in (*PRESSURES, "leg_position"))
+    if cap is None or rod is None or place is None:
+        return
+    p, q, legs = _shared(cap, rod)
+    x, p, legs = _shared(place, (p, legs))
+    q = _shared(place, (q, legs))[1]
+    which = np.array(legs) - 1
+    areas = plant.hydraulics.cylinder
+    ac, ar = areas.cap_area[which], areas.rod_area[which]
+    force = ac * p - ar * q
+    friction = (
+        float(plant.hydraulics.friction.coulomb.max())
+        if hasattr(plant.hydraulics.friction, "coulomb")
+        else 0.0
+    )
+    changes = {
+        **{
+            said: (lambda f=f: ac * f() - ar * q)
+            for said, f in swaps(p, legs, "cap_pressure of ").items()
+            if "sign" not in said
+        },
+        **{
+            said: (lambda f=f: ac * p - ar * f())
+            for said, f in swaps(q, legs, "rod_pressure of ").items()
+            if "sign" not in said
+        },
+        **{
+            said: f
+            for said, f in swaps(force, legs, "both pressures of ").items()
+            if "sign" not in said
+        },
+        "cap and rod are exchanged": lambda: ac * q - ar * p,
+    }
+    measured = _whole(record, "leg_force")
+    if measured is not None and set(legs) <= set(measured[1]):
+        own = measured[0][:, [measured[1].index(leg) for leg in legs]]
+        floor = friction + 0.02 * float(np.abs(own).mean())
+        fits = agree(own, force, record.rate, floor, changes, shift=False)
+        yield from _judged("force", "pressures", "leg_force", fits, _PRESSURES)
+    if len(place[1]) < 6:
+        return
+    poses = legs_to_pose(
+        smooth(place[0], record.rate, 1.0)[:: max(1, record.time.size // 200)], machine
+    )
+    plant.start(poses.mean(axis=0))
+    mean_pose = poses.mean(axis=0)
+    jacobian = leg_jacobian(mean_pose, machine)
+    load = plant.static_load()
+    corner = corner_of(place[0], record.rate)
+    motion = np.gradient(
+        np.gradient(smooth(place[0], record.rate, corner), 1.0 / record.rate, axis=0),
+        1.0 / record.rate,
+        axis=0,
+    )
+    inertia = plant.reflected_mass(mean_pose)
+    wrench = jacobian.T @ load
+    statics = np.array([np.linalg.solve(leg_jacobian(pose, machine).T, wrench) for pose in poses])
+    every = max(1, record.time.size // 200)
+    at = np.arange(record.time.size) / every
+    static = np.column_stack([np.interp(at, np.arange(len(statics)), s) for s in statics.T])
+    expected = (static + motion @ inertia.T)[:, which]
+    floor = friction + 0.05 * float(np.abs(load).mean())
+    if len(legs) == 6:
+        lifted = float((jacobian.T @ force.mean(axis=0))[2] / wrench[2])
+        slip = _slipped(lifted, _PRESSURES, loose=False)
+        said = "of the data sheet's weight is carried by the pressures" + f": {slip}" * bool(slip)
+        yield Finding("force", "fault" if slip else "fine", "pressures", 100.0 * lifted, "%", said)
+    if smooth(expected, record.rate, corner).std(axis=0).max() > 4.0 * floor:
+        fits = agree(expected, force, record.rate, floor, changes, shift=False, centred=True)
+        yield from _judged("force", "pressures", "weight and inertia", fits, _LENGTHS, loose=True)
