@@ -10,6 +10,7 @@ is taken; the price is that of two legs fitting half as badly, so that noise and
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -53,18 +54,26 @@ def corner_of(values: Array, rate: float) -> float:
     return next(fits, _CORNERS[-1])
 
 
-def swaps(values: Array, legs: Sequence[int], what: str = "") -> dict[str, Callable[[], Array]]:
-    """Histories with two legs exchanged, or one with the other sign."""
+def exchanged(values: Array, legs: Sequence[int], what: str = "") -> dict[str, Callable[[], Array]]:
+    """Histories with two legs exchanged."""
     made: dict[str, Callable[[], Array]] = {}
     for i, j in combinations(range(len(legs)), 2):
-        order = list(range(len(legs)))
-        order[i], order[j] = j, i
-        said = f"{what}legs {legs[i]} and {legs[j]} are exchanged"
-        made[said] = lambda order=order: values[:, order]  # type: ignore[misc]
-    for k, leg in enumerate(legs):
-        sign = np.where(np.arange(len(legs)) == k, -1.0, 1.0)
-        made[f"{what}leg {leg} has the other sign"] = lambda sign=sign: values * sign  # type: ignore[misc]
+        order = np.arange(len(legs))
+        order[[i, j]] = j, i
+        made[f"{what}legs {legs[i]} and {legs[j]} are exchanged"] = partial(
+            np.take, values, order, 1
+        )
     return made
+
+
+def swaps(values: Array, legs: Sequence[int]) -> dict[str, Callable[[], Array]]:
+    """Histories with two legs exchanged, or one with the other sign."""
+    signs = 1.0 - 2.0 * np.eye(len(legs))
+    turned = {
+        f"leg {leg} has the other sign": partial(np.multiply, values, sign)
+        for leg, sign in zip(legs, signs, strict=True)
+    }
+    return exchanged(values, legs) | turned
 
 
 def _shifted(values: Array, frames: float) -> Array:
