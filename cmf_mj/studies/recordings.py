@@ -174,11 +174,9 @@ def _range(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
         unit, largest = record.units[channel], float(np.nanmax(np.abs(record[channel])))
         lowest = float(np.nanmin(record[channel]))
         if largest > 1.02 * most:
-                        said = f"up to {largest:.4g} {unit}, beyond {most:.4g}: is its unit right?"
-}?"
-            )
+            said = f"up to {largest:.4g} {unit}, beyond {most:.4g}: is its unit right?"
             if channel.startswith("leg") and lowest > 0.5 * machine.retracted:
-                said = f"{lowest:.4g} to {largest:.4g} m: lengths from gimbal to gimbal? State `offset`"
+                said = f"{lowest:.4g} to {largest:.4g} m: from gimbal to gimbal? State `offset`"
             yield Finding("range", "fault", channel, largest, unit, said)
         elif channel in PRESSURES and lowest < -2e5:
             yield Finding("range", "fault", channel, lowest, unit, "below a vacuum")
