@@ -12,7 +12,7 @@ from types import FrameType
 # Cases run side by side: a linear algebra's own threads would only wait on the cores they need.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from cmf_mj.cli import analyse, facility, flight, machine, simulate, studies  # noqa: F401
+from cmf_mj.cli import analyse, facility, flight, machine, recording, simulate, studies  # noqa: F401
 from cmf_mj.cli.common import app
 
 
