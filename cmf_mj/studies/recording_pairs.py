@@ -25,6 +25,7 @@ Changes = Mapping[str, Callable[[], Array]]  #: What is wrong, in words, and the
 _PRICE = 2.0 * np.log(2.0)
 _CORNERS = (1.0, 2.0, 4.0, 8.0)  #: f [Hz]: the first that keeps a third of what moves.
 _LONGEST = 2.0  #: Largest delay that is looked for [s].
+_LINES = 4  #: Least lines that both halves drive.
 _MOVES = 4.0  #: Motion, in r0, from which on something moves.
 
 
@@ -38,6 +39,16 @@ class Agreement(NamedTuple):
     unseen: tuple[str, ...]  #: Changes that would not have mattered.
 
 
+class _Way(NamedTuple):
+    """A change and how well histories agree with it."""
+
+    said: str
+    delay: float
+    cost: float
+    gain: float
+    left: float
+
+
 def smooth(values: Array, rate: float, corner: float) -> Array:
     """Below a corner [Hz], without delay, (N, n)."""
     if values.shape[0] < 30 or corner >= 0.4 * rate:
@@ -45,13 +56,6 @@ def smooth(values: Array, rate: float, corner: float) -> Array:
     sections = butter(4, corner, fs=rate, output="sos")
     pad = min(values.shape[0] - 1, int(3.0 * rate / corner))
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=pad))
-
-
-def corner_of(values: Array, rate: float) -> float:
-    """The first corner that keeps a third of what moves [Hz]."""
-    moves = values.std()
-    fits = (f for f in _CORNERS if smooth(values, rate, f).std() > 0.33 * moves)
-    return next(fits, _CORNERS[-1])
 
 
 def exchanged(values: Array, legs: Sequence[int], what: str = "") -> dict[str, Callable[[], Array]]:
@@ -82,16 +86,17 @@ def _shifted(values: Array, frames: float) -> Array:
 
 
 def delay_of(expected: Array, measured: Array, rate: float) -> float:
-    """D [s]: where the velocities correlate best, whatever their sign."""
-    size, fine = 2 * expected.shape[0], 8
+    """d [s]: where the velocities correlate best; of two as good the shorter one."""
+    size, fine = 2 * expected.shape[0], 32
     e, m = (np.fft.rfft(np.diff(v, axis=0), size, axis=0) for v in (expected, measured))
-    found = np.abs(np.fft.irfft((e.conj() * m).sum(axis=1), size * fine))
+    found = np.fft.irfft((e.conj() * m).sum(axis=1), size * fine)
     most = int(min(_LONGEST * rate, 0.25 * expected.shape[0]) * fine)
     near = np.concatenate([found[-most:], found[: most + 1]])
-    frames = np.arange(-most, most + 1)
-    best = np.flatnonzero(near >= 0.97 * near.max())
-    peak = [k for k in best if near[k] == near[max(k - fine, 0) : k + fine + 1].max()]
-    return float(frames[min(peak, key=lambda k: abs(frames[k]))]) / fine / rate
+    if -near.min() > 1.5 * near.max():  # all legs have the other sign
+        near = -near
+    peaks = np.flatnonzero((near >= 0.97 * near.max()) & (near >= np.roll(near, 1)))
+    peaks = peaks[near[peaks] >= np.roll(near, -1)[peaks]] - most
+    return float(peaks[np.abs(peaks).argmin()]) / fine / rate if peaks.size else 0.0
 
 
 def agree(
@@ -106,35 +111,35 @@ def agree(
     centred: bool = False,
 ) -> Agreement:
     """Compare (N, n) histories; `changes` are of what is measured, `expectations` of the other."""
-    corner = corner_of(measured, rate)
+    moving = measured.std()
+    kept = (f for f in _CORNERS if smooth(measured, rate, f).std() > 0.33 * moving)
+    corner = next(kept, _CORNERS[-1])
     every = max(1, int(rate / (10.0 * corner)))
+    slow = rate / every
 
     def ready(values: Array) -> Array:
         low = smooth(values, rate, corner)[::every]
         return low - low.mean(axis=0) if centred else low
 
-    slow = rate / every
     e, m = ready(expected), ready(measured)
-    moves = min(e.std(axis=0).max(), m.std(axis=0).max()) > _MOVES * floor
-    frames = delay_of(e, m, slow) * slow if shift and moves else 0.0
-    fitted = [_fit(_shifted(e, frames), m, floor, moves)]
-    ways: list[tuple[str, float, float, float]] = [("", *fitted[0])]
-    for said, change in (changes or {}).items():
-        cost, gain, left = _fit(_shifted(e, frames), ready(change()), floor, moves)
-        ways.append((said, cost + _PRICE, gain, left))
-    for said, change in (expectations or {}).items():
-        other = ready(change())
-        own = delay_of(other, m, slow) * slow if shift and moves else 0.0
-        cost, gain, left = _fit(_shifted(other, own), m, floor, moves)
-        ways.append((said, cost + _PRICE, gain, left))
-    ways.sort(key=lambda way: way[1])
-    said, cost, gain, _ = ways[0]
-    alike = [way[0] for way in ways if way[0] and way[1] < cost + 0.5 * _PRICE]
-    base = fitted[0][0]
-    unseen = tuple(way[0] for way in ways if way[0] and way[1] - _PRICE - base < _PRICE)
-    delay = frames / slow if moves else np.nan
-    gain = gain if moves else np.nan
-    return Agreement(" or ".join(alike) if said else "", delay, gain, fitted[0][2], unseen)
+    moves = bool(min(e.std(axis=0).max(), m.std(axis=0).max()) > _MOVES * floor)
+
+    def fit(said: str, e: Array, m: Array) -> _Way:
+        delay = delay_of(e, m, slow) if shift and moves else 0.0
+        return _Way(said, delay, *_fit(_shifted(e, delay * slow), m, floor, moves))
+
+    base = fit("", e, m)
+    ways = [fit(said, e, ready(change())) for said, change in (changes or {}).items()]
+    ways += [fit(said, ready(change()), m) for said, change in (expectations or {}).items()]
+    best = min(ways, key=lambda way: way.cost, default=base)
+    unseen = tuple(way.said for way in ways if abs(way.cost - base.cost) < 0.5 * _PRICE)
+    said = ""
+    if best.cost + _PRICE < base.cost and best.left < 0.5 * min(1.0, base.left):
+        said = " or ".join(way.said for way in ways if way.cost < best.cost + 0.5 * _PRICE)
+    else:
+        best = base
+    known = (best.delay, best.gain) if moves else (np.nan, np.nan)
+    return Agreement(said, *known, base.left, unseen)
 
 
 def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, float]:
@@ -142,59 +147,42 @@ def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, f
     inside = slice(e.shape[0] // 50, e.shape[0] - e.shape[0] // 50)
     e, m = e[inside], m[inside]
     still, parts = e - e.mean(axis=0), m - m.mean(axis=0)
-    power = float((still**2).sum())
-    gain = float((still * parts).sum()) / power if moves and power > 0.0 else 1.0
-    apart = m - (gain * still + np.sign(gain) * e.mean(axis=0))
-    if abs(gain) < 0.5 or abs(gain) > 2.0:
-        apart = m - gain * e
-    rms = np.sqrt((apart**2).mean(axis=0))
-    whole = np.sqrt((parts**2).mean()) if moves else np.sqrt((m**2).mean())
+    gain = float((still * parts).sum()) / float((still**2).sum()) if moves else 1.0
+    usual = 0.5 < abs(gain) < 2.0  # a loop's: a pose that is held is met
+    apart = m - gain * (still if usual else e) - usual * np.sign(gain) * e.mean(axis=0)
+    rms, whole = np.sqrt((apart**2).mean(axis=0)), np.sqrt(((parts if moves else m) ** 2).mean())
     left = float(np.sqrt((apart**2).mean()) / max(whole, floor))
     return float(np.log(rms + floor).sum()), gain, left
 
 
-class Halves(NamedTuple):
-    """How the response of the first half differs from that of the second."""
-
-    change: float  #: Median over the lines of |H1 - H2| over their mean size.
-    error: float  #: What noise makes of it.
-    lines: int  #: Lines that both halves have.
-
-
-def halves(expected: Array, measured: Array, rate: float, least: int = 4) -> Halves | None:
-    """Responses of the two halves at the lines both drive; None where they drive other motions."""
-    corner = min(10.0, 0.3 * rate)
+def halves(expected: Array, measured: Array, rate: float) -> tuple[float, float] | None:
+    """Change of the response from half to half, median over the lines that both drive, and its
+    error by the noise; None where they drive other lines or motions."""
     size = int(max(2.0, expected.shape[0] / rate / 12.0) * rate)
-    hop, window = size // 2, np.hanning(size)[:, None]
-    found, axes = [], []
-    frequency = np.fft.rfftfreq(size, 1.0 / rate)
-    used = (frequency > 1.5 / (size / rate)) & (frequency < corner)
-    middle = expected.shape[0] // 2
+    frequency, window = np.fft.rfftfreq(size, 1.0 / rate), np.hanning(size)[:, None]
+    used = (frequency > 1.5 / (size / rate)) & (frequency < min(10.0, 0.3 * rate))
+    middle, found, axes = expected.shape[0] // 2, [], []
     for part in (slice(0, middle), slice(middle, None)):
         e, m = (np.gradient(v[part], axis=0) for v in (expected, measured))
-        starts = range(0, e.shape[0] - size + 1, hop)
+        starts = range(0, e.shape[0] - size + 1, size // 2)
         if len(starts) < 3:
             return None
         x, y = (
             np.array([np.fft.rfft(window * v[k : k + size], axis=0)[used] for k in starts])
             for v in (e, m)
         )
-        sxx, syy = (np.abs(v) ** 2 for v in (x, y))
+        sxx, syy = ((np.abs(v) ** 2).sum(axis=(0, 2)) + 1e-300 for v in (x, y))
         sxy = (x.conj() * y).sum(axis=(0, 2))
-        sxx, syy = sxx.sum(axis=(0, 2)), syy.sum(axis=(0, 2))
-        coherence = np.abs(sxy) ** 2 / np.maximum(sxx * syy, 1e-300)
-        found.append((sxx, sxy / np.maximum(sxx, 1e-300), coherence, len(starts)))
-        covariance = e.T @ e
-        axes.append(covariance / max(np.linalg.norm(covariance), 1e-300))
-    (p1, h1, c1, n), (p2, h2, c2, _) = found
-    good = (p1 > 0.01 * p1.max()) & (p2 > 0.01 * p2.max()) & (np.minimum(c1, c2) > 0.8)
+        found.append((sxx, sxy / sxx, np.abs(sxy) ** 2 / (sxx * syy) + 1e-12))
+        axes.append(e.T @ e / (np.linalg.norm(e.T @ e) + 1e-300))
+    (p1, h1, c1), (p2, h2, c2) = found
+    good = (np.minimum(p1 / p1.max(), p2 / p2.max()) > 0.01) & (np.minimum(c1, c2) > 0.8)
     good &= (p1 < 9.0 * p2) & (p2 < 9.0 * p1)
-    if good.sum() < least or float((axes[0] * axes[1]).sum()) < 0.9:
+    if good.sum() < _LINES or float((axes[0] * axes[1]).sum()) < 0.9:
         return None
-    size_of = 0.5 * (np.abs(h1) + np.abs(h2))[good]
-    error = np.sqrt((1.0 / c1 - 1.0 + 1.0 / c2 - 1.0)[good] / n)
-    change = np.abs(h1 - h2)[good] / size_of
-    return Halves(float(np.median(change)), float(np.median(error)), int(good.sum()))
+    error = np.sqrt((1.0 / c1 + 1.0 / c2 - 2.0) / len(starts))
+    change = 2.0 * np.abs(h1 - h2) / (np.abs(h1) + np.abs(h2))
+    return float(np.median(change[good])), float(np.median(error[good]))
 
 
 def runs(mask: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
