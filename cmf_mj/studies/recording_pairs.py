@@ -86,7 +86,7 @@ def _shifted(values: Array, frames: float) -> Array:
 
 
 def delay_of(expected: Array, measured: Array, rate: float) -> float:
-    """d [s]: where the velocities correlate best; of two as good the shorter one."""
+    """Delay d [s]: where the velocities correlate best; of two as good the shorter one."""
     size, fine = 2 * expected.shape[0], 32
     e, m = (np.fft.rfft(np.diff(v, axis=0), size, axis=0) for v in (expected, measured))
     found = np.fft.irfft((e.conj() * m).sum(axis=1), size * fine)
@@ -156,8 +156,10 @@ def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, f
 
 
 def halves(expected: Array, measured: Array, rate: float) -> tuple[float, float] | None:
-    """Change of the response from half to half, median over the lines that both drive, and its
-    error by the noise; None where they drive other lines or motions."""
+    """Change of the response from half to half, and its error by the noise.
+
+    Medians over the lines that both drive; None where they drive other lines or motions.
+    """
     size = int(max(2.0, expected.shape[0] / rate / 12.0) * rate)
     frequency, window = np.fft.rfftfreq(size, 1.0 / rate), np.hanning(size)[:, None]
     used = (frequency > 1.5 / (size / rate)) & (frequency < min(10.0, 0.3 * rate))

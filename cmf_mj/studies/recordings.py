@@ -1,4 +1,4 @@
-"""Whether a recording is what its map says, against the machine: what `cmf recording check` reports.
+"""Whether a recording is what its map says of a machine: what `cmf recording check` reports.
 
 missing     channels and legs that were not recorded, and what cannot be known without them
 gaps        samples without a number
@@ -15,8 +15,9 @@ law         response of the first half against that of the second, where both dr
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from itertools import permutations
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field, Result, fields_of
-from cmf_mj.core.units import DEGREE, FOOT, INCH, PSI
+from cmf_mj.core.units import factor
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
@@ -48,13 +49,15 @@ _PAIRS = {
 }
 """What is compared with what asks for it."""
 
-_LENGTHS = {"ft": FOOT, "in": INCH, "mm": 1e-3, "cm": 1e-2}
-_PRESSURES = {"psi": PSI, "bar": 1e5, "kPa": 1e3, "MPa": 1e6}
+_LENGTHS = {name: factor(name) for name in ("m", "ft", "in", "mm", "cm")}
+_PRESSURES = {name: factor(name) for name in ("Pa", "psi", "bar", "kPa", "MPa")}
+_SIGNS = 1.0 - 2.0 * np.eye(6)
+_LEGS = ("legs", "range", "velocity")  #: Checks of what the legs say of themselves.
 _SLOWEST = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
 _CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
 _COARSE = 0.01  #: Step of a sensor over its range that is too coarse.
 _OPEN = 0.2  #: Share of the time with a valve fully open that costs much.
-_CHANGED = 0.15  #: Change of the response from half to half that is another law's.
+_CHANGED = 0.1  #: Change of the response from half to half that is another law's.
 
 
 class Finding(NamedTuple):
@@ -87,7 +90,9 @@ def check_recording(record: Record, machine: Machine, cab: str | None = None) ->
     found += [
         one for check in (_motion, _velocity, _valves) for one in check(record, machine, plant)
     ]
-    if any(one.status == "fault" and one.name in ("legs", "range", "velocity") for one in found):
+    if any(
+        one.status == "fault" and one.channel[:3] == "leg" and one.name in _LEGS for one in found
+    ):
         return found  # forces by legs that are not what they say would only repeat it
     return [*found, *_force(record, machine, plant)]
 
@@ -267,48 +272,38 @@ def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
         )
 
 
-def _slipped(gain: float, slips: dict[str, float], *, loose: bool = False) -> str:
+def _slipped(gain: float, sizes: Mapping[str, float], *, loose: bool = False) -> str:
     """What a gain says that no machine has: a unit that is another."""
-    if not np.isfinite(gain):
+    if not np.isfinite(gain) or (loose and gain > 0.0) or 0.4 < gain < 2.0:
         return ""
     if gain < 0.0:
         return "all legs have the other sign"
-    for name, size in slips.items():
-        for factor, said in (
-            (size, f"the file has {name} where the map says SI"),
-            (1.0 / size, f"the file has SI where the map says {name}"),
-        ):
-            if abs(np.log(gain * factor)) < 0.12:
-                return f"is {gain:.3g} of what is expected: {said}"
-    if loose or 0.4 < gain < 2.0:
-        return ""
-    return f"is {gain:.3g} of what is expected: its unit or scale is another"
+    likely = [
+        f"the file has {one} where the map says {other}"
+        for one, other in permutations(sizes, 2)
+        if abs(np.log(gain * sizes[one] / sizes[other])) < 0.12
+    ]
+    return f"is {gain:.3g} of what is expected: {' or '.join(likely) or 'its scale is another'}"
 
 
 def _pose_slips(pose: Array, machine: Machine) -> dict[str, Callable[[], Array]]:
     """Legs of the demand with one slip in its pose."""
-    made: dict[str, Callable[[], Array]] = {}
-
-    def legs(factors: Array, order: list[int]) -> Callable[[], Array]:
-        return lambda: pose_to_legs(pose[:, order] * factors, machine)
-
-    same = list(range(6))
-    for k, dof in enumerate(DOFS):
-        made[f"{dof} has the other sign"] = legs(np.where(np.arange(6) == k, -1.0, 1.0), same)
-    made["the pose is z up"] = legs(np.array([1.0, -1, -1, 1, -1, -1]), same)
-    for i, j in ((0, 1), (3, 4)):
-        order = same.copy()
-        order[i], order[j] = j, i
-        made[f"{DOFS[i]} and {DOFS[j]} are exchanged"] = legs(np.ones(6), order)
-    turns = np.array([0.0, 0, 0, 1, 1, 1])
-    for name, size, on in (
-        *((n, s, 1.0 - turns) for n, s in _LENGTHS.items()),
-        ("deg", DEGREE, turns),
-    ):
-        what = "its angles" if name == "deg" else "its lengths"
-        made[f"{what} are in {name} where the map says SI"] = legs(size**on, same)
-        made[f"{what} are in SI where the map says {name}"] = legs(size**-on, same)
-    return made
+    turns, same = np.repeat([0.0, 1.0], 3), [0, 1, 2, 3, 4, 5]
+    slips = [
+        (f"{dof} has the other sign", sign, same) for dof, sign in zip(DOFS, _SIGNS, strict=True)
+    ]
+    slips += [("the pose is z up", np.array([1.0, -1, -1, 1, -1, -1]), same)]
+    slips += [("surge and sway are exchanged", np.ones(6), [1, 0, 2, 3, 4, 5])]
+    slips += [("roll and pitch are exchanged", np.ones(6), [0, 1, 2, 4, 3, 5])]
+    others = [("lengths", "m", name, 1.0 - turns) for name in _LENGTHS if name != "m"]
+    for what, si, name, on in (*others, ("angles", "rad", "deg", turns)):
+        size = factor(name) ** on
+        slips += [(f"its {what} are in {name} where the map says {si}", size, same)]
+        slips += [(f"its {what} are in {si} where the map says {name}", 1.0 / size, same)]
+    return {
+        said: partial(lambda size, order: pose_to_legs(pose[:, order] * size, machine), size, order)
+        for said, size, order in slips
+    }
 
 
 def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
@@ -354,11 +349,11 @@ def _judged(
     channel: str,
     against: str,
     found: Agreement,
-    slips: dict[str, float],
+    sizes: Mapping[str, float],
     *,
     loose: bool = False,
 ) -> Iterator[Finding]:
-    scale = _slipped(found.gain, slips, loose=loose) if found.left < 0.7 or found.slip else ""
+    scale = _slipped(found.gain, sizes, loose=loose) if found.left < 0.7 or found.slip else ""
     wrong = [text for text in (found.slip, scale) if text]
     left = 100.0 * found.left
     if wrong:
@@ -418,8 +413,7 @@ def _velocity(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Find
         return
     e, m, legs = _shared(slope, found)
     fits = agree(e, m, record.rate, 1e-3, swaps(m, legs), shift=False)
-    units = _LENGTHS | {"ms": 1e-3}
-    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, units)
+    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, _LENGTHS)
 
 
 def _valves(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
