@@ -10,8 +10,8 @@ from cmf_mj.core.errors import InputError
 
 Array = NDArray[np.float64]
 
-_OFF = 0.4
-"""How far a stamp may lie from its sample, in samples: clocks have few digits; a lost row is 0.5."""
+_OFF, _STEP = 0.4, 0.6
+"""How far a stamp may lie from its sample, and an interval from the usual, in samples."""
 
 _GAP = 3.0  #: Intervals, in usual ones, from which on a resampled recording has a gap.
 
@@ -58,8 +58,8 @@ def even_clock(time: Array) -> Clock:
         if np.abs(off - middle).max() <= max(1.2 * best, 1e-9 * time.size / rate):
             break
     worst = float(np.abs(off - middle).max())
-    if worst > _OFF / rate:
-        row = int(np.abs(steps - usual).argmax()) + 1
+    row = int(np.abs(steps - usual).argmax()) + 1
+    if worst > _OFF / rate or abs(steps[row - 1] - 1.0 / rate) > _STEP / rate:
         raise InputError(
             f"time: row {row + 1}, {time[row]:.9g} s, is {steps[row - 1]:.6g} s after the row "
             f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"

@@ -20,7 +20,7 @@ from cmf_mj.studies.recordings import check_recording, verdict
 Array = NDArray[np.float64]
 
 LOADS = {"lab": 750.0, "simona": 8100.0, "cmf": 28000.0}  #: Static load of a leg [N].
-OTHER = {"lab": "original", "simona": "original", "cmf": "original"}  #: Another law than its own.
+OTHER = {"lab": "original", "simona": "force", "cmf": "original"}  #: Another law than its own.
 RECORDED = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure", "valve_command")
 SECONDS = 24
 SWAPPED = [0, 4, 2, 3, 1, 5]
