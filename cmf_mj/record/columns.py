@@ -191,7 +191,7 @@ def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
             raise InputError(f"time: {when.column}: row {row + 1} has none; allowed: a time")
     rate = when.rate
     if time is None:
-        time = np.arange(size) / when.rate
+        time = np.arange(size) / float(rate or np.nan)
     if when.resample is not None:
         time, made = resampled(time, made, when.resample, chosen.bridge)
         rate = when.resample

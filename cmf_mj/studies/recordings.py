@@ -114,7 +114,7 @@ def table(findings: list[Finding], title: str) -> Result[Finding]:
 
 def _legs(values: Array) -> NDArray[np.bool_]:
     """Which legs were recorded, (6,)."""
-    return ~np.isnan(values).all(axis=0)
+    return np.asarray(~np.isnan(values).all(axis=0))
 
 
 def _named(legs: NDArray[np.bool_]) -> str:
