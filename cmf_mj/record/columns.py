@@ -150,12 +150,26 @@ def read_mapped(
 ) -> Record:
     """A recording as a record in SI at an even rate.
 
-    `columns` is a map or its file; None or `facility` stands for the facility's CSV and for records
-    of this project. Where a column has no number the channel is NaN, unless the map bridges it.
-    Uneven times are refused with the place, unless the map resamples.
+    Where a column has no number the channel is NaN, unless the map bridges it. Uneven times are
+    refused with the place, unless the map resamples.
+
+    Args:
+        path: a CSV, Parquet, HDF5 or MAT file.
+        columns: a map or its file; None or `facility` for the facility's CSV and own records.
+        machine: whose it is.
 
     Metadata have the machine, and `recording`: the file, the columns not recorded as `missing`, the
     samples filled as `bridged` by column, `clock_off` [s], how far stamps are from an even clock.
+
+    >>> from pathlib import Path
+    >>> from cmf_mj.record.columns import ColumnMap, read_mapped
+    >>> rows = ["t,x1,x2,x3,x4,x5,x6", "0,0,0,0,0,0,0", "2,5,5,5,5,5,5"]
+    >>> file = Path("log.csv")
+    >>> size = file.write_text(chr(10).join(rows))
+    >>> position = {"columns": "x{leg}", "unit": "mm"}
+    >>> made = ColumnMap(time={"column": "t", "unit": "ms"}, channels={"leg_position": position})
+    >>> read_mapped(file, made, cmf_mj.load_machine("lab"))["leg_position"][1, 0].item()
+    0.005
     """
     if columns is None or columns == FACILITY:
         return read_recording(Path(path))

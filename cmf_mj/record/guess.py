@@ -20,7 +20,7 @@ from cmf_mj.record.sources import Source, read_source
 from cmf_mj.record.times import even_clock
 
 _WORDS = {
-    "leg_reference": "ref reference dmd demand demanded dem set setpoint sp target des desired xd cmdpos",
+    "leg_reference": "ref reference xref dmd demand demanded dem setpoint sp target desired xd",
     "leg_velocity": "vel velocity speed v xdot dx xd_dot",
     "leg_acceleration": "acc acceleration accel a xddot ddx",
     "cap_pressure": "cap pcap capprs bore head pa pc pk p p1 prs pressure press",
@@ -28,7 +28,7 @@ _WORDS = {
     "leg_force": "force f load fax loadcell",
     "valve_command": "valve vlv u servo sv spool current",
     "compensator_output": "cmp compensator controller",
-    "leg_position": "pos position x l s ext extension len length stroke fdk feedback meas leg act q",
+    "leg_position": "pos position x l s ext extension len length stroke fdk feedback meas leg act",
 }
 """Words of names by channel; the earlier channel is preferred."""
 

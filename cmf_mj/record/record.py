@@ -92,9 +92,13 @@ class Record:
         units: Mapping[str, str],
         metadata: Mapping[str, Any] | None = None,
     ) -> "Record":
-        """A record of histories from anywhere, in the field's units; times [s] must be even.
+        """A record of histories from anywhere, in the field's units.
 
-        Raises `InputError` that names the row where they are not.
+        Args:
+            time: even times [s], (N,); refused with the row where they are not.
+            channels: name to (N,) or (N, k) values.
+            units: name to unit, of SI or known to `core.units`.
+            metadata: what else is known; the rate is found.
 
         >>> record = cmf_mj.Record.from_arrays([0, 0.5], {"speed": [1, 2]}, {"speed": "in/s"})
         >>> record["speed"].tolist(), record.units["speed"], record.rate

@@ -1,8 +1,8 @@
 """Columns of recordings that others made: CSV, Parquet, HDF5 and MAT files.
 
 A column is a name and numbers, NaN where there is none. An array of rows by columns, as HDF5 and
-MAT files hold, gives `name_1`, `name_2` and so on; a table in a table gives `table.name`, a group of
-HDF5 `group/name`. A CSV file may have text above its header, units in a row below it, any of the
+MAT files hold, gives `name_1`, `name_2` and so on; a table in a table gives `table.name`, a group
+of HDF5 `group/name`. A CSV file may have text above its header, units in a row below it, any of the
 separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`.
 """
 

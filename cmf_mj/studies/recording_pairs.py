@@ -11,12 +11,18 @@ is taken; the price is that of two legs fitting half as badly, so that noise and
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
+
+from cmf_mj.core.units import factor
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.hexapod import Hexapod
 
 Array = NDArray[np.float64]
 
@@ -27,6 +33,13 @@ _CORNERS = (1.0, 2.0, 4.0, 8.0)  #: f [Hz]: the first that keeps a third of what
 _LONGEST = 2.0  #: Largest delay that is looked for [s].
 _LINES = 4  #: Least lines that both halves drive.
 _MOVES = 4.0  #: Motion, in r0, from which on something moves.
+
+
+LENGTHS = {name: factor(name) for name in ("m", "ft", "in", "mm", "cm")}
+PRESSURES_IN = {name: factor(name) for name in ("Pa", "psi", "bar", "kPa", "MPa")}
+_SIGNS = 1.0 - 2.0 * np.eye(6)
+_CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
+"""Units by their size; signs of one axis reversed; runs and samples that make a clip."""
 
 
 class Agreement(NamedTuple):
@@ -191,3 +204,105 @@ def runs(mask: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """First and one past the last of each run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     yield from ((int(a), int(b)) for a, b in edges.reshape(-1, 2))
+
+
+def clipped(values: Array, step: float) -> tuple[float, int] | None:
+    """The limit at which a column stays while it comes and goes at speed, and the samples there."""
+    for limit in (np.nanmax(values), np.nanmin(values)):
+        found = []
+        for first, end in runs(values == limit):
+            if end - first >= _FLAT and first >= 2 and end + 2 <= values.size:
+                slopes = (values[first - 2] - limit, values[end + 1] - limit)
+                # A parabola through its quantised peak comes in at 4 steps over the run's samples.
+                over = 0.5 * min(abs(s) for s in slopes) * (end - first) / 4.0
+                if over > 4.0 * step and over > 0.02 * np.nanstd(values):
+                    found.append(end - first)
+        if len(found) >= _CLIPS:
+            return float(limit), int(sum(found))
+    return None
+
+
+def slipped(gain: float, sizes: Mapping[str, float], *, loose: bool = False) -> str:
+    """What a gain says that no machine has: a unit that is another."""
+    if not np.isfinite(gain) or (loose and gain > 0.0) or 0.4 < gain < 2.0:
+        return ""
+    if gain < 0.0:
+        return "all legs have the other sign"
+    likely = [
+        f"the file has {one} where the map says {other}"
+        for one, other in permutations(sizes, 2)
+        if abs(np.log(gain * sizes[one] / sizes[other])) < 0.12
+    ]
+    return f"is {gain:.3g} of what is expected: {' or '.join(likely) or 'its scale is another'}"
+
+
+def pose_slips(pose: Array, machine: Machine) -> dict[str, Callable[[], Array]]:
+    """Legs of the demand with one slip in its pose."""
+    turns, same = np.repeat([0.0, 1.0], 3), [0, 1, 2, 3, 4, 5]
+    slips = [
+        (f"{dof} has the other sign", sign, same) for dof, sign in zip(DOFS, _SIGNS, strict=True)
+    ]
+    slips += [("the pose is z up", np.array([1.0, -1, -1, 1, -1, -1]), same)]
+    slips += [("surge and sway are exchanged", np.ones(6), [1, 0, 2, 3, 4, 5])]
+    slips += [("roll and pitch are exchanged", np.ones(6), [0, 1, 2, 4, 3, 5])]
+    others = [("lengths", "m", name, 1.0 - turns) for name in LENGTHS if name != "m"]
+    for what, si, name, on in (*others, ("angles", "rad", "deg", turns)):
+        size = factor(name) ** on
+        slips += [(f"its {what} are in {name} where the map says {si}", size, same)]
+        slips += [(f"its {what} are in {si} where the map says {name}", 1.0 / size, same)]
+    return {
+        said: partial(lambda size, order: pose_to_legs(pose[:, order] * size, machine), size, order)
+        for said, size, order in slips
+    }
+
+
+def pressure_slips(
+    p: Array, q: Array, areas: tuple[Array, Array], legs: list[int]
+) -> dict[str, Callable[[], Array]]:
+    """Forces with one slip in the pressures of cap and rod."""
+    ac, ar = areas
+    made: dict[str, Callable[[], Array]] = {"cap and rod are exchanged": lambda: ac * q - ar * p}
+    for what, first, second in (
+        ("cap_pressure of ", True, False),
+        ("rod_pressure of ", False, True),
+        ("both pressures of ", True, True),
+    ):
+        caps = exchanged(p, legs, what) if first else {}
+        rods = exchanged(q, legs, what) if second else {}
+        for said in caps or rods:
+            made[said] = partial(_net, areas, caps.get(said, lambda: p), rods.get(said, lambda: q))
+    return made
+
+
+def _net(areas: tuple[Array, Array], cap: Callable[[], Array], rod: Callable[[], Array]) -> Array:
+    return areas[0] * cap() - areas[1] * rod()
+
+
+class Dynamics:
+    """Forces that legs need by the data sheet: weight in the pose, and inertia."""
+
+    def __init__(self, plant: Hexapod, positions: Array, rate: float) -> None:
+        """Place the machine in the mean pose of its positions [m], (N, 6)."""
+        self.every = max(1, positions.shape[0] // 200)
+        self.rate, self.machine = rate, plant.machine
+        plant.start(legs_to_pose(positions.mean(axis=0), plant.machine))
+        self.pose = legs_to_pose(positions.mean(axis=0), plant.machine)
+        self.load = plant.static_load()
+        self.wrench = leg_jacobian(self.pose, plant.machine).T @ self.load
+        self.inertia = plant.reflected_mass(self.pose)
+
+    def of(self, positions: Array) -> Array:
+        """Forces [N] of positions [m], both (N, 6)."""
+        poses = legs_to_pose(smooth(positions, self.rate, 1.0)[:: self.every], self.machine)
+        some = [np.linalg.solve(leg_jacobian(one, self.machine).T, self.wrench) for one in poses]
+        at = np.arange(positions.shape[0]) / self.every
+        static = [np.interp(at, np.arange(len(some)), one) for one in np.transpose(some)]
+        velocity = np.gradient(positions, 1.0 / self.rate, axis=0)
+        return np.transpose(static) + np.gradient(velocity, 1.0 / self.rate, axis=0) @ self.inertia
+
+
+def turned(dynamics: Dynamics, change: Callable[[], Array], i: int, j: int) -> Array:
+    """Forces that legs exchanged in all channels would need, in the recording's order."""
+    order = np.arange(6)
+    order[[i, j]] = j, i
+    return dynamics.of(change())[:, order]

@@ -17,7 +17,6 @@ law         response of the first half against that of the second, where both dr
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from itertools import permutations
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -25,15 +24,29 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field, Result, fields_of
-from cmf_mj.core.units import factor
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
+from cmf_mj.machine.kinematics import leg_jacobian, pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.columns import POSES
 from cmf_mj.record.record import Record
-from cmf_mj.studies.recording_pairs import Agreement, agree, exchanged, halves, runs, smooth, swaps
+from cmf_mj.studies.recording_pairs import (
+    LENGTHS,
+    PRESSURES_IN,
+    Agreement,
+    Dynamics,
+    agree,
+    clipped,
+    exchanged,
+    halves,
+    pose_slips,
+    pressure_slips,
+    runs,
+    slipped,
+    smooth,
+    swaps,
+    turned,
+)
 
 Array = NDArray[np.float64]
 Status = Literal["fault", "loss", "fine", "unseen"]
@@ -49,12 +62,8 @@ _PAIRS = {
 }
 """What is compared with what asks for it."""
 
-_LENGTHS = {name: factor(name) for name in ("m", "ft", "in", "mm", "cm")}
-_PRESSURES = {name: factor(name) for name in ("Pa", "psi", "bar", "kPa", "MPa")}
-_SIGNS = 1.0 - 2.0 * np.eye(6)
 _LEGS = ("legs", "range", "velocity")  #: Checks of what the legs say of themselves.
 _SLOWEST = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
-_CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
 _COARSE = 0.01  #: Step of a sensor over its range that is too coarse.
 _OPEN = 0.2  #: Share of the time with a valve fully open that costs much.
 _CHANGED = 0.1  #: Change of the response from half to half that is another law's.
@@ -74,9 +83,17 @@ class Finding(NamedTuple):
 def check_recording(record: Record, machine: Machine, cab: str | None = None) -> list[Finding]:
     """Everything that can be said of a recording with a machine's data sheet.
 
+    Args:
+        record: as `read_mapped` or `Record.from_arrays` gives it; channels are optional but for
+            `leg_position`.
+        machine: whose it is; its kinematics, areas, supply and masses are taken as stated.
+        cab: that it carried, by name or file; default the machine's first.
+
+    >>> from cmf_mj.studies.recordings import check_recording, verdict
     >>> machine = cmf_mj.load_machine("lab")
     >>> plant = cmf_mj.Hexapod(machine=machine)
-    >>> record = cmf_mj.simulate(plant, machine.law, cmf_mj.signals.sine("heave", 0.01, 1.0, 4))
+    >>> command = cmf_mj.signals.sine("heave", 0.01, frequency=1.0, cycles=4)
+    >>> record = cmf_mj.simulate(plant, machine.law, command)
     >>> verdict(check_recording(record, machine))
     'the recording fits the machine'
     """
@@ -218,22 +235,6 @@ def _range(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
             yield Finding("range", "fault", channel, largest, unit, said)
 
 
-def _clipped(values: Array, step: float) -> tuple[float, int] | None:
-    """The limit at which a column stays while it comes and goes at speed, and the samples there."""
-    for limit in (np.nanmax(values), np.nanmin(values)):
-        found = []
-        for first, end in runs(values == limit):
-            if end - first >= _FLAT and first >= 2 and end + 2 <= values.size:
-                slopes = (values[first - 2] - limit, values[end + 1] - limit)
-                # A parabola through its quantised peak comes in at 4 steps over the run's samples.
-                over = 0.5 * min(abs(s) for s in slopes) * (end - first) / 4.0
-                if over > 4.0 * step and over > 0.02 * np.nanstd(values):
-                    found.append(end - first)
-        if len(found) >= _CLIPS:
-            return float(limit), int(sum(found))
-    return None
-
-
 def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
     supply = float(plant.hydraulics.supply.pressure)
     for channel in MEASURED:
@@ -244,7 +245,7 @@ def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
         for column, leg in zip(found[0].T, found[1], strict=True):
             moved = np.abs(np.diff(column))
             steps.append(float(moved[moved > 1e-12 * np.abs(column).max()].min(initial=np.inf)))
-            if clip := _clipped(column, steps[-1]):
+            if clip := clipped(column, steps[-1]):
                 unit = record.units[channel]
                 said = f"leg {leg} stays at {clip[0]:.4g} {unit} for {clip[1]} samples: clipped"
                 empty = channel in PRESSURES and clip[0] < 1e-3 * supply
@@ -272,40 +273,6 @@ def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
         )
 
 
-def _slipped(gain: float, sizes: Mapping[str, float], *, loose: bool = False) -> str:
-    """What a gain says that no machine has: a unit that is another."""
-    if not np.isfinite(gain) or (loose and gain > 0.0) or 0.4 < gain < 2.0:
-        return ""
-    if gain < 0.0:
-        return "all legs have the other sign"
-    likely = [
-        f"the file has {one} where the map says {other}"
-        for one, other in permutations(sizes, 2)
-        if abs(np.log(gain * sizes[one] / sizes[other])) < 0.12
-    ]
-    return f"is {gain:.3g} of what is expected: {' or '.join(likely) or 'its scale is another'}"
-
-
-def _pose_slips(pose: Array, machine: Machine) -> dict[str, Callable[[], Array]]:
-    """Legs of the demand with one slip in its pose."""
-    turns, same = np.repeat([0.0, 1.0], 3), [0, 1, 2, 3, 4, 5]
-    slips = [
-        (f"{dof} has the other sign", sign, same) for dof, sign in zip(DOFS, _SIGNS, strict=True)
-    ]
-    slips += [("the pose is z up", np.array([1.0, -1, -1, 1, -1, -1]), same)]
-    slips += [("surge and sway are exchanged", np.ones(6), [1, 0, 2, 3, 4, 5])]
-    slips += [("roll and pitch are exchanged", np.ones(6), [0, 1, 2, 4, 3, 5])]
-    others = [("lengths", "m", name, 1.0 - turns) for name in _LENGTHS if name != "m"]
-    for what, si, name, on in (*others, ("angles", "rad", "deg", turns)):
-        size = factor(name) ** on
-        slips += [(f"its {what} are in {name} where the map says {si}", size, same)]
-        slips += [(f"its {what} are in {si} where the map says {name}", 1.0 / size, same)]
-    return {
-        said: partial(lambda size, order: pose_to_legs(pose[:, order] * size, machine), size, order)
-        for said, size, order in slips
-    }
-
-
 def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
     """Positions and references against what is demanded: legs, clock, law."""
     if (position := _whole(record, "leg_position")) is None:
@@ -325,7 +292,7 @@ def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findin
         values, six = _whole(record, demand) or (position[0], [])
         if len(six) < 6:
             continue
-        slips = _pose_slips(values, machine) if demand in POSES else {}
+        slips = pose_slips(values, machine) if demand in POSES else {}
         expected = pose_to_legs(values, machine) if demand in POSES else values
         for channel in ("leg_position", "leg_reference"):
             found = _whole(record, channel)
@@ -335,7 +302,7 @@ def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findin
             at = np.array(legs) - 1
             chosen = {said: partial(_columns, change, at) for said, change in slips.items()}
             fits = agree(expected[:, at], own, record.rate, floor, swaps(own, legs), chosen)
-            yield from _judged("legs", channel, demand, fits, _LENGTHS)
+            yield from _judged("legs", channel, demand, fits, LENGTHS)
             if channel == "leg_position":
                 yield from _timing(record, expected[:, at], own, demand, fits)
 
@@ -353,7 +320,7 @@ def _judged(
     *,
     loose: bool = False,
 ) -> Iterator[Finding]:
-    scale = _slipped(found.gain, sizes, loose=loose) if found.left < 0.7 or found.slip else ""
+    scale = slipped(found.gain, sizes, loose=loose) if found.left < 0.7 or found.slip else ""
     wrong = [text for text in (found.slip, scale) if text]
     left = 100.0 * found.left
     if wrong:
@@ -413,7 +380,7 @@ def _velocity(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Find
         return
     e, m, legs = _shared(slope, found)
     fits = agree(e, m, record.rate, 1e-3, swaps(m, legs), shift=False)
-    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, _LENGTHS)
+    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, LENGTHS)
 
 
 def _valves(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
@@ -426,50 +393,6 @@ def _valves(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findin
         yield from _judged("valves", "valve_command", "velocities", fits, {}, loose=True)
 
 
-def _pressure_slips(
-    p: Array, q: Array, areas: tuple[Array, Array], legs: list[int]
-) -> dict[str, Callable[[], Array]]:
-    """Forces with one slip in the pressures of cap and rod."""
-    ac, ar = areas
-    made: dict[str, Callable[[], Array]] = {"cap and rod are exchanged": lambda: ac * q - ar * p}
-    for what, first, second in (
-        ("cap_pressure of ", True, False),
-        ("rod_pressure of ", False, True),
-        ("both pressures of ", True, True),
-    ):
-        caps = exchanged(p, legs, what) if first else {}
-        rods = exchanged(q, legs, what) if second else {}
-        for said in caps or rods:
-            made[said] = partial(_net, areas, caps.get(said, lambda: p), rods.get(said, lambda: q))
-    return made
-
-
-def _net(areas: tuple[Array, Array], cap: Callable[[], Array], rod: Callable[[], Array]) -> Array:
-    return areas[0] * cap() - areas[1] * rod()
-
-
-class _Dynamics:
-    """Forces that legs need by the data sheet: weight in the pose, and inertia."""
-
-    def __init__(self, plant: Hexapod, positions: Array, rate: float) -> None:
-        self.every = max(1, positions.shape[0] // 200)
-        self.rate, self.machine = rate, plant.machine
-        plant.start(legs_to_pose(positions.mean(axis=0), plant.machine))
-        self.pose = legs_to_pose(positions.mean(axis=0), plant.machine)
-        self.load = plant.static_load()
-        self.wrench = leg_jacobian(self.pose, plant.machine).T @ self.load
-        self.inertia = plant.reflected_mass(self.pose)
-
-    def of(self, positions: Array) -> Array:
-        """Forces [N] of positions [m], both (N, 6)."""
-        poses = legs_to_pose(smooth(positions, self.rate, 1.0)[:: self.every], self.machine)
-        some = [np.linalg.solve(leg_jacobian(one, self.machine).T, self.wrench) for one in poses]
-        at = np.arange(positions.shape[0]) / self.every
-        static = [np.interp(at, np.arange(len(some)), one) for one in np.transpose(some)]
-        velocity = np.gradient(positions, 1.0 / self.rate, axis=0)
-        return np.transpose(static) + np.gradient(velocity, 1.0 / self.rate, axis=0) @ self.inertia
-
-
 def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
     cap, rod, place = (_whole(record, name) for name in (*PRESSURES, "leg_position"))
     if cap is None or rod is None or place is None:
@@ -478,33 +401,33 @@ def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
     which = np.array(legs) - 1
     cylinders = plant.hydraulics.cylinder
     areas = cylinders.cap_area[which], cylinders.rod_area[which]
-    force, slips = areas[0] * p - areas[1] * q, _pressure_slips(p, q, areas, legs)
+    force, slips = areas[0] * p - areas[1] * q, pressure_slips(p, q, areas, legs)
     friction = float(plant.hydraulics.friction.coulomb_friction.max())
     measured = _whole(record, "leg_force")
     if measured is not None and set(legs) <= set(measured[1]):
         own = _shared(measured, (p, legs))[0]
         floor = friction + 0.02 * float(np.abs(own).mean())
         fits = agree(own, force, record.rate, floor, slips, shift=False)
-        yield from _judged("force", "pressures", "leg_force", fits, _PRESSURES)
+        yield from _judged("force", "pressures", "leg_force", fits, PRESSURES_IN)
     if len(place[1]) < 6:
         return
     try:
-        dynamics = _Dynamics(plant, place[0], record.rate)
+        dynamics = Dynamics(plant, place[0], record.rate)
         expected = dynamics.of(place[0])
     except InputError:
         said = "leg_position has no pose of this machine: the weight on the pressures is not known"
         yield _loss("force", "pressures", np.nan, "", said)
         return
-    turned = {}
+    other_order = {}
     if len(legs) == 6:
         jacobian = leg_jacobian(dynamics.pose, machine)
         lifted = float((jacobian.T @ force.mean(axis=0))[2] / dynamics.wrench[2])
-        slip = _slipped(lifted, _PRESSURES)
+        slip = slipped(lifted, PRESSURES_IN)
         said = "of the data sheet's weight is carried by the pressures" + f": {slip}" * bool(slip)
         yield Finding("force", "fault" if slip else "fine", "pressures", 100.0 * lifted, "%", said)
         for what, change in exchanged(place[0], legs, "in all channels ").items():
             i, j = (int(part) - 1 for part in re.findall(r"\d", what))
-            turned[what] = partial(_turned, dynamics, change, i, j)
+            other_order[what] = partial(turned, dynamics, change, i, j)
     floor = friction + 0.01 * float(np.abs(dynamics.load).mean())
     fits = agree(
         expected[:, which], force, record.rate, floor, slips, turned, shift=False, centred=True
@@ -512,12 +435,5 @@ def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
     if np.isfinite(fits.gain):
         yield from _judged("force", "pressures", "weight and inertia", fits, {})
     else:
-        said = "inertia does not show: legs exchanged, or units, in all channels alike could not either"
+        said = "inertia does not show, so that a slip of all channels alike would not either"
         yield Finding("force", "unseen", "pressures", np.nan, "", said)
-
-
-def _turned(dynamics: _Dynamics, change: Callable[[], Array], i: int, j: int) -> Array:
-    """Forces that legs exchanged in all channels would need, in the recording's order."""
-    order = np.arange(6)
-    order[[i, j]] = j, i
-    return dynamics.of(change())[:, order]

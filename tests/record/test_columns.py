@@ -64,7 +64,10 @@ def test_structures_of_matlab_and_version_7_3(tmp_path: Path) -> None:
 
 
 def test_text_of_a_logger_with_decimal_commas(tmp_path: Path) -> None:
-    rows = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in zip(*columns().values())]
+    rows = [
+        ";".join(f"{v:.6f}".replace(".", ",") for v in row)
+        for row in zip(*columns().values(), strict=True)
+    ]
     file = tmp_path / "log.csv"
     head = ["Logger 7", "t;x1;x2;x3;x4;x5;x6", "[s]" + 6 * ";[mm]"]
     file.write_text("\n".join([*head, *rows, "# end"]), encoding="latin-1")
