@@ -430,7 +430,7 @@ def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
             other_order[what] = partial(turned, dynamics, change, i, j)
     floor = friction + 0.01 * float(np.abs(dynamics.load).mean())
     fits = agree(
-        expected[:, which], force, record.rate, floor, slips, turned, shift=False, centred=True
+        expected[:, which], force, record.rate, floor, slips, other_order, shift=False, centred=True
     )
     if np.isfinite(fits.gain):
         yield from _judged("force", "pressures", "weight and inertia", fits, {})
