@@ -23,6 +23,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
 
 Array = NDArray[np.float64]
 
@@ -306,3 +307,29 @@ def turned(dynamics: Dynamics, change: Callable[[], Array], i: int, j: int) -> A
     order = np.arange(6)
     order[[i, j]] = j, i
     return dynamics.of(change())[:, order]
+
+
+def legs_there(values: Array) -> NDArray[np.bool_]:
+    """Which legs were recorded, (6,)."""
+    return np.asarray(~np.isnan(values).all(axis=0))
+
+
+def whole_legs(record: Record, channel: str) -> tuple[Array, list[int]] | None:
+    """A channel of the legs that were recorded, gaps bridged, and their numbers."""
+    if channel not in record.channels:
+        return None
+    values = np.atleast_2d(record[channel].T).T
+    there = np.flatnonzero(legs_there(values))
+    if not there.size:
+        return None
+    at = np.arange(values.shape[0])
+    made = [np.interp(at, at[ok], values[ok, k]) for k in there for ok in [~np.isnan(values[:, k])]]
+    return np.column_stack(made), [int(k) + 1 for k in there]
+
+
+def shared_legs(
+    one: tuple[Array, list[int]], other: tuple[Array, list[int]]
+) -> tuple[Array, Array, list[int]]:
+    """Both for the legs that both have."""
+    legs = sorted(set(one[1]) & set(other[1]))
+    return (*(v[:, [k.index(leg) for leg in legs]] for v, k in (one, other)), legs)  # type: ignore[return-value]

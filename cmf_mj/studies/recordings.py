@@ -39,13 +39,16 @@ from cmf_mj.studies.recording_pairs import (
     clipped,
     exchanged,
     halves,
+    legs_there,
     pose_slips,
     pressure_slips,
     runs,
+    shared_legs,
     slipped,
     smooth,
     swaps,
     turned,
+    whole_legs,
 )
 
 Array = NDArray[np.float64]
@@ -129,34 +132,16 @@ def table(findings: list[Finding], title: str) -> Result[Finding]:
     return Result(findings, fields_of(Finding), title)
 
 
-def _legs(values: Array) -> NDArray[np.bool_]:
-    """Which legs were recorded, (6,)."""
-    return np.asarray(~np.isnan(values).all(axis=0))
-
-
 def _named(legs: NDArray[np.bool_]) -> str:
     numbers = [str(k + 1) for k in np.flatnonzero(legs)]
     return f"leg{'s' * (len(numbers) > 1)} {' '.join(numbers)}"
-
-
-def _whole(record: Record, channel: str) -> tuple[Array, list[int]] | None:
-    """A channel of the legs that were recorded, gaps bridged, and their numbers."""
-    if channel not in record.channels:
-        return None
-    values = np.atleast_2d(record[channel].T).T
-    there = np.flatnonzero(_legs(values))
-    if not there.size:
-        return None
-    at = np.arange(values.shape[0])
-    made = [np.interp(at, at[ok], values[ok, k]) for k in there for ok in [~np.isnan(values[:, k])]]
-    return np.column_stack(made), [int(k) + 1 for k in there]
 
 
 def _slow(record: Record) -> Record:
     """What moves below 10 Hz, gaps bridged."""
     every, channels = max(1, int(record.rate / 50.0)), {}
     for name in record.channels:
-        if name in _COMPARED and (found := _whole(record, name)):
+        if name in _COMPARED and (found := whole_legs(record, name)):
             channels[name] = np.full((record.time.size, 6), np.nan)
             channels[name][:, np.array(found[1]) - 1] = smooth(found[0], record.rate, 10.0)
     made = {name: values[::every] for name, values in channels.items()}
@@ -169,7 +154,7 @@ def _missing(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
         values = record[channel]
         if channel in MEASURED and values.ndim == 2:
             dead = np.ptp(np.nan_to_num(values), axis=0) == 0.0
-            absent = ~_legs(values)
+            absent = ~legs_there(values)
             if absent.any():
                 yield _loss(
                     "missing", channel, absent.sum(), "legs", f"{_named(absent)} not recorded"
@@ -238,7 +223,7 @@ def _range(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding
 def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
     supply = float(plant.hydraulics.supply.pressure)
     for channel in MEASURED:
-        found = _whole(record, channel)
+        found = whole_legs(record, channel)
         if found is None or record.time.size < 100:
             continue
         steps = []
@@ -260,7 +245,7 @@ def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
             said = "least step over the " + ("stroke" if channel == "leg_position" else "supply")
             status: Status = "loss" if coarse > _COARSE else "fine"
             yield Finding("resolution", status, channel, 100.0 * coarse, "%", said)
-    if (found := _whole(record, "valve_command")) is not None:
+    if (found := whole_legs(record, "valve_command")) is not None:
         share = float((np.abs(found[0]) > 0.999).any(axis=1).mean())
         status = "loss" if share > _OPEN else "fine"
         yield Finding(
@@ -275,7 +260,7 @@ def _sensors(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findi
 
 def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
     """Positions and references against what is demanded: legs, clock, law."""
-    if (position := _whole(record, "leg_position")) is None:
+    if (position := whole_legs(record, "leg_position")) is None:
         yield Finding("legs", "fault", "leg_position", np.nan, "", "not recorded; it is needed")
         return
     demands = [
@@ -289,13 +274,13 @@ def _motion(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Findin
         )
     floor = 2e-3 * machine.half_stroke
     for demand in demands:
-        values, six = _whole(record, demand) or (position[0], [])
+        values, six = whole_legs(record, demand) or (position[0], [])
         if len(six) < 6:
             continue
         slips = pose_slips(values, machine) if demand in POSES else {}
         expected = pose_to_legs(values, machine) if demand in POSES else values
         for channel in ("leg_position", "leg_reference"):
-            found = _whole(record, channel)
+            found = whole_legs(record, channel)
             if found is None or (channel, demand) not in _PAIRS:
                 continue
             own, legs = found
@@ -360,52 +345,44 @@ def _timing(
 
 def _slope(record: Record) -> tuple[Array, list[int]] | None:
     """Slope of the positions [m/s]."""
-    found = _whole(record, "leg_position")
+    found = whole_legs(record, "leg_position")
     if found is None or record.time.size < 30:
         return None
     return np.gradient(found[0], 1.0 / record.rate, axis=0), found[1]
 
 
-def _shared(
-    one: tuple[Array, list[int]], other: tuple[Array, list[int]]
-) -> tuple[Array, Array, list[int]]:
-    """Both for the legs that both have."""
-    legs = sorted(set(one[1]) & set(other[1]))
-    return (*(v[:, [k.index(leg) for leg in legs]] for v, k in (one, other)), legs)  # type: ignore[return-value]
-
-
 def _velocity(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
-    slope, found = _slope(record), _whole(record, "leg_velocity")
+    slope, found = _slope(record), whole_legs(record, "leg_velocity")
     if slope is None or found is None:
         return
-    e, m, legs = _shared(slope, found)
+    e, m, legs = shared_legs(slope, found)
     fits = agree(e, m, record.rate, 1e-3, swaps(m, legs), shift=False)
     yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, LENGTHS)
 
 
 def _valves(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
-    slope, found = _slope(record), _whole(record, "valve_command")
+    slope, found = _slope(record), whole_legs(record, "valve_command")
     if slope is None or found is None:
         return
-    e, m, legs = _shared(slope, found)
+    e, m, legs = shared_legs(slope, found)
     fits = agree(e, m, record.rate, 2e-3, swaps(m, legs), shift=False, centred=True)
     if fits.left < 0.8 or fits.slip:
         yield from _judged("valves", "valve_command", "velocities", fits, {}, loose=True)
 
 
 def _force(record: Record, machine: Machine, plant: Hexapod) -> Iterator[Finding]:
-    cap, rod, place = (_whole(record, name) for name in (*PRESSURES, "leg_position"))
+    cap, rod, place = (whole_legs(record, name) for name in (*PRESSURES, "leg_position"))
     if cap is None or rod is None or place is None:
         return
-    p, q, legs = _shared(cap, rod)
+    p, q, legs = shared_legs(cap, rod)
     which = np.array(legs) - 1
     cylinders = plant.hydraulics.cylinder
     areas = cylinders.cap_area[which], cylinders.rod_area[which]
     force, slips = areas[0] * p - areas[1] * q, pressure_slips(p, q, areas, legs)
     friction = float(plant.hydraulics.friction.coulomb_friction.max())
-    measured = _whole(record, "leg_force")
+    measured = whole_legs(record, "leg_force")
     if measured is not None and set(legs) <= set(measured[1]):
-        own = _shared(measured, (p, legs))[0]
+        own = shared_legs(measured, (p, legs))[0]
         floor = friction + 0.02 * float(np.abs(own).mean())
         fits = agree(own, force, record.rate, floor, slips, shift=False)
         yield from _judged("force", "pressures", "leg_force", fits, PRESSURES_IN)
