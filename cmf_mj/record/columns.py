@@ -170,6 +170,7 @@ def read_mapped(
     >>> made = ColumnMap(time={"column": "t", "unit": "ms"}, channels={"leg_position": position})
     >>> read_mapped(file, made, cmf_mj.load_machine("lab"))["leg_position"][1, 0].item()
     0.005
+    >>> file.unlink()
     """
     if columns is None or columns == FACILITY:
         return read_recording(Path(path))
