@@ -2,8 +2,8 @@
 
     make site    # builds it in build/site; a broken link or reference is an error
 
-The machine, changes, contributing and security are models/README.md, CHANGELOG.md, CONTRIBUTING.md
-and SECURITY.md, whose links are turned to where they lie from here. A link to the README leads to
+The machine, changes and contributing are models/README.md, CHANGELOG.md and CONTRIBUTING.md with
+SECURITY.md, whose links are turned to where they lie from here. A link to the README leads to
 the first page. Equations become MathML, so that a page needs neither a script nor the network.
 
 The reference is read from the docstrings. They are plain text, equations set in by four columns,
@@ -82,9 +82,9 @@ _BORROWED = {
     "reference/machine": "models/README.md",
     "reference/changes": "CHANGELOG.md",
     "reference/contributing": "CONTRIBUTING.md",
-    "reference/security": "SECURITY.md",
 }
 _PLACES = {"README.md": "index", **{path: page for page, path in _BORROWED.items()}}
+_PLACES["SECURITY.md"] = "reference/contributing"
 _LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#]+)")
 _SECTION = re.compile(r"(Args|Returns|Raises|Yields|Attributes):$")
 _ITEM = re.compile(r"\s*(- |\* |\d+\. )")
@@ -134,7 +134,11 @@ def _read(_app: Any, page: str, source: list[str]) -> None:
         return os.path.relpath(places.get(target, target), (_HERE / page).parent)
 
     if page in _BORROWED:
-        source[0] = _LINK.sub(turned, borrowed.read_text(encoding="utf-8")) + "\n" + source[0]
+        text = borrowed.read_text(encoding="utf-8")
+        if page == _PLACES["SECURITY.md"]:
+            security = (_HERE.parent / "SECURITY.md").read_text(encoding="utf-8")
+            text += "\n" + re.sub("^#", "##", security, flags=re.MULTILINE)
+        source[0] = _LINK.sub(turned, text) + "\n" + source[0]
     elif borrowed.is_file():
         source[0] = _LINK.sub(turned, source[0]).replace("\n\n```\n", "\n```\n")
 

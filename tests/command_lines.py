@@ -16,6 +16,7 @@ LINES = {
     "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
+    "recording new": "recording new {facility} --file {out}/columns.toml",
     "replay": "replay {recording} --law model_following --out {out}",
     "fly": "fly gusts --no-delay --out {out}",
     "learn": "learn gusts --trials 1 --out {out}",

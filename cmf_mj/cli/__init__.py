@@ -19,6 +19,7 @@ from cmf_mj.cli import (  # noqa: F401
     fit,
     flight,
     machine,
+    recording,
     simulate,
     studies,
 )

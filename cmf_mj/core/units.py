@@ -44,8 +44,13 @@ _FACTORS: dict[str, float] = {
     "l/min": LITRE_PER_MINUTE,
     "lpm": LITRE_PER_MINUTE,
     "mm": constants.milli,
+    "cm": constants.centi,
+    "ms": constants.milli,
+    "us": constants.micro,
     "kN": constants.kilo,
     "bar": constants.bar,
+    "kPa": constants.kilo,
+    "MPa": constants.mega,
     "in": INCH,
     "ft": FOOT,
     "kt": KNOT,
@@ -63,6 +68,14 @@ _FACTORS: dict[str, float] = {
     "Hz": HERTZ,
 }
 
+_NAMES = {
+    **dict.fromkeys(("mm", "cm", "in", "ft"), "m"),
+    **dict.fromkeys(("bar", "kPa", "MPa", "psi"), "Pa"),
+    **{"kN": "N", "lbf": "N", "lbm": "kg", "deg": "rad", "%": "1", "ms": "s", "us": "s"},
+    **{"kt": "m/s", "g": "m/s^2"},
+}
+"""Units of recordings by their SI unit; those of SI are their own."""
+
 Value = TypeVar("Value", float, np.ndarray)
 
 
@@ -79,6 +92,17 @@ def factor(unit: str) -> float:
             raise InputError(f"unit: {unit!r} is not known; use {', '.join(sorted(_FACTORS))}")
         result = result * _FACTORS[part] if index == 0 else result / _FACTORS[part]
     return result
+
+
+def si_unit(unit: str) -> str:
+    """The SI unit of a quantity of a recording.
+
+    >>> si_unit("in/s^2")
+    'm/s^2'
+    """
+    factor(unit)
+    first, *rest = (_NAMES.get(part, part) for part in unit.split("/"))
+    return "/".join([first, *(part for part in rest if part != "1")])
 
 
 def to_si(unit: str, value: Value) -> Value:

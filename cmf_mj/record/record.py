@@ -14,13 +14,15 @@ from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json
+from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json, real, shaped
 from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.files import check_target, read_column, read_headed, write_parquet
 from cmf_mj.core.settings import FileHeader
+from cmf_mj.core.units import si_unit, to_si
+from cmf_mj.record.times import even_clock
 from cmf_mj.signals.composite import signal_of
 from cmf_mj.signals.signal import Signal
 
@@ -82,6 +84,33 @@ class Record:
         object.__setattr__(self, "channels", FrozenDict(histories))
         object.__setattr__(self, "units", FrozenDict(self.units))
         object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))
+
+    @staticmethod
+    def from_arrays(
+        time: ArrayLike,
+        channels: Mapping[str, ArrayLike],
+        units: Mapping[str, str],
+        metadata: Mapping[str, Any] | None = None,
+    ) -> "Record":
+        """A record of histories from anywhere, in the field's units.
+
+        Args:
+            time: even times [s], (N,); refused with the row where they are not.
+            channels: name to (N,) or (N, k) values.
+            units: name to unit, of SI or known to `core.units`.
+            metadata: what else is known; the rate is found.
+
+        >>> record = cmf_mj.Record.from_arrays([0, 0.5], {"speed": [1, 2]}, {"speed": "in/s"})
+        >>> record["speed"].tolist(), record.units["speed"], record.rate
+        ([0.0254, 0.0508], 'm/s', 2.0)
+        """
+        stamps = shaped("time", time, None)
+        clock, made = even_clock(stamps), {name: real(name, v) for name, v in channels.items()}
+        si = {name: unit if _SI.fullmatch(unit) else si_unit(unit) for name, unit in units.items()}
+        for name in set(made) & {name for name, unit in units.items() if unit != si[name]}:
+            made[name] = to_si(units[name], made[name])
+        known = {"command": {"kind": "recording"}} | dict(metadata or {})
+        return Record(clock.times(stamps.size), made, si, known | {"sample_rate": clock.rate})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How to make it again: frozen, as arrays alone would not be."""

@@ -1,0 +1,200 @@
+"""What `check_recording` says of recordings with one slip each, and of good ones."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+from shared import cmf
+
+from cmf_mj import Hexapod, Record, load_machine, simulate
+from cmf_mj.core.units import FOOT, PSI
+from cmf_mj.machine.machine import Machine
+from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
+from cmf_mj.studies.recordings import check_recording, verdict
+
+Array = NDArray[np.float64]
+
+LOADS = {"lab": 750.0, "simona": 8100.0, "cmf": 28000.0}  #: Static load of a leg [N].
+OTHER = {"lab": "original", "simona": "force", "cmf": "original"}  #: Another law than its own.
+RECORDED = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure", "valve_command")
+SECONDS = 24
+SWAPPED = [0, 4, 2, 3, 1, 5]
+
+
+def rough(machine: Machine) -> HydraulicParameters:
+    """The machine's hydraulics with friction, and valves of legs 2 and 5 that are 10 % off."""
+
+    def stated(value: float, unit: str) -> dict[str, Any]:
+        return {"value": value, "unit": unit, "status": "assumed", "source": "a test"}
+
+    table = hydraulics_of(machine).model_dump(exclude_none=True)
+    speed, load = table["leg_speed"], LOADS[machine.name]
+    table["coulomb_friction"] = stated(0.04 * load, "N")
+    table["breakaway_friction"] = stated(0.06 * load, "N")
+    table["actuators"] = {
+        leg: {"leg_speed": speed | {"value": speed["value"] * size}}
+        for leg, size in (("leg_2", 0.9), ("leg_5", 1.1))
+    }
+    return HydraulicParameters.model_validate(table)
+
+
+def motion(machine: Machine) -> Array:
+    """Smooth noise in all axes, at rest at both ends."""
+    count = SECONDS * machine.rate
+    sections = butter(2, 1.0, fs=machine.rate, output="sos")
+    noise = sosfiltfilt(sections, np.random.default_rng(3).normal(size=(count, 6)), axis=0)
+    at = np.arange(count) / machine.rate
+    fade = np.clip(np.minimum(at, at[::-1]) / 2.0, 0.0, 1.0)[:, None]
+    size = np.array([15.0, 15.0, 10.0, 20.0, 20.0, 20.0]) * 3e-3
+    return noise / noise.std(axis=0) * fade * size
+
+
+@cache
+def recorded(name: str, law: str) -> Record:
+    machine = load_machine(name)
+    plant = Hexapod(machine=machine, hydraulics=rough(machine))
+    return simulate(plant, law, motion(machine), record_every=4, electronics="noisy")
+
+
+def made(name: str, demand: str = "demand_pose", law: str = "", **changes: Any) -> Record:
+    """The recording, what a logger has of it, with changes of channels."""
+    record = recorded(name, law or load_machine(name).law)
+    channels = {one: np.array(record[one]) for one in (*RECORDED, demand)}
+    for channel, change in changes.items():
+        channels[channel] = change(channels[channel])
+    kept = {one: record.units[one] for one in channels}
+    return Record(record.time, channels, kept, record.metadata)
+
+
+def said(name: str, *args: str, **changes: Any) -> str:
+    return verdict(check_recording(made(name, *args, **changes), load_machine(name)))
+
+
+def swapped(values: Array) -> Array:
+    return values[:, SWAPPED]
+
+
+def reversed_axis(axis: int) -> Callable[[Array], Array]:
+    return lambda values: values * np.where(np.arange(6) == axis, -1.0, 1.0)
+
+
+def clipped(values: Array) -> Array:
+    most = np.where(np.arange(6) == 2, np.percentile(values[:, 2], 97), np.inf)
+    return np.minimum(values, most)
+
+
+def half_missing(values: Array) -> Array:
+    return np.where(np.arange(6) < 3, values, np.nan)
+
+
+def with_gap(values: Array) -> Array:
+    return np.where((np.arange(len(values)) // 30 == 40)[:, None], np.nan, values)
+
+
+def later(seconds: float) -> Callable[[Array], Array]:
+    return lambda values: np.roll(values, round(seconds * 512), axis=0)
+
+
+PRESSURES = ("cap_pressure", "rod_pressure")
+SLIPS: dict[str, tuple[dict[str, Any], str]] = {
+    "legs": ({"leg_position": swapped}, "legs 2 and 5 are exchanged"),
+    "all of a leg": (dict.fromkeys(RECORDED, swapped), "legs 2 and 5 are exchanged"),
+    "pressures": (
+        dict.fromkeys(PRESSURES, swapped),
+        "both pressures of legs 2 and 5 are exchanged",
+    ),
+    "feet": ({"leg_position": lambda v: v / FOOT}, "the file has ft where the map says m"),
+    "feet of the pose": (
+        {"demand_pose": lambda v: v / np.where(np.arange(6) < 3, FOOT, 1.0)},
+        "its lengths are in ft where the map says m",
+    ),
+    "degrees": (
+        {"demand_pose": lambda v: np.where(np.arange(6) < 3, v, np.degrees(v))},
+        "its angles are in deg where the map says rad",
+    ),
+    "psi": (
+        dict.fromkeys(PRESSURES, lambda v: v / PSI * 1e5),
+        "the file has psi where the map says bar",
+    ),
+    "heave": ({"demand_pose": reversed_axis(2)}, "heave has the other sign"),
+    "pitch": ({"demand_pose": reversed_axis(4)}, "pitch has the other sign"),
+    "leg": ({"leg_position": reversed_axis(3)}, "leg 4 has the other sign"),
+    "velocity": (
+        {"leg_velocity": np.negative},
+        "leg_velocity: against the slope of positions: all",
+    ),
+    "valves": ({"valve_command": np.negative}, "valve_command: against velocities: all legs have"),
+    "clock early": ({"demand_pose": later(0.2)}, "the clocks of the two are apart"),
+    "clock late": ({"demand_pose": later(-0.6)}, "the clocks of the two are apart"),
+    "clipped": ({"leg_position": clipped}, "leg 3 stays at"),
+    "gap": ({"leg_position": with_gap}, "30 samples without a number in 1 gaps, the longest from"),
+}
+
+
+@pytest.mark.parametrize("name", LOADS)
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_slip_is_named(name: str, slip: str) -> None:
+    changes, words = SLIPS[slip]
+    assert words in said(name, **changes)
+
+
+@pytest.mark.parametrize("name", LOADS)
+@pytest.mark.parametrize("demand", ["demand_pose", "leg_reference"])
+def test_a_good_recording_has_no_fault(name: str, demand: str) -> None:
+    """With noisy electronics, friction, and valves that are not alike."""
+    assert said(name, demand).startswith("the recording fits the machine")
+    assert said(name, demand, OTHER[name]).startswith("the recording fits the machine")
+
+
+@pytest.mark.parametrize("name", LOADS)
+def test_half_the_pressures_are_a_loss_that_is_stated(name: str) -> None:
+    words = said(name, **dict.fromkeys(PRESSURES, half_missing))
+    assert words.startswith("the recording fits the machine; lost: cap_pressure: legs 4 5 6 not")
+
+
+@pytest.mark.parametrize("name", LOADS)
+def test_two_laws_in_one_file_are_found(name: str) -> None:
+    """The same motion twice, under two laws; twice under one is fine."""
+    machine, own = load_machine(name), made(name)
+    for other, word in ((made(name, law=OTHER[name]), "another law"), (own, "the recording fits")):
+        channels = {one: np.concatenate([own[one], other[one]]) for one in own.channels}
+        time = np.arange(2 * own.time.size) / own.rate
+        joined = Record(time, channels, own.units, own.metadata)
+        assert word in verdict(check_recording(joined, machine))
+
+
+def test_delay_is_that_of_the_shift() -> None:
+    """A demand 50 ms earlier is 50 ms more of delay, to a sample."""
+    machine = load_machine("lab")
+
+    def delay(record: Record) -> float:
+        return next(f.value for f in check_recording(record, machine) if f.name == "clock")
+
+    earlier = delay(made("lab", demand_pose=later(-0.05))) - delay(made("lab"))
+    assert earlier == pytest.approx(1e3 * round(0.05 * 512) / 512, abs=2.0)
+
+
+def test_command_maps_and_checks(tmp_path: Path) -> None:
+    """Columns of her own, in ms, mm and bar: a guess of the map, then the check."""
+    record, columns = made("lab", "leg_reference"), {}
+    for channel, stem, size in (
+        ("leg_position", "x{}_mm", 1e-3),
+        ("leg_reference", "xref{}_mm", 1e-3),
+        ("cap_pressure", "pa{} [bar]", 1e5),
+        ("rod_pressure", "pb{} [bar]", 1e5),
+    ):
+        columns |= {stem.format(k + 1): record[channel][:, k] / size for k in range(6)}
+    table = np.column_stack([1e3 * record.time, *columns.values()])
+    file, found = tmp_path / "run.csv", tmp_path / "columns.toml"
+    header = ";".join(["t_ms", *columns])
+    np.savetxt(file, table, "%.5f", delimiter=";", header=header, comments="")
+    cmf("recording", "new", file, "--file", found)
+    check = ("recording", "check", file, "--columns", found, "--machine", "lab")
+    assert "the recording fits the machine" in cmf(*check)
+    found.write_text(found.read_text().replace('unit = "bar"', 'unit = "psi"'))
+    assert "the file has bar where the map says psi" in " ".join(cmf(*check, code=1).split())
