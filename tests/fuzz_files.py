@@ -12,7 +12,6 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.record import Record
 
-
 CAMPAIGN = """
 [recordings.sine]
 file = "facility.csv"

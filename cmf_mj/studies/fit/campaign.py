@@ -24,6 +24,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
@@ -33,11 +34,12 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import hydraulics_of
+from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.facility_csv import LEGS
-from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 
 FILE = "campaign.toml"  #: Name of a campaign's file in its folder.
@@ -161,25 +163,32 @@ def load_campaign(folder: str | Path) -> Campaign:
         plant = Hexapod(cab, hydraulics)
         unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
         law = settings.law or cab.machine.law
-        recordings = [_recording(where, name, law, settings) for name in settings.recordings]
+        recordings = [
+            _recording(where, name, law, settings, cab.machine) for name in settings.recordings
+        ]
     made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings))
     if not made.of(held_back=False):
         raise InputError(f"{path}: recordings: all are held back; allowed: at least one to fit")
     return made
 
 
-def _recording(folder: Path, name: str, law: str, settings: CampaignSettings) -> Recording:
+def _recording(
+    folder: Path, name: str, law: str, settings: CampaignSettings, machine: Machine
+) -> Recording:
     said = settings.recordings[name]
     with within(f"recordings.{name}"):
-        record = _read(folder / said.file)
+        columns = beside(folder, said.columns or settings.columns)
+        record = read_mapped(folder / said.file, columns, machine)
         driven = said.kind == "valves"
         given = "valve_command" if driven else "leg_reference"
         for channel in (given, MEASURED[0]):
             if channel not in record.channels:
                 raise InputError(f"{said.file}: {channel}: is missing; a {said.kind} needs it")
+        for channel in (given, *MEASURED):
+            gaps = np.isnan(record.channels.get(channel, np.zeros(1))).any(axis=-1)
+            if gaps.any():
+                at = record.time[int(np.argmax(gaps))]
+                allowed = "allowed: numbers; let the column map bridge what is short"
+                raise InputError(f"{said.file}: {channel}: has none at {at:g} s; {allowed}")
         chosen = None if driven else load_law(beside(folder, said.law or law))
     return Recording(name, said, record, chosen)
-
-
-def _read(path: Path) -> Record:
-    return Record.load(path) if path.suffix == ".parquet" else read_facility_csv(path)
