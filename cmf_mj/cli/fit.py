@@ -43,11 +43,11 @@ def fit_command(
 def next_command(
     campaign: Campaign,
     plan: Annotated[Path, Argument(metavar="PLAN", help="folder of `cmf campaign plan`")],
-    number: Annotated[str, Option(help="to be told better, or `damping` of the law")] = "damping",
+    number: Annotated[str, Option(help="to be known better, or `damping` of the law")] = "damping",
     jobs: options.Jobs = None,
     out: options.Out = Path("out/fit"),
 ) -> None:
-    """Say which planned recording would tell a number best, after a fit in OUT."""
+    """Say which planned recording would narrow a number most, after a fit in OUT."""
     from cmf_mj.core.result import Result, fields_of
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit

@@ -23,8 +23,8 @@ def numbers(posterior: Posterior) -> Figure:
     figure = new_figure(7.0, 0.28 * len(posterior.names) + 1.0)
     axes = figure.add_subplot()
     low, high = stats.norm.cdf(posterior.bounds())
-    told, place = posterior.identified(), np.arange(len(posterior.names))[::-1]
-    for chosen, colour, name in ((told, "C0", "told by the recordings"), (~told, "C3", "open")):
+    known, place = posterior.identified(), np.arange(len(posterior.names))[::-1]
+    for chosen, colour, name in ((known, "C0", "identified"), (~known, "C3", "open")):
         if chosen.any():
             axes.hlines(place[chosen], low[chosen], high[chosen], colour, lw=5, label=name)
     axes.plot(stats.norm.cdf(posterior.z), place, "k|")
@@ -44,7 +44,7 @@ def recordings(posterior: Posterior) -> Figure:
     label = f"{channel.replace('_', ' ')} 1 [{unit}]"
     figure, rows = stack(7.0, 2.0 * len(pieces) + 1.0, *[label] * len(pieces))
     for axes, one in zip(rows, pieces, strict=True):
-        found, since = one.simulated(machine), one.since - one.since[0]
+        found, since = one.simulated(machine, model.electronics), one.since - one.since[0]
         shown = since <= _SHOWN
         axes.plot(since[shown], scale * one.measured[channel][shown, 0], label="measured")
         axes.plot(since[shown], scale * found[channel][shown, 0], "--", label="fitted machine")

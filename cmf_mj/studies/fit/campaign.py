@@ -31,6 +31,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.settings import Name, Settings, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.electronics.chain import AnyElectronics, ElectronicsSettings
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
@@ -71,6 +72,8 @@ class CampaignSettings(Settings):
     hydraulics: str | None = None  #: The hydraulic set, default the machine's.
     law: str | None = None  #: The law it ran, default the machine's.
     columns: str | None = None  #: Column map of the files, default the facility's.
+    electronics: AnyElectronics = ElectronicsSettings()
+    """Sensors, converters and servo electronics whose lags are between machine and files."""
     clocks: bool = False
     """Whether demand and measurement were logged by two clocks: offset and skew are then fitted."""
     highest: Annotated[float, Field(gt=0.0)] = 50.0

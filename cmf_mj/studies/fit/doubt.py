@@ -36,7 +36,7 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.engine import Fitter, Look, Posterior
 from cmf_mj.studies.fit.likelihood import BLOCK, coefficients, information
-from cmf_mj.studies.fit.model import LEAD, Model, Piece, Residuals, minus
+from cmf_mj.studies.fit.model import Model, Piece, Residuals, minus
 from cmf_mj.studies.fit.results import nominal
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
                     rms,
                     rms / max(float(np.std(measured[channel])), 1e-300),
                     max(_correlated(still[:, i], demand[:, i]) for i in range(still.shape[1])),
-                    LEAD + worst * block * spacing,
+                    one.first / one.rate + worst * block * spacing,
                     float(sizes[worst]) / max(rms, 1e-300),
                 )
             )
@@ -171,12 +171,13 @@ def predicted(posterior: Posterior, machine: Plant | None = None) -> list[Predic
     plant = machine or model.machine(posterior.z)
     found = []
     for one in model.pieces:
-        simulated = one.simulated(plant)
-        gain, phase = _ratio(one.measured["leg_position"], simulated["leg_position"], one.rate)
+        simulated = one.simulated(plant, model.electronics)
+        measured = {name: value[one.first :] for name, value in one.measured.items()}
+        simulated = {name: value[one.first :] for name, value in simulated.items()}
+        gain, phase = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)
         shares = [
-            np.std(one.measured[c] - simulated[c] - (one.measured[c] - simulated[c]).mean(axis=0))
-            / np.std(one.measured[c])
-            for c in simulated
+            np.std(measured[c] - value - (measured[c] - value).mean(axis=0)) / np.std(measured[c])
+            for c, value in simulated.items()
             if c != "leg_position"
         ]
         found.append(Prediction(one.name, gain, phase, float(max(shares, default=0.0))))
@@ -331,7 +332,7 @@ class Doubt(NamedTuple):
     @property
     def verdict(self) -> str:
         """How far the fit may be trusted, in words."""
-        lines = [f"{one} and {other} cannot be told apart." for one, other in self.twins]
+        lines = [f"{one} and {other} cannot be separated." for one, other in self.twins]
         if self.explained:
             text = "The model explains the recordings: what is left does not go with the demand"
             text += ", no effect tried helps" if self.effects else ""

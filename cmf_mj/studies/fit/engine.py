@@ -47,7 +47,7 @@ _WIDEST = 4.0  #: Coordinates that an exchange may reach.
 
 
 class Posterior(NamedTuple):
-    """The numbers of a machine as recordings tell them."""
+    """The numbers of a machine as recordings show them."""
 
     campaign: Campaign
     names: tuple[str, ...]  #: Of all numbers.
@@ -80,12 +80,12 @@ class Posterior(NamedTuple):
         return order
 
     def identified(self) -> NDArray[np.bool_]:
-        """Whether the recordings tell each number: at least twice as narrow as before."""
+        """Whether the recordings show each number: at least twice as narrow as before."""
         low, high = self.bounds()
         return (high - low) < 0.5 * 2.0 * stats.norm.ppf(0.95)
 
     def digests(self) -> list[tuple[Recording, str]]:
-        """The recordings that were fitted, with what tells each from any other."""
+        """The recordings that were fitted, with the digest of each."""
         return [(one, digest(one.record)) for one in self.campaign.of(held_back=False)]
 
     def samples(self, count: int, seed: int = 0) -> Array:
@@ -326,7 +326,7 @@ def _twins(
 
 
 def digest(record: Record) -> str:
-    """What tells a recording from another."""
+    """Digest of a recording."""
     found = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
     for name in sorted(record.channels):
         found.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())

@@ -1,9 +1,10 @@
 """What a machine with given numbers would have measured: each recording simulated again.
 
 The demand of the legs is interpolated by a cubic spline to the control rate and played to the
-recording's law on the plant with the numbers; sensors and electronics are ideal, since noise is
-what the likelihood explains. The machine begins at rest at the first demand, `LEAD` before the
-recording, whose first `LEAD` is left out too: what moved before is forgotten then.
+recording's law on the plant with the numbers. Sensors and electronics have their lags, ranges and
+constant errors, but neither noise nor steps, which are what the likelihood explains. The machine
+begins at rest at the first demand, `LEAD` before the recording. What moved before is not known, and
+stuck cylinders remember it until they move, so that `SETTLING` of a recording is left out.
 
 The residual, measured less simulated, is low-passed below `top` without phase and taken at about
 2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
@@ -17,16 +18,21 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
 
 Array = NDArray[np.float64]
 
-LEAD = 0.5  #: Rest before a recording, and what is left out of its beginning [s].
+LEAD = 0.5  #: Rest before a recording [s].
+SETTLING = (3.0, 0.15)
+"""What is left out of a recording's beginning: so long [s], but at most this share of it."""
 
 _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
 
@@ -51,14 +57,20 @@ class Piece(NamedTuple):
     measured: Mapping[str, Array]  #: By channel, (samples, legs).
     demand: Array  #: Of the legs, or of the valves, (samples, legs).
     rate: float  #: Of the recording [Hz].
+    first: int  #: Sample from which it counts.
 
-    def simulated(self, plant: Plant, clock: Sequence[float] = (0.0, 0.0)) -> dict[str, Array]:
+    def simulated(
+        self,
+        plant: Plant,
+        electronics: ElectronicsSettings | None,
+        clock: Sequence[float] = (0.0, 0.0),
+    ) -> dict[str, Array]:
         """The channels as the machine would have measured them.
 
         `clock` is how late the measurement's clock is [s], and by how much it gains on the demand's
         [s/s]. Raises `OutOfBounds` as `simulate`.
         """
-        record = Run(plant=plant, **self.how).record()
+        record = Run(plant=plant, electronics=electronics, **self.how).record()
         late, gain = clock
         at = self.since + late + gain * (self.since - LEAD)
         return {
@@ -87,7 +99,26 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
         "command_delay": 0 if driven else 1,
     }
     measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
-    return Piece(recording.name, how, time + lead / rate, measured, given, record.rate)
+    first = int(min(SETTLING[0], SETTLING[1] * record.time.size / record.rate) * record.rate)
+    since = time + lead / rate
+    return Piece(recording.name, how, since, measured, given, record.rate, first)
+
+
+def without_noise(chosen: ElectronicsSettings | None, machine: Machine) -> Any:
+    """Electronics with neither noise nor steps of sensors, ADC and DAC."""
+    if chosen is None:
+        return None
+    parts = chosen.of(machine)
+    none = {"noise_density": None, "resolution": None}
+    channels = {name: getattr(parts.sensors, name).model_copy(update=none) for name in CHANNELS}
+    endless = parts.servo.dac_bits.model_copy(update={"value": 0})
+    return chosen.model_copy(
+        update={
+            "sensors": parts.sensors.model_copy(update=channels),
+            "converters": parts.converters.model_copy(update={"quantise": False}),
+            "servo": parts.servo.model_copy(update={"dac_bits": endless}),
+        }
+    )
 
 
 class Model:
@@ -107,6 +138,7 @@ class Model:
     ) -> None:
         """Take the recordings that are fitted, or those held back, up to `top` [Hz]."""
         self.plant, self.unknowns = campaign.plant, campaign.unknowns
+        self.electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
         self.top = min(top or np.inf, campaign.settings.highest)
         chosen = campaign.of(held_back)
         self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
@@ -131,14 +163,15 @@ class Model:
         found = {}
         for number, one in enumerate(self.pieces):
             clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
-            found[one.name] = self.compared(one, one.simulated(plant, clock))
+            simulated = one.simulated(plant, self.electronics, clock)
+            found[one.name] = self.compared(one, simulated)
         return found
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
         """Residuals of one recording by channel, low-passed and thinned."""
         top = min(self.top, 0.4 * one.rate)
         sections = signal.butter(4, top, fs=one.rate, output="sos")
-        every, first = max(1, int(one.rate / (2.5 * top))), int(LEAD * one.rate)
+        every, first = max(1, int(one.rate / (2.5 * top))), one.first
         return {
             name: signal.sosfiltfilt(sections, one.measured[name] - value, axis=0)[first::every]
             for name, value in simulated.items()

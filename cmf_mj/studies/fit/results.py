@@ -1,6 +1,6 @@
 """What a fit leaves: numbers with intervals, the fitted machine as files, samples, a box.
 
-    numbers.csv       each number: value, 90 % interval, unit, whether the recordings tell it
+    numbers.csv       each number: value, 90 % interval, unit, whether the recordings show it
     machine.toml      the machine with cab and hydraulic set, numbers of status `identified`
     box.toml          how far its numbers may be off, for `cmf certify`
     samples.parquet   machines that the recordings allow, a row each, a column a number
@@ -97,7 +97,7 @@ def unit_of(path: str) -> str:
 def numbers(posterior: Posterior) -> Table:
     """Every number with its 90 % interval."""
     low, high = physical(posterior, posterior.bounds())
-    value, told = physical(posterior, posterior.z), posterior.identified()
+    value, known = physical(posterior, posterior.z), posterior.identified()
     rows = [
         (
             path,
@@ -105,7 +105,7 @@ def numbers(posterior: Posterior) -> Table:
             float(low[i]),
             float(high[i]),
             unit_of(path),
-            "yes" if told[i] else "no",
+            "yes" if known[i] else "no",
         )
         for i, path in enumerate(paths(posterior))
     ]

@@ -36,20 +36,20 @@ _STEP = 0.1  #: Of the coordinates, for the gradient of the damping.
 
 
 class Worth(NamedTuple):
-    """What a planned recording would tell."""
+    """What a planned recording would give."""
 
     recording: str
-    wanted: Annotated[float, Field(title="deviation of it, after over before", form=".3f")]
+    sought: Annotated[float, Field(title="deviation of it, after over before", form=".3f")]
     mean: Annotated[float, Field(title="geometric mean of all", form=".3f")]
 
 
-def worth(posterior: Posterior, plan: str | Path, wanted: str, jobs: int = 2) -> list[Worth]:
+def worth(posterior: Posterior, plan: str | Path, sought: str, jobs: int = 2) -> list[Worth]:
     """Recordings of a plan's folder, the best first.
 
-    `wanted` is one of the posterior's names, or `damping`: the least of the campaign's law.
+    `sought` is one of the posterior's names, or `damping`: the least of the campaign's law.
     """
-    check_name("number", wanted, (*posterior.names, DAMPING))
-    gradient = _gradient(posterior, wanted)
+    check_name("number", sought, (*posterior.names, DAMPING))
+    gradient = _gradient(posterior, sought)
     size = posterior.z.size
     before = posterior.look.found.matrix[:size, :size] + np.eye(size)
     here = np.linalg.inv(before)
@@ -59,14 +59,14 @@ def worth(posterior: Posterior, plan: str | Path, wanted: str, jobs: int = 2) ->
         ratio = np.sqrt(np.diag(after) / np.diag(here))
         narrower = np.sqrt(gradient @ after @ gradient / (gradient @ here @ gradient))
         found.append(Worth(one.name, float(narrower), float(np.exp(np.log(ratio).mean()))))
-    return sorted(found, key=lambda one: one.wanted)
+    return sorted(found, key=lambda one: one.sought)
 
 
-def _gradient(posterior: Posterior, wanted: str) -> Array:
+def _gradient(posterior: Posterior, sought: str) -> Array:
     """Of a number, or of the least damping, by the coordinates."""
     unit = np.eye(posterior.z.size)
-    if wanted != DAMPING:
-        return np.asarray(unit[posterior.names.index(wanted)])
+    if sought != DAMPING:
+        return np.asarray(unit[posterior.names.index(sought)])
     known, base = posterior.campaign.unknowns, posterior.campaign.plant
     law = posterior.campaign.of(held_back=False)[0].law or load_law(base.machine.law)
     values = Fitter(posterior.campaign, "slow", 1).model.values
@@ -108,7 +108,7 @@ def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
     fitter = Fitter(alone, "whole", jobs)
     plant = fitter.model.machine(posterior.z)
     one = piece(planned, posterior.campaign.plant)
-    made = one._replace(measured=one.simulated(plant))
+    made = one._replace(measured=one.simulated(plant, fitter.model.electronics))
     fitter.model.pieces = (made,)
     here = fitter.residuals(posterior.z)
     slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))

@@ -103,7 +103,7 @@ def test_a_held_back_recording_is_predicted(found: tuple[Posterior, Path]) -> No
     assert [one.recording for one in doubts.predictions] == ["axis_4"]
     assert doubts.predictions[0].close
     assert doubts.explained, doubts.verdict
-    assert "cannot be told apart" in doubts.verdict
+    assert "cannot be separated" in doubts.verdict
 
 
 def test_the_fitted_machine_is_a_file_that_commands_take(found: tuple[Posterior, Path]) -> None:
