@@ -1,7 +1,7 @@
 """What a machine with given numbers would have measured: each recording simulated again.
 
-The demand of the legs is interpolated by a cubic spline to the control rate and played to the
-recording's law on the plant with the numbers. Sensors and electronics have their lags, ranges and
+The demand of the legs, interpolated by a cubic spline to the control rate (steps are held from row
+to row), is played to the recording's law on the plant with the numbers. Sensors and electronics have their lags, ranges and
 constant errors, but neither noise nor steps, which are what the likelihood explains. The machine
 begins at rest at the first demand, `LEAD` before the recording. What moved before is not known, and
 stuck cylinders remember it until they move, so that `SETTLING` of a recording is left out.
@@ -87,7 +87,10 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
     lead = round(LEAD * rate)
     driven = recording.law is None
     given = record["valve_command" if driven else "leg_reference"][:count]
-    rows = CubicSpline(time, given)(frames)
+    if recording.settings.kind == "step":
+        rows = given[(frames * record.rate + 1e-6).astype(int)]
+    else:
+        rows = CubicSpline(time, given)(frames)
     rows = np.concatenate([np.repeat(given[:1] * (not driven), lead, axis=0), rows])
     begin = record["leg_position"][0] if driven else given[0]
     source = ValveCommands(np.clip(rows, -1.0, 1.0)) if driven else LegDemand(rows)

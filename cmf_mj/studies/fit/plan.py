@@ -157,6 +157,11 @@ def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
     return {**named} | files
 
 
+def _on_rows(time: float) -> float:
+    """The nearest time that a row of every recording has."""
+    return round(time * RATE) / RATE
+
+
 def demand(run: Run) -> Array:
     """Poses of all frames of a run of signals (N, 6) [m, rad], z down."""
     layered = LayeredDemand(added(run.signal, run.seed, run.rate))
@@ -269,9 +274,11 @@ def _planned(room: Room, span: float) -> dict[str, Planned]:
         ]
 
     def steps(size: float) -> list[dict[str, Any]]:
-        one = {"kind": "pulse", "width": 0.4 * slot}
+        one = {"kind": "pulse", "width": _on_rows(0.4 * slot)}
         sizes = enumerate(_rounded(size * room.reach))
-        pulses = ({"dof": DOFS[i], "amplitude": a, "at": (i + 0.2) * slot} for i, a in sizes)
+        pulses = (
+            {"dof": DOFS[i], "amplitude": a, "at": _on_rows((i + 0.2) * slot)} for i, a in sizes
+        )
         return once(*(one | pulse for pulse in pulses))
 
     def everything(first: int, where: Mapping[str, float] | None, size: float) -> Any:
