@@ -239,6 +239,27 @@ def fit(
 
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
+
+    >>> from pathlib import Path
+    >>> heavy = cmf_mj.load_cab(None, "lab").changed("heavy", mass=330.0)
+    >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=1.0, cycles=8)
+    >>> how = {"electronics": "noisy", "record_every": 16}
+    >>> record = cmf_mj.simulate(cmf_mj.Hexapod(heavy), "original", command, **how)
+    >>> file = record.save("surge.parquet")
+    >>> said = '''machine = "lab"
+    ... law = "original"
+    ... [recordings.surge]
+    ... file = "surge.parquet"
+    ... kind = "multisine"
+    ... [unknowns.mass]
+    ... path = "cab.mass"
+    ... deviation = 30.0
+    ... source = "a guess"'''
+    >>> written = Path("campaign.toml").write_text(said)
+    >>> mine = cmf_mj.fit(".", "out")
+    >>> from cmf_mj.studies.fit.results import physical
+    >>> print(f"{physical(mine, mine.z)[0]:.0f} kg")
+    330 kg
     """
     campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     say = progress or (lambda text: None)

@@ -31,7 +31,7 @@ from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
 Array = NDArray[np.float64]
 
 LEAD = 0.5  #: Rest before a recording [s].
-SETTLING = (3.0, 0.15)
+SETTLING = (3.0, 0.3)
 """What is left out of a recording's beginning: so long [s], but at most this share of it."""
 
 _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
