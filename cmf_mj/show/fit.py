@@ -29,7 +29,8 @@ def numbers(posterior: Posterior) -> Figure:
             axes.hlines(place[chosen], low[chosen], high[chosen], colour, lw=5, label=name)
     axes.plot(stats.norm.cdf(posterior.z), place, "k|")
     axes.set_yticks(place, posterior.names)
-    axes.set(xlim=(0.0, 1.0), xlabel="quantile of what the data sheet allows")
+    title = "90 % intervals of the machine's numbers"
+    axes.set(xlim=(0.0, 1.0), xlabel="quantile of what the data sheet allows", title=title)
     legend(axes)
     return figure
 
@@ -48,6 +49,6 @@ def recordings(posterior: Posterior) -> Figure:
         shown = since <= _SHOWN
         axes.plot(since[shown], scale * one.measured[channel][shown, 0], label="measured")
         axes.plot(since[shown], scale * found[channel][shown, 0], "--", label="fitted machine")
-        axes.set_title(one.name)
+        axes.set_title(f"{channel.replace('_', ' ')} of leg 1, {one.name.replace('_', ' ')}")
     legend(rows[0])
     return figure

@@ -15,6 +15,7 @@ OTHERS = {
     "report",
     "export",
     "campaign plan",
+    "recording new",
     "video",
     *(f"machine {w}" for w in ("new", "build")),
 }

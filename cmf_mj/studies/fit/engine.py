@@ -240,12 +240,14 @@ def fit(
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
 
+    >>> import tempfile
     >>> from pathlib import Path
+    >>> folder = Path(tempfile.mkdtemp())
     >>> heavy = cmf_mj.load_cab(None, "lab").changed("heavy", mass=330.0)
     >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=1.0, cycles=8)
     >>> how = {"electronics": "noisy", "record_every": 16}
     >>> record = cmf_mj.simulate(cmf_mj.Hexapod(heavy), "original", command, **how)
-    >>> file = record.save("surge.parquet")
+    >>> file = record.save(folder / "surge.parquet")
     >>> said = '''machine = "lab"
     ... law = "original"
     ... [recordings.surge]
@@ -255,8 +257,8 @@ def fit(
     ... path = "cab.mass"
     ... deviation = 30.0
     ... source = "a guess"'''
-    >>> written = Path("campaign.toml").write_text(said)
-    >>> mine = cmf_mj.fit(".", "out")
+    >>> written = (folder / "campaign.toml").write_text(said)
+    >>> mine = cmf_mj.fit(folder, folder / "out")
     >>> from cmf_mj.studies.fit.results import physical
     >>> print(f"{physical(mine, mine.z)[0]:.0f} kg")
     330 kg
@@ -315,7 +317,7 @@ def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
     over = ended or gained < enough or (stage == "slow" and look.promise < enough)
     return {
         "x": look.x.tolist(),
-        "width": (width if ended else np.clip(deviation, 2e-3, 0.03)).tolist(),
+        "width": (np.clip(deviation, 2e-3, 0.03) if gained > 0.0 else width).tolist(),
         "merit": look.merit,
         "gain": gained,
         "done": bool(over),

@@ -1,10 +1,11 @@
 """What a machine with given numbers would have measured: each recording simulated again.
 
 The demand of the legs, interpolated by a cubic spline to the control rate (steps are held from row
-to row), is played to the recording's law on the plant with the numbers. Sensors and electronics have their lags, ranges and
-constant errors, but neither noise nor steps, which are what the likelihood explains. The machine
-begins at rest at the first demand, `LEAD` before the recording. What moved before is not known, and
-stuck cylinders remember it until they move, so that `SETTLING` of a recording is left out.
+to row), is played to the recording's law on the plant with the numbers. Sensors and electronics
+have their lags, ranges and constant errors, but neither noise nor steps, which are what the
+likelihood explains. The machine begins at rest at the first demand, `LEAD` before the recording.
+What moved before is not known, and chambers of cylinders at rest forget it slowly, so that
+`SETTLING` of a recording is left out.
 
 The residual, measured less simulated, is low-passed below `top` without phase and taken at about
 2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
