@@ -121,7 +121,7 @@ def _fits(out: Path) -> dict[str, Path]:
 
 def fit(options: argparse.Namespace) -> None:
     """Fit each machine that has no result."""
-    from cmf_mj.studies.fit import results
+    from cmf_mj.studies.fit import doubt, results
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit as fit_campaign
 
@@ -136,8 +136,13 @@ def fit(options: argparse.Namespace) -> None:
         except Exception as error:  # one machine must not keep the others from being fitted
             print(f"{name}: {type(error).__name__}: {error}", flush=True)
             continue
-        write_json(folder / TIME, {"seconds": time.monotonic() - began})
-        print(f"{name}: fitted in {time.monotonic() - began:.0f} s", flush=True)
+        taken, held = time.monotonic() - began, doubt.predicted(posterior)
+        off = {
+            "gain": max((abs(one.gain) for one in held), default=0.0),
+            "phase": max((abs(one.phase) for one in held), default=0.0),
+        }
+        write_json(folder / TIME, {"seconds": taken} | off)
+        print(f"{name}: fitted in {taken:.0f} s", flush=True)
 
 
 def compared(truth: dict[str, float], rows: list[dict[str, str]]) -> list[dict[str, Any]]:
@@ -167,17 +172,19 @@ def score(options: argparse.Namespace) -> None:
         truth = json.loads((out / f"{name}.truth.json").read_text(encoding="utf-8"))["numbers"]
         with (folder / RESULT).open(encoding="utf-8", newline="") as file:
             lines = compared(truth, list(csv.DictReader(file)))
-        taken = json.loads((folder / TIME).read_text(encoding="utf-8"))["seconds"]
-        table.append((name, *summed(lines), taken))
+        said = json.loads((folder / TIME).read_text(encoding="utf-8"))
+        table.append((name, *summed(lines), said["gain"], said["phase"], said["seconds"]))
         every += [line | {"machine": name} for line in lines]
     columns = ("machine", "number", "truth", "value", "low", "high", "identifiable", "holds")
     rows = [[line.get(key, "") for key in (*columns, "error")] for line in every]
     write_csv(out / "score.csv", (*columns, "error"), rows)
-    print("machine    known  of  held  share  median error  time [s]")
-    for name, *line in [*table, ("all", *summed(every), sum(one[-1] for one in table))]:
-        known, of, held, error, taken = line
+    print("machine    known  of  held  share  median error  held back [dB, deg]  time [s]")
+    worst = [max(column) for column in zip(*(one[-3:] for one in table), strict=True)]
+    for name, *line in [*table, ("all", *summed(every), *worst)] if table else []:
+        known, of, held, error, gain, phase, taken = line
         share = f"{held / known:6.1%}" if known else "     -"
-        print(f"{name:10} {known:5} {of:3} {held:5} {share} {error:13.2%} {taken:9.0f}")
+        numbers = f"{name:10} {known:5} {of:3} {held:5} {share} {error:13.2%}"
+        print(f"{numbers} {gain:12.2f} {phase:6.1f} {taken:9.0f}")
 
 
 def summed(lines: list[dict[str, Any]]) -> tuple[int, int, int, float]:
