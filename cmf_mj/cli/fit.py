@@ -45,15 +45,15 @@ def next_command(
     plan: Annotated[Path, Argument(metavar="PLAN", help="folder of `cmf campaign plan`")],
     number: Annotated[str, Option(help="to be known better, or `damping` of the law")] = "damping",
     jobs: options.Jobs = None,
-    out: options.Out = Path("out/fit"),
+    fitted: Annotated[Path, Option("--fit", metavar="FOLDER", help="of the fit")] = Path("out/fit"),
 ) -> None:
-    """Say which planned recording would narrow a number most, after a fit in OUT."""
+    """Say which planned recording would narrow a number most, after a fit."""
     from cmf_mj.core.result import Result, fields_of
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit
     from cmf_mj.studies.fit.worth import Worth, worth
 
     jobs = jobs or os.cpu_count() or 1
-    posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
+    posterior = fit(load_campaign(campaign), fitted, jobs=jobs, progress=echo)
     rows = worth(posterior, plan, number, jobs)
     show(Result(rows, fields_of(Worth), f"What to record next for {number}").table)

@@ -25,7 +25,6 @@ from scipy import optimize
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
-from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.result import Field
 from cmf_mj.facility.scenario import load_scenario
@@ -238,7 +237,9 @@ def _attack(
     options = {"bounds": [-1.0, 1.0], "seed": seed % (2**32 - 1) + 1, "verbose": -9, "popsize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        strategy = require("cma", "search").CMAEvolutionStrategy(0.95 * best[1], 0.3, options)
+        import cma
+
+        strategy = cma.CMAEvolutionStrategy(0.95 * best[1], 0.3, options)
     for _ in range(rounds):
         if best[0] <= enough or strategy.stop():
             break

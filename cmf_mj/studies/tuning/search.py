@@ -25,7 +25,7 @@ import tomlkit
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
-from cmf_mj.core.errors import InputError, check_name, require
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.studies.engine import libraries
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate, least_damping
@@ -138,7 +138,8 @@ def search(
     options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 12}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        cma = require("cma", "search")
+        import cma
+
         strategy = cma.CMAEvolutionStrategy((first - low) / (high - low), chosen.spread, options)
     best, tried = (np.inf, first.tolist()), 0
     while tried < evaluations and not strategy.stop():
