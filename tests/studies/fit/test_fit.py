@@ -131,6 +131,7 @@ def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None
     assert np.array_equal(again.covariance, posterior.covariance)
 
 
+@pytest.mark.slow
 def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
     """2 % of the spool's travel: the model is said not to explain, and overlap would help most."""
     made = campaign(tmp_path / "campaign", hidden(overlap=0.02))
