@@ -3,7 +3,7 @@
     a[k+1] = pole a[k] + gain a_measured[k]          accelerometer filter, Eq 3.6
     F = (p_cap - p_rod) A,  A = 11.97 in^2 (CMF)     force from pressures, Eq 3.7
 
-Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s and is what runs.
+Eq 3.5 prints 0.312 / (0.2 s + 0.312); Eq 3.6 is the zero-order hold with 0.02 s and is what runs.
 
 White noise in the accelerometer leaves its filter smaller by gain / sqrt(1 - pole^2), which for a
 gain of 1 - pole is sqrt((1 - pole) / (1 + pole)).
