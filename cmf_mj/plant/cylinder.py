@@ -1,8 +1,8 @@
 """Double-acting cylinders: force, chamber volumes, stiffness, pressures of a held load, friction.
 
-With x the extension from neutral and h the half stroke (no dead volume),
+With x the extension from neutral, h the half stroke and D the dead volumes,
 
-    F = A_cap p_cap - A_rod p_rod,    V_cap = A_cap (h + x),    V_rod = A_rod (h - x)
+    F = A_cap p_cap - A_rod p_rod,  V_cap = A_cap (h + x) + D_cap,  V_rod = A_rod (h - x) + D_rod
     leakage L (p_cap - p_rod) from cap to rod, B (p_rod - Pt) from the rod bearing to the return
 
 so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - x)), and K(0) over
@@ -90,6 +90,10 @@ class Cylinder(NamedTuple):
     return_hose: float  #: Laminar resistance from the valves to the return manifold [Pa s/m^3].
     settle_gain: float  #: Settle valve on the cap's side [m^3/s/sqrt(Pa)].
     settle_rod_gain: float  #: Settle valve on the rod's side [m^3/s/sqrt(Pa)].
+    cap_dead_volume: float  #: D_cap [m^3].
+    rod_dead_volume: float  #: D_rod [m^3].
+    cap_throttle: float  #: Laminar resistance between the valves and the cap chamber [Pa s/m^3].
+    rest_pressure: float  #: Rod pressure at the start without leakage [Pa]; 0: null of the valve.
 
 
 def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
@@ -143,7 +147,10 @@ def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
     """Chamber volumes (V_cap, V_rod) [m^3] at an extension from neutral [m]."""
     cap = _length(cylinder, cylinder.half_stroke + extension)
     rod = _length(cylinder, cylinder.half_stroke - extension)
-    return cylinder.cap_area * cap, cylinder.rod_area * rod
+    return (
+        cylinder.cap_area * cap + cylinder.cap_dead_volume,
+        cylinder.rod_area * rod + cylinder.rod_dead_volume,
+    )
 
 
 @compiled
@@ -169,17 +176,19 @@ def stiffness(
     gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
     end = _END * gap
 
-    def column(travel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative fall of a chamber's volume per travel [1/m]."""
+    def column(travel: NDArray[np.float64], dead: ArrayLike) -> NDArray[np.float64]:
+        """Relative fall of a chamber's volume per travel [1/m]; `dead` is D over the area [m]."""
         share = 1.0 - np.clip(travel, 0.0, end) / end
         beyond = np.clip(-travel, 0.0, gap)
         last = 1.0 - 2.0 * gap / end
         length = np.maximum(travel, 0.0) + gap * share * share
         length = length - last * (beyond - 0.5 * beyond * beyond / gap)
-        return (1.0 - 2.0 * gap / end * share) * (1.0 - beyond / gap) / length
+        return (1.0 - 2.0 * gap / end * share) * (1.0 - beyond / gap) / (length + dead)
 
+    cap, rod = cylinder.cap_area, cylinder.rod_area
     return bulk_modulus * (
-        cylinder.cap_area * column(half + x) + cylinder.rod_area * column(half - x)
+        cap * column(half + x, cylinder.cap_dead_volume / cap)
+        + rod * column(half - x, cylinder.rod_dead_volume / rod)
     )
 
 
@@ -190,8 +199,8 @@ def holding_pressures(
 
     Loads (n,) that press the leg together are positive; the cylinder is one, or one for each.
     Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Without leakage any pair with the
-    right force stays, and with leakage and equal areas none does: then the valve's own null
-    p_cap + p_rod = Ps + Pt is taken. The pair is kept between return and supply pressure as far as
+    right force stays, and with leakage and equal areas none does: then `rest_pressure` is taken, or
+    where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and supply pressure as far as
     the load allows; loads beyond the stall forces are refused.
     """
     loads = np.atleast_1d(np.asarray(load, dtype=float))
@@ -205,10 +214,11 @@ def holding_pressures(
             f"{supply:.0f} Pa; allowed: {low[leg]:.0f} to {high[leg]:.0f} N"
         )
     apart = cap_area - rod_area
+    null = (cap_area * (supply + tank) - loads) / (cap_area + rod_area)
     rod = np.where(
         (cylinder.leakage > 0.0) & (apart > 0.0),
         loads / np.where(apart > 0.0, apart, 1.0),
-        (cap_area * (supply + tank) - loads) / (cap_area + rod_area),
+        np.where(cylinder.rest_pressure > 0.0, cylinder.rest_pressure, null),
     )
     # p_rod must lie in [tank, supply] and so must p_cap = (F + A_rod p_rod) / A_cap.
     least = np.maximum(tank, (cap_area * tank - loads) / rod_area)

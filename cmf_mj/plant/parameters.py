@@ -54,6 +54,17 @@ class _Actuator(_Valve):
     half_stroke: kind.Length  #: Half of the mechanical stroke, the chamber lengths at neutral.
     minimum_gap: kind.Length
     """Length of a chamber at its stop; approached over the last twenty times of it."""
+    cap_dead_volume: kind.DeadVolume
+    """Oil between piston and valve beside the cap chamber's, with the bulk modulus of all oil: a
+    volume V in hoses of modulus Bh counts as V (1/Bo + 1/Bh) times the bulk modulus."""
+    rod_dead_volume: kind.DeadVolume  #: The same on the rod's side.
+    cap_throttle: (
+        kind.Line
+    )  #: Laminar resistance between the valves and the cap chamber, both ways.
+    rod_port: kind.Ratio
+    """Flow gain of the rod's ports over that of matched ones: Ac / Ar where all ports are equal."""
+    rest_pressure: kind.Gauge
+    """Rod pressure of a run's start, where no leakage sets it; 0 for the null of the valve."""
     leg_speed: kind.LegSpeed
     """Steady leg speed per command with half the supply pressure across each port."""
     leak_rate: kind.Rate

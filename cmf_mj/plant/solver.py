@@ -165,8 +165,9 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             pair, cylinder = chambers[leg], cylinders[leg]
             cap, rod = pair.cap, pair.rod
             inward, outward = cylinder.supply_hose, cylinder.return_hose
-            pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, inward, laminar, high - cap)
-            pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, outward, laminar, cap - low)
+            into, out = inward + cylinder.cap_throttle, outward + cylinder.cap_throttle
+            pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, into, laminar, high - cap)
+            pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, out, laminar, cap - low)
             pair.rod_enters, pair.rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
             pair.rod_leaves, pair.rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
         for leg in range(legs):
@@ -218,6 +219,7 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             )
             lost_hose += inward * (cap_in * cap_in + rod_in * rod_in)
             lost_hose += outward * (cap_out * cap_out + rod_out * rod_out)
+            lost_hose += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
             lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
 
         rise, fall, largest = 0.0, 0.0, 0.0

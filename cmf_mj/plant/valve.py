@@ -45,7 +45,7 @@ class Valve(NamedTuple):
     mixed: float  #: The same after a whole step.
     spool: float  #: The same after a whole step.
     cap_gain: float  #: k A_cap, cap port flow at full opening [m^3/s/sqrt(Pa)].
-    rod_gain: float  #: k A_rod, rod port flow at full opening [m^3/s/sqrt(Pa)].
+    rod_gain: float  #: k A_rod times `rod_port`, rod port flow at full opening [m^3/s/sqrt(Pa)].
     null_bias: float  #: n, fraction.
     overlap: float  #: o, fraction.
     play: float  #: Half of the hysteresis, fraction.
@@ -80,7 +80,7 @@ def make_valves(
             mixed=weights[1],
             spool=weights[2],
             cap_gain=speed * cap_area(numbers),
-            rod_gain=speed * rod_area(numbers),
+            rod_gain=speed * rod_area(numbers) * numbers["rod_port"].si,
             play=0.5 * numbers["hysteresis"].si,
         )
 

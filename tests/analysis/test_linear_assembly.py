@@ -237,9 +237,13 @@ def test_the_compiled_step_has_the_same_response(
 
 
 def test_slopes_are_those_of_the_flows() -> None:
-    """At an opening, in a cushion and behind hoses, by central differences."""
+    """At an opening, in a cushion and behind hoses and a throttle, by central differences."""
     plant = SingleLegs(
-        changed("hardware", bearing_leakage=7e-4, cushion_length=5.0, supply_hose=0.3)
+        changed(
+            "hardware",
+            **{"bearing_leakage": 7e-4, "cushion_length": 5.0, "supply_hose": 0.3},
+            **{"cap_throttle": 0.4, "rod_port": 1.7},
+        )
     )
     spools, extension = np.array([-0.02, 0.013]), -0.9
     pressures = np.array([5.1e6, 3.2e6, 1.02e7, 2e5])

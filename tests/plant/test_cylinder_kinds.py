@@ -11,6 +11,8 @@ import pytest
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.plant.attach import attach_hydraulics
+from cmf_mj.plant.cylinder import stiffness
+from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
@@ -92,3 +94,48 @@ def test_a_sealed_cylinder_holds_a_shut_leg_and_a_hydrostatic_one_lets_it_creep(
         record = cmf_mj.drive(lift(parameters), np.zeros((4096, 1)))
         moved.append(float(np.ptp(record["leg_extension"])))
     assert moved[0] < 1e-6 < 1e-4 < moved[1]
+
+
+def test_dead_volumes_soften_the_oil() -> None:
+    """w^2 m = beta (A_cap^2 / (A_cap h + D_cap) + A_rod^2 / (A_rod h + D_rod))."""
+    parameters = changed(leak_rate=0.0, cap_dead_volume=(4.0, "l"), rod_dead_volume=(9.0, "l"))
+    plant = lift(parameters)
+    half, oil = parameters.half_stroke.si, plant.hydraulics.oil.bulk_modulus
+    sides = ((parameters.cap_area, 4e-3), (parameters.rod_area, 9e-3))
+    spring = sum(oil * area**2 / (area * half + dead) for area, dead in sides)
+    assert stiffness(plant.hydraulics.cylinder[0], oil, 0.0) == pytest.approx(spring, rel=1e-12)
+    poles = np.asarray(linearize(plant).poles())
+    swing = np.abs(poles[np.abs(poles.imag) > 1.0]).max()
+    assert swing == pytest.approx(np.sqrt(spring / MASS), rel=5e-3)
+
+
+@pytest.mark.parametrize("command", [0.2, -0.2])
+@pytest.mark.parametrize("resistance", [0.0, 2e8])
+def test_ports_and_throttle_pass_what_the_pistons_sweep(command: float, resistance: float) -> None:
+    """Steady, content q = r A v leaves and enters. Equal ports then share as the squares of q, with
+    R q of the throttle in series with the cap's, and lines lose R q^2."""
+    ports = changed().cap_area / changed().rod_area
+    sharp: Any = {"rod_port": ports, "leak_rate": 0.0, "transition_pressure": 1e-5}
+    parameters = changed(cap_throttle=(resistance, "Pa s/m^3"), **sharp)
+    plant = lift(parameters)
+    record = cmf_mj.drive(plant, np.full((4096, 1), command))
+    cap, rod = (float(record[f"{side}_pressure"][-1, 0]) for side in ("cap", "rod"))
+    speed = float(record["leg_velocity"][-1, 0])
+    swept = parameters.cap_area * equations.content_ratio(parameters, cap) * abs(speed)
+    other = parameters.rod_area * equations.content_ratio(parameters, rod) * abs(speed)
+    ends = parameters.supply_pressure.si, parameters.return_pressure.si
+    high, low = (ends[0] - cap, rod - ends[1]) if command > 0.0 else (cap - ends[1], ends[0] - rod)
+    assert high - resistance * swept == pytest.approx(low * (swept / other) ** 2, rel=1e-3)
+    lines = np.gradient(record["energy"][:, ENERGIES.index("lines")], record.time)
+    assert lines[-2] == pytest.approx(resistance * swept**2, rel=1e-3)
+
+
+def test_a_tight_cylinder_starts_at_its_rest_pressure() -> None:
+    """p_cap = (m g + A_rod p_rod) / A_cap; with leakage the pressures are equal all the same."""
+    tight = lift(changed(leak_rate=0.0, rest_pressure=(30.0, "bar")))
+    cap, rod = tight.start().pressure[0]
+    areas = tight.parameters.cap_area, tight.parameters.rod_area
+    assert rod == pytest.approx(30e5)
+    assert cap == pytest.approx((MASS * GRAVITY + areas[1] * rod) / areas[0], rel=1e-9)
+    leaking = lift(changed(rest_pressure=(30.0, "bar"))).start().pressure[0]
+    assert leaking[0] == pytest.approx(leaking[1], rel=1e-9)

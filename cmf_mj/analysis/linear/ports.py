@@ -145,9 +145,10 @@ def port_slopes(
             cushions[row] = sign * narrowing
     cap, rod, high, low = pressures
     laminar, supply, tank = hydraulics.laminar, cylinder.supply_hose, cylinder.return_hose
+    throttle = cylinder.cap_throttle
     paths = (
-        path(gains[0], supply, laminar, high - cap),
-        path(gains[1], tank, laminar, cap - low),
+        path(gains[0], supply + throttle, laminar, high - cap),
+        path(gains[1], tank + throttle, laminar, cap - low),
         path(gains[2], supply, laminar, high - rod),
         path(gains[3], tank, laminar, rod - low),
     )
