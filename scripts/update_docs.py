@@ -71,6 +71,7 @@ COPIES = {
     "learning/turbulence/learning.png": "images/learn.png",
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
+    "verification/crane.png": "images/crane.png",
     "capacity/envelope.png": "images/envelope.png",
     "ablation/ladder.png": "images/ladder.png",
     "stiffness/stiffness.png": "images/stiffness.png",

@@ -70,6 +70,17 @@ def test_the_trained_policy_digs_faster_within_proof(
     assert "0 left" in text and policy < 0.6 * law and max(pressures) < 1.0
 
 
+def test_the_crane_rises_to_its_stop_and_is_pressed_on_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At rest F = (M + 2 m) g; on its stop pump and tank, F = A_cap Ps - A_rod Pt = 37.79 kN."""
+    monkeypatch.setattr(sys, "argv", ["crane.py"])
+    rows = [line.split() for line in printed("crane", capsys).splitlines()[2:]]
+    table = {float(time): [float(cell) for cell in cells] for time, *cells in rows}
+    assert table[0.25] == pytest.approx([0.5, 41.63, 34.61, 6860.0], rel=1e-4)
+    assert table[7.0] == pytest.approx([0.7164, 76.0, 1.0, 37795.0], rel=2e-3)
+
+
 @pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_hopper_hops_on_machines_that_differ(
     train: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -2,7 +2,8 @@
 
 Errors of leg extensions and chamber pressures, and the CPU time, over the mechanical step: table,
 data and figure. Needs the extra `verification`: `python tests/crosscheck --help`. With `--loops`
-instead closed loops in MuJoCo by settings, against the IFToMM library of benchmark problems.
+instead closed loops in MuJoCo by settings, against the IFToMM library of benchmark problems; with
+`--crane` the hydraulic crane, a published benchmark.
 """
 
 import argparse
@@ -17,6 +18,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 def main() -> None:
     """Write `work_precision.png`, `.csv` and `.md`."""
+    from crosscheck.crane_comparison import save_crane
     from crosscheck.loops import save_loops
     from crosscheck.report import save_verification, verification_table
     from crosscheck.verification import verify
@@ -26,12 +28,14 @@ def main() -> None:
     parser.add_argument("--hydraulics", default="report", help="a set without losses")
     parser.add_argument("--seconds", type=float, default=4.0, help="simulated time [s]")
     parser.add_argument("--finest", type=int, default=8, help="most steps to a frame: 4, 8, 16")
+    parser.add_argument("--crane", action="store_true", help="the hydraulic crane instead")
     parser.add_argument("--loops", action="store_true", help="closed loops of MuJoCo instead")
     parser.add_argument("--out", type=Path, default=Path("out/verification"))
     given = parser.parse_args()
-    if given.loops:
-        print(written(save_loops(given.out), given.out))
-        return
+    for chosen, save in ((given.loops, save_loops), (given.crane, save_crane)):
+        if chosen:
+            print(written(save(given.out), given.out))
+            return
     try:
         if not 0.0 < given.seconds <= 600.0:
             raise InputError(f"seconds: {given.seconds} must be more than 0 and at most 600")
