@@ -200,8 +200,8 @@ def holding_pressures(
     Loads (n,) that press the leg together are positive; the cylinder is one, or one for each.
     Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Without leakage any pair with the
     right force stays, and with leakage and equal areas none does: then `rest_pressure` is taken, or
-    where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and supply pressure as far as
-    the load allows; loads beyond the stall forces are refused.
+    where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and
+    supply pressure as far as the load allows; loads beyond the stall forces are refused.
     """
     loads = np.atleast_1d(np.asarray(load, dtype=float))
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
