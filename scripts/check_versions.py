@@ -27,7 +27,7 @@ EXTRAS = (
 
 TOOLS = (
     *("pytest", "pytest-xdist", "hypothesis", "sybil", "playwright"),
-    *("nfoursid", "fmpy", "hatchling"),
+    *("nfoursid", "fmpy", "libcosimpy", "pin", "hatchling"),
 )
 """What runs the tests, as new as goes with the rest."""
 

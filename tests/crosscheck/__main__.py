@@ -3,7 +3,7 @@
 Errors of leg extensions and chamber pressures, and the CPU time, over the mechanical step: table,
 data and figure. Needs the extra `verification`: `python tests/crosscheck --help`. With `--loops`
 instead closed loops in MuJoCo by settings, against the IFToMM library of benchmark problems; with
-`--crane` the hydraulic crane, a published benchmark.
+`--crane` the hydraulic crane, a published benchmark; with `--second` numbers by other tools.
 """
 
 import argparse
@@ -21,6 +21,7 @@ def main() -> None:
     from crosscheck.crane_comparison import save_crane
     from crosscheck.loops import save_loops
     from crosscheck.report import save_verification, verification_table
+    from crosscheck.second import save_second
     from crosscheck.verification import verify
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -30,9 +31,14 @@ def main() -> None:
     parser.add_argument("--finest", type=int, default=8, help="most steps to a frame: 4, 8, 16")
     parser.add_argument("--crane", action="store_true", help="the hydraulic crane instead")
     parser.add_argument("--loops", action="store_true", help="closed loops of MuJoCo instead")
+    parser.add_argument("--second", action="store_true", help="numbers by other tools instead")
     parser.add_argument("--out", type=Path, default=Path("out/verification"))
     given = parser.parse_args()
-    for chosen, save in ((given.loops, save_loops), (given.crane, save_crane)):
+    others = (
+        *((given.loops, save_loops), (given.crane, save_crane)),
+        (given.second, save_second),
+    )
+    for chosen, save in others:
         if chosen:
             print(written(save(given.out), given.out))
             return

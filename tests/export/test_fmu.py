@@ -8,6 +8,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+from crosscheck.second import played
 from fmpy import read_model_description
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
@@ -131,6 +132,12 @@ def test_fmpy_runs_it_as_the_reference_result(file: Path, folder: Path) -> None:
     expected = np.loadtxt(folder / "resources" / "reference_out.csv", delimiter=",", skiprows=1)
     found = np.array([[row[name] for name in shown] for row in result])
     assert np.abs(found - expected[:, 1:7]).max() < 1e-12
+
+
+@pytest.mark.parametrize("file", [2], indirect=True)
+def test_a_second_importer_has_the_same_bits(file: Path, tmp_path: Path) -> None:
+    """The FMI Library of Modelon, by libcosim, which takes version 2."""
+    assert played(file, tmp_path) == 0.0
 
 
 def test_a_state_that_is_restored_goes_on_with_the_same_bits(file: Path, folder: Path) -> None:
