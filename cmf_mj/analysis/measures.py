@@ -9,8 +9,10 @@ With y0 the rest before a step, y1 the mean of the last second and r the demande
 
 A run is *stable* when its ringing ends or is ending: over the last second no leg swings more than
 2 % of the largest leg step, or the swing is less than 0.75 of that three seconds earlier. A mode at
-3 Hz then has a damping ratio of at least 0.005; a limit cycle has a ratio of 1. A linear loop is
-stable when all of its poles lie within the unit circle.
+3 Hz then has a damping ratio of at least 0.005; a limit cycle has a ratio of 1. It also holds its
+position: no leg ends farther from its demand than a leg would that stood still. A linear loop is
+stable when all of its poles lie within the unit circle; one at 1, an integrator's, holds no
+position.
 
 A damping ratio is read in three ways, which agree for a second-order system without static error:
 
@@ -147,7 +149,8 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < least_demand(record, chosen):
         raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
-    residual, stable = _verdict(record)
+    residual, ended = _verdict(record)
+    stable = ended and not strays(record)
     try:
         feedback = dof_history(record, "leg_position", chosen)
     except NoPoseError:
@@ -181,6 +184,18 @@ def _verdict(record: Record) -> tuple[float, bool]:
     earlier = float(np.ptp(legs[-tail - back : -back], axis=0).max())
     residual = last / size
     return residual, bool(residual < RESIDUAL or last < DECAY * earlier)
+
+
+def strays(record: Record) -> bool:
+    """Whether a step ends with a leg farther from its demand than if it had stood still.
+
+    With x the legs' mean of the last second less their rest, r the step of their demands, both (n,)
+    [m], that is max |x - r| > max |r|: a law without position feedback, or with its sign turned.
+    """
+    legs, reference = record["leg_position"], record["leg_reference"]
+    demanded = reference[-1] - reference[0]
+    moved = legs[-round(TAIL * record.rate) :].mean(axis=0) - legs[0]
+    return bool(np.abs(moved - demanded).max() > np.abs(demanded).max())
 
 
 FREQUENCIES = np.linspace(0.02, 20.0, 4000)
@@ -309,6 +324,11 @@ def measure_loop(
 def are_stable(poles: NDArray[np.complex128]) -> bool:
     """The verdict on a discrete loop: whether all of its poles lie within the unit circle."""
     return bool((np.abs(poles) < _INSIDE).all())
+
+
+def holds(poles: NDArray[np.complex128]) -> bool:
+    """Whether a discrete loop holds its position: no real pole at 1 or beyond."""
+    return not bool((poles.real[np.abs(poles.imag) < 1e-9] >= _INSIDE).any())
 
 
 def oscillations(poles: NDArray[np.complex128], frame: float = FRAME) -> NDArray[np.complex128]:

@@ -118,7 +118,13 @@ def progress_bar(
     text, console = progress.TextColumn("{task.description}", markup=False), Console(stderr=True)
     with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
         task = bar.add_task(f"compiling and {work}", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total, description=work)
+        try:
+            yield lambda done, total: bar.update(
+                task, completed=done, total=total, description=work
+            )
+        except Exception:
+            bar.live.transient = True  # an error stands alone
+            raise
 
 
 def quantity(field: str, text: str) -> tuple[float, str]:

@@ -38,7 +38,7 @@ _MOTIONS = (
 )
 _MEASURES = "stiffness, disturbance rejection and noise, too"
 _SIGNALS = "studies.capacity:SIGNALS"
-_SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
+_SIZE = "of sweeps in translation; rotations are 0.2 deg, steps 1 in for every 0.33 in of it"
 
 
 def _changed(scenario: Any, **fields: object) -> Any:
@@ -104,6 +104,7 @@ def compare_command(
     with progress_bar() as update:
         folder = out / "records" if records else None
         comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **how)
+    dropped = report.drop_comparison(out, comparison, records)
     paths = report.save_comparison(comparison, out)
     tables, beside = [report.comparison_table(comparison)], ""
     if measures:
@@ -112,10 +113,11 @@ def compare_command(
         beside = f", {found.save(out / 'measures.md').name}"
     gap = max(result.gimbal_error for result in comparison)
     files = f"comparison.csv, comparison.md, {len(paths) - 2} figures"
+    earlier = f"\nremoved first: {dropped} files of an earlier comparison" if dropped else ""
     show(
         *tables,
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
-        f"written to {out}: {files}{beside}{', records/' if records else ''}",
+        f"written to {out}: {files}{beside}{', records/' if records else ''}{earlier}",
         unfolded=True,
     )
 

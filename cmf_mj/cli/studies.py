@@ -86,9 +86,9 @@ def study_command(
 
 @command("tune")
 def tune_command(
-    name: Annotated[str, Option(help="name of the law")] = "modal_plan",
+    name: Annotated[str | None, Option(help="name of the law; default that of its form")] = None,
     form: Annotated[str, choice(_FORMS, "FORM", "law whose gains to search")] = "modal_plan",
-    title: Annotated[str, Option(help="its title")] = "Modal plan",
+    title: Annotated[str | None, Option(help="its title; default its name")] = None,
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
@@ -106,7 +106,9 @@ def tune_command(
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
     stated, limits = friction_option(friction), Requirements(peak, overshoot / 100.0)
-    template = make_template(name, title, cabs, stated)
+    named = name or form
+    said = title or named.replace("_", " ").capitalize()
+    template = make_template(named, said, cabs, stated)
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
@@ -39,6 +40,7 @@ class LinearizationStudy(NamedTuple):
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
     loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
     stable: bool  #: The verdict on all of these loops.
+    margins: NDArray[np.float64]  #: Of these loops: gain [dB], phase [deg], (n, 2).
 
 
 def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> LinearizationStudy:
@@ -51,7 +53,8 @@ def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> Lin
     }
     closed = {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()}
     stable = all(are_stable(loop.poles()) for loop in loops.values())
-    return LinearizationStudy(linear, law, linear.modes(), responses, closed, stable)
+    found = linear.modes(), responses, closed, stable, linear.margins(law, signals)
+    return LinearizationStudy(linear, law, *found)
 
 
 def save_system(system: control.StateSpace, path: Path, description: Mapping[str, Any]) -> Path:
@@ -116,18 +119,20 @@ def pole_table(study: LinearizationStudy) -> Table:
 
 
 def loop_table(study: LinearizationStudy) -> Table:
-    """Bandwidths of the law's loops."""
+    """Bandwidths and margins of the law's loops."""
     rows = []
-    for name, loop in study.loops.items():
+    for (name, loop), of in zip(study.loops.items(), study.margins, strict=True):
         measures = joined(bandwidths(loop))
-        found = (phase_text(measures), *measures[1:3]) if study.stable else ("unstable",) * 3
-        rows.append((name, *found))
+        found = (phase_text(measures), *measures[1:3], *of)
+        rows.append((name, *(found if study.stable else ("unstable",) * 5)))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
+    margins = (("gain margin [dB]", ".1f"), ("phase margin [deg]", ".0f"))
     return Table(
         f"{study.law} around the linearised plant",
-        ("dof", *widths),
+        ("dof", *widths, *margins),
         rows,
-        f"'-': not reached below {FREQUENCIES[-1]:g} Hz",
+        f"'-': not reached below {FREQUENCIES[-1]:g} Hz; margins: at the valve commands along one "
+        "axis, the others closed; negative: of a falling gain",
     )
 
 

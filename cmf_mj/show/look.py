@@ -177,9 +177,10 @@ def plot_bode(
 
     It is pale where its coherence is below `CLEAR`, all of it where the loop is not `stable`.
     """
-    clear = stable & ~(response.coherence < CLEAR)
+    clear, shown = ~(response.coherence < CLEAR) | (not stable), 1.0 if stable else FAINT
     for axis, values in ((gain, response.gain_db), (phase, response.phase_deg)):
-        (line,) = axis.plot(response.frequency, np.where(clear, values, np.nan), **style)
+        drawn = np.where(clear, values, np.nan)
+        (line,) = axis.plot(response.frequency, drawn, alpha=shown, **style)
         style |= {"color": line.get_color(), "label": None}
         if not clear.all():
             axis.plot(response.frequency, values, alpha=FAINT, **style)

@@ -1,6 +1,8 @@
 """Tables, figures and files of comparisons and studies, of failures and of certificates."""
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,10 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.core.result import Cell, Column, Result, Table, column, groups, number, where
 from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.show import look
 from cmf_mj.signals.single import Step
-from cmf_mj.studies.case import CaseResult
+from cmf_mj.studies.case import CaseResult, dof_amplitude
 from cmf_mj.studies.certificate import Certificate
 from cmf_mj.studies.comparison import PUBLISHED
 from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
@@ -30,12 +33,21 @@ AGREEMENT = 0.1  #: Distance of two readings of -90 deg from which on a table sh
 _LINES = {"hexapod": "-", "single_legs": "--"}
 
 _LEGEND = (
-    "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
-    "peak in dB; at rest: gain; zeta: damping ratio from the step's overshoot; unstable: the legs "
-    "ring on undiminished 12 s after the step, and only that counts. ~: the phase grazes -90 deg; "
-    "a/b: it falls through it at a and, having come back, at b; [c]: -90 deg of small motion, "
-    f"where that is more than {AGREEMENT:g} Hz off. Published: h measured on the hardware, m from "
-    "the report's non-linear model of six single legs."
+    "-90, -3 dB: bandwidths in Hz, from the legs' demand to their feedback in the control law, "
+    "-3 dB from absolute 0 dB; peak in dB; at rest: gain; zeta: damping ratio from the step's "
+    "overshoot. -: the sweep, to 10 Hz, does not reach it, or no overshoot. unstable: the legs "
+    "ring on undiminished 12 s after the step; drifts: the law holds no position, so legs move on "
+    "to a stop; nothing else counts then. "
+)
+_MARKS = {
+    "~": "~: the phase grazes -90 deg. ",
+    "/": "a/b: the phase falls through -90 deg at a and, having come back, at b. ",
+    "[": "[c]: -90 deg of small motion, on the linearised machine, as `cmf tune` and `cmf "
+    f"linearize` have it, where that is more than {AGREEMENT:g} Hz off. ",
+}
+_PUBLISHED = (
+    "Published: h measured on the hardware, m from the report's non-linear model of six single "
+    "legs."
 )
 
 
@@ -59,7 +71,8 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
     cab = next((result.case.cab_name for result in results if result.case.cab), "")
     columns: list[Column] = ["law", "dof"]
-    for name in [*plants, "published"]:
+    printed = any(result.published for result in results)
+    for name in [*plants, *(["published"] if printed else [])]:
         columns += [(f"{name.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
         columns += [] if name == "published" else [("\npeak", ".1f"), ("\nat rest", ".3f")]
         columns += [("\nzeta", ".2f")]
@@ -72,13 +85,22 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
             measures = result.measures
             line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
             line.append(measures.static_gain)
-            line.append(measures.damping_ratio if measures.stable else "unstable")
-        printed = by_case[law, dof, plants[0]].published
-        line += [getattr(printed, name, None) for name in PUBLISHED]
-        of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""
-        cells.append([*line, of])
+            line.append(result.verdict or measures.damping_ratio)
+        row = by_case[law, dof, plants[0]].published
+        if printed:
+            line += [getattr(row, name, None) for name in PUBLISHED]
+            line.append({"hardware": "h", "nonlinear": "m"}.get(row.of, "") if row else "")
+        cells.append(line)
+    length = first.size / dof_amplitude(first.dof, 1.0)
+    inches = units.from_si("in", length)
+    degrees = units.from_si("deg", dof_amplitude("roll", length))
     title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
-    return Table(title, [*columns, ("\nof", "")], cells, _LEGEND, grouped=True)
+    title += f"; simulated sweeps of {inches:.3g} in, {degrees:.3g} deg"
+    said = " ".join(cell for line in cells for cell in line[2:] if isinstance(cell, str))
+    legend = _LEGEND + "".join(text for mark, text in _MARKS.items() if mark in said)
+    if printed:
+        columns, legend = [*columns, ("\nof", "")], legend + _PUBLISHED
+    return Table(title, columns, cells, legend, grouped=True)
 
 
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
@@ -88,8 +110,8 @@ def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
 
 def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
     """Laws by colour, plants by line."""
-    case, stable = result.case, result.measures.stable
-    label = f"{case.law.title}, {case.plant.replace('_', ' ')}{'' if stable else ', unstable'}"
+    case, verdict = result.case, result.verdict
+    label = f"{case.law.name}, {case.plant.replace('_', ' ')}{verdict and f', {verdict}'}"
     return {"color": colours[case.law.name], "linestyle": _LINES[case.plant], "label": label}
 
 
@@ -128,19 +150,47 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
     begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
     response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
+    low, high = -0.5 * demanded[-1], 2.0 * demanded[-1]
     for result in results:
         record, style = result.step, _style(result, colours)
         try:
             history = dof_history(record, "leg_position", dof)
         except NoPoseError:
             continue
-        response.plot(record.time - begin, units.from_si(unit, history), **style)
+        moved = units.from_si(unit, history)
+        response.plot(record.time - begin, moved, **style)
+        if result.measures.stable:
+            low, high = min(low, 1.1 * moved.min()), max(high, 1.1 * moved.max())
         command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
-    size = float(demanded[-1])
-    response.set(title=_title("Step response", dof, step, results), ylim=(-0.5 * size, 2.0 * size))
+    response.set(title=_title("Step response", dof, step, results), ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
     look.legend(figure)
     return figure
+
+
+_FIGURES = re.compile(rf"(bode|step)_({'|'.join(DOFS)})\.({'|'.join(look.FORMATS)})")
+_RECORDS = re.compile(rf"({'|'.join(PLANTS)})-.+-({'|'.join(DOFS)})-(chirp|step)\.parquet")
+
+
+def drop_comparison(folder: Path, comparison: Sequence[CaseResult], records: bool) -> int:
+    """Remove what an earlier comparison left in a folder, and say how many files that were.
+
+    Of files with the names it gives: `measures.md`, figures, and, but for those of this comparison
+    if it keeps any, `records`. All others stay.
+    """
+    labels = [result.case.label for result in comparison] if records else []
+    kept = {f"{label}-{kind}.parquet" for label in labels for kind in ("chirp", "step")}
+    stale = [path for path in folder.glob("*") if _FIGURES.fullmatch(path.name)]
+    stale += folder.glob("measures.md")
+    for path in folder.glob("records/*"):
+        if _RECORDS.fullmatch(path.name) and path.name not in kept:
+            stale.append(path)
+    for path in stale:
+        path.unlink()
+    if not records:
+        with suppress(OSError):  # not there, or not empty
+            (folder / "records").rmdir()
+    return len(stale)
 
 
 def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:

@@ -3,7 +3,7 @@
 The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in; `run_case` does
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 
-Beside a case's measures stand those of small motion (`small_motion`), what compares laws along an
+Beside a case's measures stands -90 deg of small motion (`small_loop`), what compares laws along an
 axis (`qualities`: bandwidth over what limits it, stiffness, rejection of forces, noise), and the
 verdict of a short simulation in which all degrees of freedom step at once (`swing_after_step`).
 """
@@ -13,13 +13,22 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import control
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.measures import Measures, joined, measure_loop, step_metrics, sweep_response
+from cmf_mj.analysis.measures import (
+    Measures,
+    holds,
+    joined,
+    measure_loop,
+    step_metrics,
+    strays,
+    sweep_response,
+)
 from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
@@ -49,6 +58,8 @@ ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
 STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE  #: The report steps 1 in and sweeps 0.33 in.
 
 FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0  #: Durations of the chirp [s].
+
+_LINES = np.linspace(0.1, 19.9, 1999)  # of small motion [Hz]; sweeps end at 10 Hz
 
 RECORDER = 128  #: Samples of a run in a second, at least: the rate of the facility's recorder [Hz].
 
@@ -181,7 +192,14 @@ class CaseResult(NamedTuple):
     step: Record  #: The step run at 256 Hz.
     gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
     small_motion_phase_hz: float
-    """First fall through -90 deg of the linearised machine [Hz]; see `small_motion`."""
+    """First fall through -90 deg of the linearised machine [Hz]; see `small_loop`."""
+    drifts: bool = False
+    """Whether the law holds no position: the step or a pole of the linearised loop says so."""
+
+    @property
+    def verdict(self) -> str:
+        """`unstable`, `drifts`, or nothing of a law that is stable."""
+        return "" if self.measures.stable else "drifts" if self.drifts else "unstable"
 
     @property
     def published(self) -> Published | None:
@@ -205,25 +223,29 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     response = sweep_response(sweep, segment=case.segment)
     measures = joined(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
-    small = small_motion(case) if measures.stable else Measures()
-    return CaseResult(case, response, measures, step, gap, small.phase_bandwidth_hz)
+    drifts, small = strays(step), Measures()
+    loop = small_loop(case) if measures.stable else None
+    if loop is not None:
+        drifts = not holds(loop.poles())
+        small = measure_loop(loop, frequencies=_LINES)
+    measures = Measures() if drifts else measures
+    return CaseResult(case, response, measures, step, gap, small.phase_bandwidth_hz, drifts)
 
 
-def small_motion(case: Case) -> Measures:
-    """Measures of a case linearised about its pose: what the chirp's tend to as it gets smaller.
+def small_loop(case: Case) -> control.StateSpace | None:
+    """A case linearised about its pose, demand to motion: what the chirp's tends to, made smaller.
 
     At the report's amplitude the valves' mean opening damps the legs and the load takes pressure
-    from the valves, which moves -90 deg. Nothing is known of what has no linearisation, such as dry
-    friction, nor is anything measured with `electronics`.
+    from the valves, which moves -90 deg. None for what has no linearisation, such as dry friction,
+    and with `electronics`.
     """
     if case.electronics is not None:
-        return Measures()
+        return None
     try:
         linear = Linear(case.build(), case.pose)
     except NotLinearError:
-        return Measures()
-    loop = linear.loop(case.law, case.dof, command_delay=case.command_delay)
-    return measure_loop(loop, frequencies=np.linspace(0.1, 10.0, 1000))
+        return None
+    return linear.loop(case.law, case.dof, command_delay=case.command_delay)
 
 
 class Qualities(NamedTuple):

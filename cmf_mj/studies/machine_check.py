@@ -5,8 +5,9 @@ envelope       single-axis excursions at which the first leg has used up its wor
 conditioning   condition number of J, its turning columns per mean radius of the upper gimbals,
 at neutral and at worst over the envelope; a change of sign of det J between
 neutral and a pose says that the legs pass a singular pose on the way
-static loads   leg forces at rest, against the stall force of a cylinder, A_cap Ps - A_rod Pt
-pushing and A_rod Ps - A_cap Pt pulling
+static loads   leg forces at rest, over the stall force of a cylinder, A_cap Ps - A_rod Pt
+pushing and A_rod Ps - A_cap Pt pulling; raised by 1 + a/g, a the limit of heave
+acceleration, they must stay below it
 reach          leg speed with valves fully open under the static load, against the limit of leg
 speed, and the heave speed amplitude whose mean flow is the pump's
 clearance      least distance of two leg axes over the envelope, against the diameter of a rod
@@ -53,6 +54,7 @@ class CabCheck(NamedTuple):
     cab: str
     mass: float  #: Of platform and cab [kg].
     load: NDArray[np.float64]  #: Static leg forces [N], (6,).
+    share: float  #: Largest of them over the force of a cylinder that way.
     speed: NDArray[np.float64]  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
     sustained: float  #: Heave speed amplitude that the pump sustains [m/s].
     modes: NDArray[np.float64]  #: Hydraulic modes [Hz], (6,).
@@ -74,10 +76,11 @@ class MachineCheck(NamedTuple):
 
 CABS = (
     Field("cab"),
-    Field("mass", "platform, cab [kg]", ".0f"),
-    Field("load", "static load [kN]", ".2f", "kN", of=lambda one: float(np.abs(one.load).max())),
-    Field("speed", "leg speed [m/s]", ".3f", of=lambda one: float(one.speed.min())),
-    Field("sustained", "heave sustained [m/s]", ".3f"),
+    Field("mass", "platform,\ncab [kg]", ".0f"),
+    Field("load", "static\nload [kN]", ".2f", "kN", of=lambda one: float(np.abs(one.load).max())),
+    Field("share", "of a leg's\nforce", ".0f %", "%"),
+    Field("speed", "leg speed\n[m/s]", ".3f", of=lambda one: float(one.speed.min())),
+    Field("sustained", "heave sus-\ntained [m/s]", ".3f"),
     Field("modes", "modes [Hz]", lambda modes: " ".join(f"{mode:.1f}" for mode in modes)),
 )
 
@@ -104,6 +107,8 @@ def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
         "worst over the envelope",
         *(f"{status}: {', '.join(names)}" for status, names in check.statuses.items()),
         *(f"does not fit: {fault}" for fault in check.faults),
+        f"verdict: {check.machine.name} "
+        + (f"has {len(check.faults)} faults" if check.faults else "fits together"),
     ]
 
 
@@ -150,13 +155,10 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
             f"gimbals: the axes of legs {first} and {last} come within {clear:.3g} m of each other "
             f"at {_pose(where)}; allowed: at least a rod's diameter, {rod:.3g} m"
         )
-    cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
-    cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
-    high, low = supply.pressure, supply.return_pressure
     return MachineCheck(
         *(machine, limits, excursion_envelope(None, machine), max(gaps)),
         (conditions[0], conditions[worst]),
-        (cap * high - rod * low, rod * high - cap * low),
+        _stall(plant),
         cabs,
         _by_status(machine),
         tuple(faults),
@@ -198,13 +200,28 @@ def _clearance(
     return float(apart[row, pair]), int(i[pair]) + 1, int(j[pair]) + 1, poses[row]
 
 
+def _stall(plant: Hexapod) -> tuple[float, float]:
+    """Force of a cylinder at the supply's pressure, pushing and pulling [N]."""
+    cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
+    cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
+    high, low = supply.pressure, supply.return_pressure
+    return cap * high - rod * low, rod * high - cap * low
+
+
 def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
     """One cab; what does not fit is added to `faults`."""
     where = f"cabs.{plant.cab}"
     with within(where):
         plant.start()
     supply = plant.hydraulics.supply
-    load = plant.static_load()
+    load, (push, pull) = plant.static_load(), _stall(plant)
+    share = float(np.maximum(load / push, -load / pull).max())
+    most = 1.0 / (1.0 + limits.axes[2].acceleration.si / units.STANDARD_GRAVITY)
+    if share > most:
+        faults.append(
+            f"{where}: its static load is {share:.0%} of a leg's force at the supply's pressure; "
+            f"allowed: up to {most:.0%}, which leaves what limits.heave.acceleration asks for"
+        )
     speed = full_speed(plant.hydraulics, load, supply.pressure, supply.return_pressure)
     asked = limits.leg.velocity.si
     if speed.min() < asked:
@@ -214,7 +231,8 @@ def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
         )
     assert plant.cab_parameters is not None
     mass, modes = plant.cab_parameters.payload.mass, plant.hydraulic_modes().frequency_hz
-    return CabCheck(plant.cab, mass, load, speed, asymptotes(plant, "heave").pump_flow, modes)
+    sustained = asymptotes(plant, "heave").pump_flow
+    return CabCheck(plant.cab, mass, load, share, speed, sustained, modes)
 
 
 def _pose(pose: NDArray[np.float64]) -> str:

@@ -222,6 +222,18 @@ def test_legs_that_no_pose_has_make_an_unstable_run_without_measures() -> None:
     assert metrics.residual > 1.0
 
 
+@pytest.mark.parametrize(
+    ("gain", "stable"), [(1.9, True), (2.1, False), (0.1, True), (-0.1, False)]
+)
+def test_a_leg_farther_from_its_demand_than_one_that_stands_still_is_not_stable(
+    gain: float, stable: bool
+) -> None:
+    """At rest |gain - 1| of the step is left: more than 1 above 2 and below 0."""
+    metrics = step_metrics(stepped(0.5, 3.0, gain))
+    assert metrics.residual < 1e-3
+    assert metrics.stable == stable
+
+
 def test_a_limit_cycle_is_seen_in_the_shortest_record_accepted() -> None:
     """The transient of the step itself must not pass for a ring that has decayed: a leg that goes
     on swinging by 20 % of the step is unstable in any record long enough to be measured."""

@@ -25,6 +25,11 @@ def test_compare_writes_table_figures_and_records(
     law = tmp_path / "mine.toml"
     law.write_text(MY_LAW)
     out = tmp_path / "out"
+    (out / "records").mkdir(parents=True)
+    mine = {"bode_mine.png", "step_heave.png.old", "records/mine-heave-step.parquet"}
+    stale = {"bode_yaw.png", "step_heave.svg", "records/hexapod-gfd-lossy-soft-heave-step.parquet"}
+    for name in mine | stale:
+        (out / name).touch()
     output = cmf(
         *("compare", "--laws", f"velocity,{law}", "--dofs", "heave,roll", "--quick"),
         *("--out", out, "--jobs", "2", "--measures"),
@@ -51,8 +56,12 @@ def test_compare_writes_table_figures_and_records(
         assert found.split(" | ")[3] == expected
     for dof in ("heave", "roll"):
         for kind in ("bode", "step"):
-            laws = {"Velocity FB, hexapod", "Half the position gain, single legs"}
+            laws = {"velocity, hexapod", "soft, single legs"}
             assert laws <= drawn[f"{kind}_{dof}.png"]
+    assert "removed first: 3 files of an earlier comparison" in output
+    left = {str(path.relative_to(out)) for path in out.rglob("*")}
+    assert mine <= left and not stale & left
+    (out / "records" / "mine-heave-step.parquet").unlink()
     records = sorted((out / "records").iterdir())
     assert len(records) == 16
     record = Record.load(records[0])

@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from shared import cmf
 
+from cmf_mj.cli.common import progress_bar
+from cmf_mj.core.errors import InputError
+
 REFUSED = {
     "compare --laws fast": "'fast'",
     "compare --dofs up": "'up'",
@@ -96,3 +99,13 @@ def test_a_line_is_refused_in_one_line_and_writes_nothing(
     output = " ".join(cmf(*shlex.split(line), code=2).split())
     assert REFUSED[line] in output and "Traceback" not in output
     assert not list(tmp_path.rglob("*"))
+
+
+def test_an_error_leaves_no_bar_of_progress(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar() as update:
+        update(1, 2)
+    assert "running" in capsys.readouterr().err
+    with pytest.raises(InputError), progress_bar() as update:
+        update(1, 2)
+        raise InputError("law: is refused")
+    assert capsys.readouterr().err.strip() == ""

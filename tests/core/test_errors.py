@@ -19,7 +19,7 @@ from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.study import step_figure
 from cmf_mj.studies import evaluation
-from cmf_mj.studies.case import CaseResult, make_case, qualities, small_motion
+from cmf_mj.studies.case import CaseResult, make_case, qualities, small_loop
 
 APART = np.array([-1.014, -1.014, 1.014, -1.014, -1.014, 1.014])
 """Legs within their stops that reach no common platform [m]."""
@@ -81,7 +81,7 @@ def test_multisines_recorded_too_slowly_are_refused() -> None:
 
 def test_small_motion_of_a_loop_without_delay_is_refused() -> None:
     with pytest.raises(InputError, match="command_delay: 0"):
-        small_motion(make_case("velocity", plant="single_legs", command_delay=0))
+        small_loop(make_case("velocity", plant="single_legs", command_delay=0))
 
 
 def test_a_refusal_of_the_law_is_no_want_of_a_linearisation(

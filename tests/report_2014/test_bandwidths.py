@@ -5,12 +5,12 @@ import pytest
 from shared import chirp_bandwidths
 
 from cmf_mj import Hexapod, signals, simulate
-from cmf_mj.analysis.measures import step_metrics
+from cmf_mj.analysis.measures import measure_loop, step_metrics
 from cmf_mj.analysis.published import published_results
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.show.study import AGREEMENT
-from cmf_mj.studies.case import make_case, small_motion
+from cmf_mj.studies.case import make_case, small_loop
 
 
 def test_acceleration_feedback_reproduces_table_3_5() -> None:
@@ -62,7 +62,7 @@ def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -
 
 def agree(law: str, dof: str, cab: str = "gfd") -> None:
     """Chirp at a fiftieth of the report's amplitude and linearised machine: 0.1 Hz in -90 deg."""
-    small = small_motion(make_case(law, dof, cab=cab))
+    small = measure_loop(small_loop(make_case(law, dof, cab=cab)))
     swept = chirp_bandwidths("hexapod", law, dof, cab, share=0.02)
     assert small.stable
     assert swept.phase_hz == pytest.approx(small.phase_bandwidth_hz, abs=AGREEMENT)
@@ -74,7 +74,7 @@ def test_linear_and_chirp_agree_where_the_phase_grazes() -> None:
     falls through -90 deg at the pair, comes back to it and falls again. At 0.2 deg the pair is
     damped so much that the phase only grazes there, and crosses 0.2 Hz later."""
     agree("position_error_rate", "roll")
-    small = small_motion(make_case("position_error_rate", "roll"))
+    small = measure_loop(small_loop(make_case("position_error_rate", "roll")))
     large = chirp_bandwidths("hexapod", "position_error_rate", "roll")
     assert large.phase_hz - small.phase_bandwidth_hz > 2.0 * AGREEMENT
     for one in (small, large):

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
+from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core.errors import InputError
 from cmf_mj.show import look
 
@@ -95,6 +96,20 @@ def test_frequencies_have_ticks_of_decades(ends: tuple[float, float], expected: 
     ]
     assert " ".join(shown) == expected and not axes.get_xticks(minor=True).size
     assert axes.get_xlabel() == "frequency [Hz]"
+
+
+@pytest.mark.parametrize("stable", [True, False])
+def test_a_legend_is_as_pale_as_its_curve(stable: bool) -> None:
+    """Of a loop that is not stable all is pale; where coherence is low only the curve is."""
+    omega, coherence = 2.0 * np.pi * np.arange(1.0, 5.0), np.array([1.0, 1.0, 0.1, 1.0])
+    response = FrequencyResponse(1.0 / (1.0 + 1j * omega), omega, coherence, 0.0 * omega)
+    _, gain, phase = look.bode_figure("", {"a law": response}, stable=stable)
+    (line,), names = gain.get_legend_handles_labels()
+    assert names == ["a law"]
+    assert line.get_alpha() == (1.0 if stable else look.FAINT)
+    for axis in (gain, phase):
+        shown = [one for one in axis.lines if np.isfinite(one.get_ydata()).sum() > 1]  # type: ignore[arg-type]
+        assert [one.get_alpha() for one in shown][:2] == ([1.0, 0.3] if stable else [0.3])
 
 
 def test_a_legend_lies_beside_its_axes() -> None:

@@ -3,12 +3,13 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cmf_mj import bandwidths, compare, load_cab
+from cmf_mj import bandwidths, compare, load_cab, load_law
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.record.record import Record
-from cmf_mj.show.study import AGREEMENT, comparison_table, phase_text
+from cmf_mj.show.study import AGREEMENT, comparison_table, phase_text, step_figure
 from cmf_mj.studies import comparison
 from cmf_mj.studies.case import AMPLITUDE, CaseResult, make_case
 
@@ -88,6 +89,48 @@ def test_a_law_that_rings_has_no_bandwidth_but_its_mark(tmp_path: Path) -> None:
     assert [row[name] for name in COLUMNS[first : last + 1] if name != "stable"] == [""] * 10
     (cells,) = comparison_table(done).cells
     assert cells[:7] == ["velocity_error", "heave", "-", "-", "-", "-", "unstable"]
+
+
+@pytest.mark.parametrize("reference", [40.0, 0.05])
+def test_a_law_without_position_feedback_drifts(reference: float) -> None:
+    """Reference and velocity alone: 40 %/in takes the legs to their stops, where they rest; 0.05
+    moves them by less than a step in the run, and a pole at 1 says so."""
+    gains = {"reference": reference, "velocity": -2.6}
+    law = load_law({"title": "No position", "direct_gain": gains})
+    (result,) = compare([law], ["heave"], plants=["single_legs"], quick=True)
+    assert (np.abs(result.step["leg_position"][-1]) > 0.95).all() == (reference == 40.0)
+    assert not result.measures.stable and np.isnan(result.measures.phase_bandwidth_hz)
+    table = comparison_table([result])
+    assert table.cells[0][2:7] == ["-", "-", "-", "-", "drifts"]
+    assert "drifts: the law holds no position" in table.caption
+
+
+def test_a_table_explains_what_it_holds() -> None:
+    """Marks that occur, sizes of sweeps, and no published columns where nothing is published."""
+    for machine, first in (("cmf", "2.55 [2.75]"), ("simona", "~3.44")):
+        case = make_case("velocity", "surge", cab=load_cab(machine=machine), amplitude=0.0254)
+        measures = Measures(2.55) if machine == "cmf" else Measures(3.44, graze_from_hz=2.93)
+        result = CaseResult(case, None, measures, None, 0.0, 2.75 if "[" in first else 3.44)  # type: ignore[arg-type]
+        table = comparison_table([result])
+        assert table.cells[0][2] == first
+        assert ("[c]:" in table.caption, "~:" in table.caption) == ("[" in first, "~" in first)
+        assert "a/b" not in table.caption
+        assert table.title.endswith("; simulated sweeps of 1 in, 0.606 deg")
+        published = any("published" in title for title in table.header)
+        assert not published and "Published" not in table.caption  # none in surge
+
+
+def test_a_step_is_drawn_whole() -> None:
+    """Of a law that is stable, also beyond twice the demand."""
+    case = make_case("velocity", "heave", "single_legs")
+    step = case.run(case.step(), rate=256)
+    channels = {**step.channels, "leg_position": 2.4 * step["leg_position"]}
+    large = Record(step.time.copy(), channels, step.units, step.metadata)
+    for record, stable in ((step, True), (large, True), (large, False)):
+        measures = Measures(stable=stable)
+        axes = step_figure([CaseResult(case, None, measures, record, 0.0, 0.0)]).axes[0]
+        top = max(line.get_ydata().max() for line in axes.lines[1:])  # type: ignore[union-attr]
+        assert (axes.get_ylim()[1] > top) == stable
 
 
 def test_small_motion_stands_beside_a_sweep_that_is_not() -> None:

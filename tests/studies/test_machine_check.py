@@ -17,7 +17,7 @@ from cmf_mj.machine.kinematics import rotation
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import directory
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.machine_check import _clearance, check_machine
+from cmf_mj.studies.machine_check import _clearance, check_machine, check_parts
 
 POSES = 20
 
@@ -99,6 +99,28 @@ def test_an_origin_off_the_centroid_is_found(points: Any, tmp_path: Path, shift:
     machine = changed(tmp_path, gimbals=gimbals(*(part + np.array(shift) for part in points)))
     said = " ".join(check_machine(machine, poses=POSES).faults)
     assert "gimbals: the upper gimbals' centroid is 0.5 m from the origin" in said
+
+
+@pytest.mark.parametrize(("factor", "faults"), [(1.0, 0), (10.0, 1)])
+def test_a_payload_ten_times_too_large_is_found(factor: float, faults: int, tmp_path: Path) -> None:
+    """The legs carry what moves: the sum of their forces' vertical parts is the weight of cab and
+    platform and of the legs' upper ends, and the largest force over a cylinder's is the share. To
+    accelerate by the limit in heave as well takes 1 + a/g of it."""
+    payload = tomllib.loads((directory() / "machines" / "lab.toml").read_text())["cabs"]["payload"]
+    mass = payload["mass"] | {"value": 300.0 * factor}
+    machine = changed(tmp_path, cabs={"payload": payload | {"mass": mass}})
+    check = check_machine(machine, poses=2)
+    (cab,) = check.cabs
+    upper, lower, neutral = machine.geometry
+    vertical = np.abs((upper - lower)[:, 2]) / neutral
+    carried = float(np.abs(cab.load) @ vertical) / 9.80665
+    assert cab.mass < carried < 1.4 * cab.mass
+    assert cab.share == pytest.approx(np.abs(cab.load).max() / check.stall[0])
+    rise = 1.0 + check.limits.axes[2].acceleration.si / 9.80665
+    assert (cab.share * rise > 1.0) == bool(faults)
+    said = [part for part in check_parts(check) if isinstance(part, str)]
+    assert sum("its static load is" in line for line in said) == faults
+    assert (said[-1] == "verdict: mine fits together") == (not faults)
 
 
 def test_the_command_tells_a_fault_with_status_1(points: Any, tmp_path: Path) -> None:

@@ -18,9 +18,13 @@ the legs, and x = J^-1 l. What a law takes off that motion is its disturbance re
 
 for one leg the sensitivity 1 / (1 + loop gain). Bandwidth and peak of it are the DRB and DRP of
 rotorcraft flight control: where |S| first rises through -3 dB, and the most it rises to.
+
+Margins are of the loop broken at the valve commands, which all that a law feeds back passes, along
+one axis at a time, the others closed. With the law's commands c = G d of those at the valves, J_i
+a column of J and j_i that row of J^-1, -L = j_i c where d = J_i u + (1 - J_i j_i) c.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
 
@@ -69,6 +73,7 @@ STIFF = (0.5, 5.0)  #: Frequencies between which the least dynamic stiffness cou
 LINES = 0.05 * 10.0 ** (np.arange(105) / 40.0)
 """Lines the rejection is read from, 40 a decade, 0.05 to 19.9 Hz, the ends of `STIFF` too."""
 
+_MARGINS = np.geomspace(0.05, 500.0, 2000)  # lines that margins are read from [Hz]
 _BLOCK = 64  #: Frames between the states that a step response goes through.
 _SHUT = Law(name="shut", title="Valves shut", direct_gain=Gains())
 _ENDLESS = 1e6  # times the least dynamic stiffness: round-off of no motion
@@ -186,6 +191,36 @@ class Linear:
         """Damping ratios of the loop under a law, see `loop_damping`."""
         return loop_damping(self.loop(law))
 
+    def margins(self, law: str | Law, signals: Sequence[str] = DOFS) -> Array:
+        """Gain [dB] and phase margins [deg] along degrees of freedom or legs, (n, 2).
+
+        The change that brings the loop to the limit of stability, the nearer one where there are
+        two: a negative gain margin is one by which gain may fall. NaN where there is no crossing
+        from 0.05 to 500 Hz; they count for a stable loop alone.
+
+        >>> gain, phase = cmf_mj.Linear(cmf_mj.Hexapod("gfd")).margins("velocity", ["heave"])[0]
+        >>> bool(gain > 6.0), bool(phase > 60.0)
+        (True, True)
+        """
+        held, legs, order = bound(load_law(law), self.plant), self.plant.legs, self.system.nstates
+        loop = closed_loop(held, self.system, outputs=("command",))
+        entry = np.zeros((loop.nstates, legs))
+        entry[order : order + legs] = np.eye(legs)  # commands enter the register of the delay
+        found = []
+        for signal in signals:
+            if signal.startswith("leg_"):
+                row: Array = np.eye(legs)[[int(signal[4:]) - 1]]
+                column = row.T
+            else:
+                index = dof_index(signal)
+                column = self.jacobian[:, [index]]
+                row = np.asarray(np.linalg.inv(self.jacobian)[[index]])
+            seen = row @ np.asarray(loop.C)
+            opened = np.asarray(loop.A) - entry @ column @ seen
+            broken = control.ss(opened, entry @ column, -seen, 0.0, loop.dt)
+            found.append(response_margins(broken(np.exp(2j * np.pi * _MARGINS * loop.dt))))
+        return np.array(found)
+
     def measures(self, law: str | Law) -> tuple[Measures, ...]:
         """Measures of all degrees of freedom under a law, see `loop_measures`."""
         return loop_measures(self.loop(law))[0]
@@ -238,6 +273,26 @@ class Linear:
         bandwidth = [falls(LINES, -level, 3.0)[0] for level in rejection.T]
         static = np.where(static > _ENDLESS * least, np.inf, static)
         return np.array([static, least, bandwidth, rejection.max(axis=0)])
+
+
+def response_margins(response: ArrayLike) -> tuple[float, float]:
+    """Gain [dB] and phase margin [deg] of the response L of a broken loop, (K,), lines in order.
+
+    With log(-L) = a + j b, b within half a turn: -a where b is 0, and b where a is; the least size.
+    """
+    logarithm = np.log(-np.asarray(response, dtype=complex))
+    level, angle = logarithm.real, logarithm.imag
+    gain, phase = _least_at_zero(level, angle), _least_at_zero(angle, level)
+    return -20.0 / np.log(10.0) * gain, float(np.degrees(phase))
+
+
+def _least_at_zero(values: Array, other: Array) -> float:
+    """The smallest of the values where the other passes 0, and not from half a turn to the next."""
+    passes = (np.diff(np.sign(other)) != 0.0) & (np.abs(np.diff(other)) < np.pi)
+    at = np.flatnonzero(passes)
+    share = other[at] / (other[at] - other[at + 1])
+    there = values[at] + share * (values[at + 1] - values[at])
+    return float(min(there, key=abs, default=np.nan))
 
 
 def loop_damping(loop: control.StateSpace) -> dict[str, float]:
