@@ -8,8 +8,8 @@ with one scalar state a leg and u the ten `SIGNALS`, and with it, where a law ha
 reference model, a plan, and dynamic load pressure feedback. All of it runs leg by leg, or mode by
 mode of the hydraulics. Nothing in the code knows a law by name.
 
-A table may say `based_on = "other"`: it then holds only its title and what differs from that law,
-one of its own file or a shipped one.
+A table may say `based_on = "other"`: it then holds only what differs from that law, one of its own
+file or a shipped one. A title that is left out is the name.
 """
 
 from collections.abc import Mapping
@@ -283,7 +283,7 @@ def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law
     """One law from its table, which may be based on another of the tables."""
     if not isinstance(table, dict):
         raise InputError(f"{where}: {table!r} is refused: a law is a table [name]")
-    whole = _derived(table, tables, where) | {"name": name}
+    whole = {"title": name} | _derived(table, tables, where) | {"name": name}
     if whole.get("coordinates") == "hydraulic_modes":
         whole = {"modes": read_toml(_MODES)} | whole
     return validated(Law, whole, where)
