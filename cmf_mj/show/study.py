@@ -37,7 +37,7 @@ _LEGEND = (
     "-3 dB from absolute 0 dB; peak in dB; at rest: gain; zeta: damping ratio from the step's "
     "overshoot. -: the sweep, to 10 Hz, does not reach it, or no overshoot. unstable: the legs "
     "ring on undiminished 12 s after the step; drifts: the law holds no position, so legs move on "
-    "to a stop; nothing else counts then. "
+    "to a stop. Neither has other measures. "
 )
 _MARKS = {
     "~": "~: the phase grazes -90 deg. ",
