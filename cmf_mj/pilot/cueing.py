@@ -122,6 +122,12 @@ class Cue(NamedTuple):
     machine: Machine  #: That it is given with.
 
 
+def _algorithm(
+    washout: str | WashoutSettings, cab: Cab, rate: float, limits: MotionLimits | None
+) -> Washout:
+    return Washout(washout, station=cab.station, rate=rate, machine=cab.machine, limits=limits)
+
+
 def cue(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
@@ -136,7 +142,7 @@ def cue(
     Takes a washout by name, TOML file or loaded parameters, and the frames a second `rate` [Hz].
     """
     carried = load_cab(cab)
-    algorithm = Washout(washout, station=carried.station, rate=rate)
+    algorithm = _algorithm(washout, carried, rate, limits)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
     stream, limited = within_limits(demanded, limits, carried.machine)
@@ -192,7 +198,7 @@ def tune(
 
     def tried(factor: float) -> Tuned:
         changed = settings.with_gains(np.where(scaled, factor, 1.0) * settings.gains)
-        demanded = Washout(changed, station=carried.station, rate=rate).run(motion)
+        demanded = _algorithm(changed, carried, rate, limits).run(motion)
         use = excursion(demanded, limits, carried.machine)
         return Tuned(changed, factor, use, use.binding)
 

@@ -183,7 +183,7 @@ def washout_modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
     }
 
 
-_PLACES = {
+PLACES = {
     "pitch_surge": ((1, 3), (1, 4, 9, 12, 15)),
     "roll_sway": ((0, 4), (0, 3, 10, 13, 16)),
     "yaw": ((2,), (2, 5)),
@@ -202,7 +202,7 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
         mode_a, mode_b, mode_c, mode_d = mode.filter
         states = slice(begin, begin + len(mode_a))
         begin = states.stop
-        inputs, outputs = (np.array(place) for place in _PLACES[name])
+        inputs, outputs = (np.array(place) for place in PLACES[name])
         b[states, inputs] = mode_b
         c[outputs, states] = mode_c
         d[np.ix_(outputs, inputs)] = mode_d

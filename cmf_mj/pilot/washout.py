@@ -16,6 +16,7 @@ wrong way at each onset of tilt. A station of (0, 0, 0) turns it about the centr
 """
 
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +27,21 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
+from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import rotation
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.classical import Classical, make_classical, move_classical
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, pilot_station, vector
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated, pilot_station, vector
 from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
-from cmf_mj.pilot.washout_settings import ClassicalSettings, WashoutSettings, load_washout
+from cmf_mj.pilot.predictive import Predictive
+from cmf_mj.pilot.washout_settings import (
+    ClassicalSettings,
+    PredictiveSettings,
+    WashoutSettings,
+    load_washout,
+)
 
 
 class RunningWashout(NamedTuple):
@@ -41,7 +52,7 @@ class RunningWashout(NamedTuple):
     rate_limit: float  #: [rad/s].
     station: NDArray[np.float64]  #: r [m], (3,).
     interval: float  #: Between samples [s].
-    algorithm: Classical | Optimal
+    algorithm: Classical | Optimal | None  #: None if it is not compiled.
     angular: NDArray[np.float64]  #: Attitude of the simulator and two derivatives, (3, 3).
     linear: NDArray[np.float64]  #: Displacement of the pilot's station and two derivatives, (3, 3).
     euler_rates: NDArray[np.float64]  #: Of the last frame [rad/s], (3,).
@@ -100,6 +111,27 @@ def place_platform(running, motion):  # type: ignore[no-untyped-def]
 
 
 @allocating
+def coming_attitude(running):  # type: ignore[no-untyped-def]
+    """Roll and pitch at this frame, but for terms of third order in the interval."""
+    span, angular = running.interval, running.angular
+    roll = angular[0, 0] + span * (angular[1, 0] + 0.5 * span * angular[2, 0])
+    pitch = angular[0, 1] + span * (angular[1, 1] + 0.5 * span * angular[2, 1])
+    return roll, pitch
+
+
+@allocating
+def expect(running, ahead):  # type: ignore[no-untyped-def]
+    """Turn specific forces and angular rates (K, 6) into Euler rates and forces beyond rest."""
+    force, rate = np.empty(3), np.empty(3)
+    roll, pitch = coming_attitude(running)
+    for row in range(ahead.shape[0]):
+        scaled(running, ahead[row, :3], ahead[row, 3:], force, rate)
+        euler_rates_of(roll, pitch, rate, ahead[row, :3])
+        ahead[row, 3:] = force
+        ahead[row, 5] += STANDARD_GRAVITY
+
+
+@allocating
 def step(running, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
     """One host frame of the specific force and angular rate at the pilot's station, (3,) each.
 
@@ -107,15 +139,12 @@ def step(running, specific_force, angular_rate, motion):  # type: ignore[no-unty
     """
     force, rate, euler_rates, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     scaled(running, specific_force, angular_rate, force, rate)
-    # The attitude at this frame, but for terms of third order in the interval.
-    span, angular = running.interval, running.angular
-    roll = angular[0, 0] + span * (angular[1, 0] + 0.5 * span * angular[2, 0])
-    pitch = angular[0, 1] + span * (angular[1, 1] + 0.5 * span * angular[2, 1])
+    roll, pitch = coming_attitude(running)
     euler_rates_of(roll, pitch, rate, euler_rates)
     for axis in range(3):
-        slopes[axis] = (euler_rates[axis] - running.euler_rates[axis]) / span
+        slopes[axis] = (euler_rates[axis] - running.euler_rates[axis]) / running.interval
     running.euler_rates[:] = euler_rates
-    move(running.algorithm, euler_rates, slopes, force, angular, running.linear)
+    move(running.algorithm, euler_rates, slopes, force, running.angular, running.linear)
     place_platform(running, motion)
 
 
@@ -139,26 +168,34 @@ class Washout:
         *,
         station: ArrayLike | None = None,
         rate: float = MOST_RATE,
+        machine: str | Path | Machine = models.CMF,
+        limits: MotionLimits | None = None,
     ) -> None:
         """Discretise the filters of a set by name, TOML file or loaded parameters.
 
         The pilot's station counts from the platform's centroid [m], (3,), and is that of the `gfd`
-        cab by default; `rate` is in frames a second [Hz].
+        cab by default; `rate` is in frames a second [Hz]. A predictive washout knows the legs of
+        the `machine` and their limits, by default the machine's.
         """
         self.settings = load_washout(settings)
         self.station = vector("station", pilot_station() if station is None else station, " [m]")
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
-        self.rate, limits = rate, self.settings.inputs
-        algorithm: Classical | Optimal
-        if isinstance(self.settings, ClassicalSettings):
+        self.rate, most = rate, self.settings.inputs
+        algorithm: Classical | Optimal | None = None
+        self.predictive: Predictive | None = None
+        if isinstance(self.settings, PredictiveSettings):
+            base = load_machine(machine)
+            bounds = load_motion_limits(limits, base)
+            self.predictive = Predictive(self.settings, 1.0 / rate, self.station, base, bounds)
+        elif isinstance(self.settings, ClassicalSettings):
             algorithm = make_classical(self.settings, 1.0 / rate)
         else:
             algorithm = make_optimal(self.settings, 1.0 / rate)
         self._running = RunningWashout(
             self.settings.gains,
-            limits.force_limit.si,
-            limits.rate_limit.si,
+            most.force_limit.si,
+            most.rate_limit.si,
             self.station,
             1.0 / rate,
             algorithm,
@@ -176,8 +213,37 @@ class Washout:
         flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
-        _run(self._running, flown.specific_force, flown.angular_rate, out)
+        if self.predictive is None:
+            _run(self._running, flown.specific_force, flown.angular_rate, out)
+        else:
+            place_platform(self._running, out[0])
+            felt = np.hstack([flown.specific_force, flown.angular_rate])
+            for row in range(1, len(out)):
+                ahead = None
+                if self.predictive.reference == "known":
+                    at = flown.time[row - 1] + self.predictive.times[2:]
+                    ahead = interpolated(at, flown.time, felt)
+                self._predict(felt[row, :3], felt[row, 3:], out[row], ahead)
         return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
+
+    def _predict(
+        self,
+        force: NDArray[np.float64],
+        rate: NDArray[np.float64],
+        motion: NDArray[np.float64],
+        ahead: NDArray[np.float64] | None = None,
+    ) -> None:
+        """As `step`, with the force and rate ahead at the knots of the horizon, (N - 1, 6)."""
+        running, predictive = self._running, self.predictive
+        now, turning = np.empty(3), np.empty(3)
+        if ahead is not None:
+            ahead = ahead.copy()
+            expect(running, ahead)
+        scaled(running, force, rate, now, turning)
+        euler_rates_of(*coming_attitude(running), turning, running.euler_rates)
+        arguments = running.euler_rates, now, running.angular, running.linear, ahead
+        predictive.move(*arguments)  # type: ignore[union-attr]
+        place_platform(running, motion)
 
     def flown(self, motion: PilotMotion) -> PilotMotion:
         """A motion at the frames of the host, from time 0."""
@@ -194,6 +260,10 @@ class Washout:
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), running.angular[0, :2]):
             euler_rates_of(roll, pitch, rate, running.euler_rates)
+            if self.predictive is not None:
+                self.predictive.settle(running.euler_rates, force)
+                self.predictive.read(running.angular, running.linear)
+                continue
             running.algorithm.settle(running.euler_rates, force)
             # At rest a step with the same inputs changes nothing; it reads the outputs.
             rest = (running.euler_rates, np.zeros(3), force)
@@ -212,6 +282,9 @@ class Washout:
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))
         felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
-        step(self._running, *felt, motion)
+        if self.predictive is None:
+            step(self._running, *felt, motion)
+        else:
+            self._predict(*felt, motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)

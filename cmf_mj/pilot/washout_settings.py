@@ -18,7 +18,7 @@ from cmf_mj.core.settings import Loader, Name, Settings, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
 
-WASHOUTS = ("simona", "reid_nahon", "optimal")  #: Names of the shipped sets.
+WASHOUTS = ("simona", "reid_nahon", "optimal", "predictive")  #: Names of the shipped sets.
 
 _FILE = Path(__file__).with_name("washouts.toml")
 
@@ -33,6 +33,7 @@ AngleIntegral = Annotated[Quantity, positive_in("rad s", "deg s")]
 Distance = Annotated[Quantity, positive_in("m", "in")]
 DistanceIntegral = Annotated[Quantity, positive_in("m s")]
 Speed = Annotated[Quantity, positive_in("m/s", "in/s")]
+Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
 Time = Annotated[Quantity, positive_in("s")]
 
 
@@ -177,7 +178,30 @@ class OptimalSettings(_Set):
     heave: TranslationSizes
 
 
-WashoutSettings = ClassicalSettings | OptimalSettings  #: Parameters of any washout.
+class Prediction(Settings):
+    """Horizon and constraints of a predictive washout."""
+
+    reference: Literal["constant", "guess", "known"]  #: What is taken of the aircraft ahead.
+    knots: int = Field(ge=2, le=60)  #: Of the horizon.
+    iterations: int = Field(ge=1)  #: Of the solver, at most.
+    horizon: Time
+    guess_time: Time  #: T of the guess.
+    guess_lag: Time  #: Time constant of its slope.
+    share: Share  #: Of travel, speed and acceleration, of legs and pose, that a plan may use.
+    tilt_rate: Rate  #: Largest rate against or beyond the aircraft's, in roll and pitch.
+    price: Ratio  #: Of passing a constraint by all of its limit, in units of the cost.
+
+
+class PredictiveSettings(OptimalSettings):
+    """A predictive washout: sizes of the cost as for an optimal one, and a horizon."""
+
+    kind: Literal["predictive"]  # type: ignore[assignment]
+    prediction: Prediction
+
+
+WashoutSettings = ClassicalSettings | OptimalSettings | PredictiveSettings  #: Parameters of any washout.
+
+_KINDS = {"optimal": OptimalSettings, "predictive": PredictiveSettings}
 
 
 def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSettings:
@@ -190,13 +214,11 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
         return source
     sets = Loader(Settings, _FILE, what="washout", names=WASHOUTS, fixed=("kind",))
     table, where = sets.table(source)
-    if table["kind"] == "optimal":
-        return validated(OptimalSettings, table, where)
-    return validated(ClassicalSettings, table, where)
+    return validated(_KINDS.get(table["kind"], ClassicalSettings), table, where)
 
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
-    base = "optimal" if settings.kind == "optimal" else "simona"
+    base = settings.kind if settings.kind in _KINDS else "simona"
     table = settings.model_dump(mode="json", exclude={"name", "kind"})
     return write_text(Path(path), tomlkit.dumps({"base": base, settings.name: table}))

@@ -1,0 +1,359 @@
+"""The predictive washout: a plan over a horizon that the legs can follow, made again each frame.
+
+Per mode the model is that of `optimal`, with x = (x_v, x_d), u the simulator's rate and
+acceleration and v the aircraft's inputs,
+
+    dx/dt = A x + B u + E v,    J = int_0^H (x, v, u)^T W (x, v, u) dt + (x, v)^T P (x, v) at H
+
+u and v run straight between the knots 0 = t_0 < t_1 < ... < t_N = H, t_1 one frame, later ones
+farther apart by a constant ratio. Transitions and the cost of a span are exact (one exponential,
+doubled). P solves the Riccati equation of `optimal`: beyond the horizon that washout takes over.
+With U = (u_1 .. u_N) and what is given, s = (x_0, u_0, v_0 .. v_N), the states condense to
+
+    J = U^T H U + 2 U^T G s + const,    z = R U with R^T R = H,    min z^T z / 2 + z^T R^-T G s
+
+subject, at each knot, with q head displacement and attitude, L(q) legs and pose, J = dL/dq,
+
+    |L(q*) + J (q - q*)| <= share of travel,   |J q'| <= share of speed,
+    |J q'' + J'* q'*| <= share of acceleration, q*: the plan of the frame before, moved on
+    min(0, w) - R <= rate of roll, pitch <= max(0, w) + R
+
+w the aircraft's Euler rate, R the largest tilt rate: the platform may turn less than the aircraft,
+but against it or beyond it only unnoticed. Each row may be passed at a price, linear and steep, so
+that a solution always exists and keeps all rows that can be kept. If the solver does not end within
+its iterations, the last plan goes on; after its end the linear washout u = -F (x, 0) takes over.
+
+v ahead is `constant`; a `guess`, v + m T (1 - exp(-t / T)) with the slope m low-passed; or `known`
+from the flight. The specific force that the small angles of the model miss is taken off v. It
+differs from predictive cueing of the literature in its legs and in having no small-angle platform.
+"""
+
+from time import perf_counter
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.optimize import brentq
+
+from cmf_mj.core.compiled import allocating
+from cmf_mj.core.filters import hold
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.machine.geometry import Geometry
+from cmf_mj.machine.kinematics import about, rotation, write_legs, write_pose_jacobian
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
+from cmf_mj.pilot.motion import turn_to_body
+from cmf_mj.pilot.optimal import PLACES, WashoutMode, washout_modes
+from cmf_mj.pilot.washout_settings import PredictiveSettings
+
+Matrix = NDArray[np.float64]
+
+_MOVES = {"pitch_surge": (0, 4), "roll_sway": (1, 3), "yaw": (None, 5), "heave": (2, None)}
+"""Displacement and angle of each mode among those of a pose."""
+
+_STEP = 1e-6  #: Of time, to differentiate the Jacobian along the motion [s].
+
+_SOLVED = (1, 2)  #: Exit flags of DAQP at an optimum, and at one that passes soft rows.
+
+_SOFT = 8  #: How DAQP marks a row that may be passed at a price.
+
+_GO_ON = 0.5  #: Time for which the last plan goes on alone, and then fades to a washout [s].
+
+INPUTS = {name: list(inputs) for name, (inputs, _) in PLACES.items()}
+"""Inputs of each mode among Euler rates and specific force."""
+
+_TILTING = ("pitch_surge", "roll_sway")
+
+
+class Condensed(NamedTuple):
+    """One mode over the horizon; given s = (x_0, u_0, v_0 .. v_N) and free U = (u_1 .. u_N)."""
+
+    hessian: Matrix  #: H, (mN, mN).
+    gradient: Matrix  #: G, (mN, s).
+    states: Matrix  #: x at each knot of (s, U), (N + 1, n, s + mN).
+    inputs: Matrix  #: u at each knot of (s, U), (N + 1, m, s + mN).
+
+
+def knots(count: int, first: float, horizon: float) -> Matrix:
+    """Times t_0 .. t_N [s], (N + 1,): the first span given, later ones longer by one ratio."""
+    if horizon <= count * first * (1.0 + 1e-9):
+        return first * np.arange(count + 1)
+    sums = np.arange(count)
+    ratio = brentq(lambda r: first * np.sum(r**sums) - horizon, 1.0, horizon / first + 1.0)
+    return np.concatenate([[0.0], np.cumsum(first * ratio**sums)])
+
+
+def span_cost(dynamics: tuple[Matrix, Matrix], weight: Matrix, span: float) -> Matrix:
+    """Cost matrix of (x_0, w_0, w_1) over a span [s], inputs w straight between; exact.
+
+    int e^(M^T t) Q e^(M t) dt by Van Loan's exponential for a small part, then doubled.
+    """
+    a, b = dynamics
+    n, m = b.shape
+    chain = np.zeros((n + 2 * m, n + 2 * m))
+    chain[:n, :n], chain[:n, n : n + m] = a, b
+    chain[n : n + m, n + m :] = np.eye(m)
+    cost = linalg.block_diag(weight, np.zeros((m, m)))
+    doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(chain, 1) * span))) + 1)
+    part = span / 2**doublings
+    joined = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
+    over = joined[len(chain) :, len(chain) :]
+    total = over.T @ joined[: len(chain), len(chain) :]
+    for _ in range(doublings):
+        total, over = total + over.T @ total @ over, over @ over
+    slope = np.eye(n + 2 * m)
+    slope[n + m :, n : n + m], slope[n + m :, n + m :] = -np.eye(m) / span, np.eye(m) / span
+    total = slope.T @ total @ slope
+    return np.asarray(0.5 * (total + total.T))
+
+
+def parts(mode: WashoutMode) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, (B, E), the weight of (x, u, v) and P of (x, v) of a mode."""
+    n, m = len(mode.filter[0]), mode.plant[1].shape[1]
+    (a, b), (q, cross, r) = mode.plant, mode.cost
+    order = np.r_[:n, len(a) : len(a) + m, n : len(a)]
+    weight = np.block([[q, cross], [cross.T, r]])[np.ix_(order, order)]
+    return a[:n, :n], np.hstack([b[:n], a[:n, n:]]), weight, mode.riccati
+
+
+def condense(mode: WashoutMode, times: Matrix) -> Condensed:
+    """Condense a mode over knots at some times [s]."""
+    a, b, weight, terminal = parts(mode)
+    n, m, both = len(a), mode.plant[1].shape[1], b.shape[1]
+    count, p = len(times) - 1, both - m
+    given = n + m + p * (count + 1)
+    size = given + m * count
+    states, inputs = np.zeros((count + 1, n, size)), np.zeros((count + 1, both, size))
+    states[0, :, :n] = np.eye(n)
+    for k in range(count + 1):
+        own = n if k == 0 else given + m * (k - 1)
+        inputs[k, :m, own : own + m] = np.eye(m)
+        ahead = n + m + p * k
+        inputs[k, m:, ahead : ahead + p] = np.eye(p)
+    total = np.zeros((size, size))
+    for k, span in enumerate(np.diff(times)):
+        held = hold(a, b, np.zeros((0, n)), np.zeros((0, both)), float(span))
+        states[k + 1] = held.transition @ states[k]
+        states[k + 1] += held.earlier @ inputs[k] + held.later @ inputs[k + 1]
+        stage = np.vstack([states[k], inputs[k], inputs[k + 1]])
+        total += stage.T @ span_cost((a, b), weight, float(span)) @ stage
+    last = np.vstack([states[-1], inputs[-1, m:]])
+    total += last.T @ terminal @ last
+    return Condensed(total[given:, given:], total[given:, :given], states, inputs[:, :m])
+
+
+@allocating
+def _reach(geometry, station, q, jacobian):  # type: ignore[no-untyped-def]
+    """Write d(legs, pose of the centroid)/dq, (12, 6), at the head's q (6,)."""
+    write_pose_jacobian(geometry, q, jacobian[:6])
+    jacobian[6:] = np.eye(6)
+    for axis in range(3, 6):
+        there = q.copy()
+        there[axis] += 1e-4
+        back = q.copy()
+        back[axis] -= 1e-4
+        change = rotation(there[3], there[4], there[5]) - rotation(back[3], back[4], back[5])
+        jacobian[6:9, axis] = -(change @ station) / 2e-4
+
+
+@allocating
+def along(geometry, station, q, q1, reached, jacobian, turning):  # type: ignore[no-untyped-def]
+    """Write legs and pose (N, 12), their Jacobians (N, 12, 6) and J' q' (N, 12) of (N, 6)."""
+    ahead = np.empty((12, 6))
+    for k in range(q.shape[0]):
+        write_legs(geometry, q[k], reached[k, :6])
+        reached[k, 6:] = q[k]
+        turn = rotation(q[k, 3], q[k, 4], q[k, 5])
+        reached[k, 6:9] -= turn @ station - station
+        _reach(geometry, station, q[k], jacobian[k])
+        _reach(geometry, station, q[k] + _STEP * q1[k], ahead)
+        turning[k] = (ahead - jacobian[k]) @ q1[k] / _STEP
+
+
+class Solves(NamedTuple):
+    """What the solver did in a run, a number a frame."""
+
+    seconds: list[float]  #: Of the whole frame, model and solver.
+    iterations: list[int]
+    bridged: list[bool]  #: Whether the last plan went on instead.
+
+
+class Predictive:
+    """The algorithm at work."""
+
+    def __init__(
+        self,
+        settings: PredictiveSettings,
+        interval: float,
+        station: Matrix,
+        machine: Machine,
+        limits: MotionLimits,
+    ) -> None:
+        """Condense all modes of a set at frames `interval` [s] apart, for a machine and limits."""
+        own = settings.prediction
+        self.reference, self.times = own.reference, knots(own.knots, interval, own.horizon.si)
+        self.solves = Solves([], [], [])
+        self._by_name = washout_modes(settings)
+        self._modes = {name: condense(mode, self.times) for name, mode in self._by_name.items()}
+        self._geometry: Geometry = about(station, machine)
+        leg, (low, high) = limits.leg, limits.operational.T
+        legs = [leg.position.si, leg.velocity.si, leg.acceleration.si]
+        dofs = np.array([high, limits.velocity, limits.acceleration])
+        most = own.share.si * np.hstack([np.repeat(np.array(legs)[:, None], 6, axis=1), dofs])
+        self._bounds, self._station = (-most, most), station
+        self._bounds[0][0, 6:] = own.share.si * low
+        self._tilt, self._guess = own.tilt_rate.si, (own.guess_time.si, own.guess_lag.si)
+        moved = self.times + interval
+        self._shift = np.array([np.interp(moved, self.times, row) for row in np.eye(own.knots + 1)])
+        self._assemble()
+        self._program, self._ready = daqp.Model(), False
+        self._program.settings = {"iter_limit": own.iterations, "w_soft": own.price.si}
+
+    def _assemble(self) -> None:
+        """Motion and cost of all modes at the knots 1 .. N, of s and of z = R U."""
+        count, modes = len(self.times) - 1, self._modes.values()
+        given = sum(mode.gradient.shape[1] for mode in modes)
+        free = sum(len(mode.hessian) for mode in modes)
+        motion = np.zeros((3, count, 6, given + free))
+        spans = np.diff(self.times)[:, None]
+        s_begin, u_begin = 0, given
+        for name, mode in self._modes.items():
+            s_count, u_count = mode.gradient.shape[1], len(mode.hessian)
+            columns = np.r_[s_begin : s_begin + s_count, u_begin : u_begin + u_count]
+            s_begin, u_begin = s_begin + s_count, u_begin + u_count
+            place, angle = _MOVES[name]
+            states = mode.states[1:]
+            if place is not None:
+                begin = -3 if angle is not None else -2
+                moved = (states[:, begin], states[:, begin + 1], mode.inputs[1:, -1])
+                motion[:, :, place, columns] = np.array(moved)
+            if angle is not None:
+                slope = np.diff(mode.inputs[:, 0], axis=0) / spans
+                motion[:, :, angle, columns] = np.array([states[:, -1], mode.inputs[1:, 0], slope])
+        self._factor = linalg.cholesky(linalg.block_diag(*(mode.hessian for mode in modes)))
+        self._ends = np.cumsum([len(mode.hessian) for mode in modes])[:-1]
+        unscale = linalg.solve_triangular(self._factor, np.eye(free))
+        self._pull = unscale.T @ linalg.block_diag(*(mode.gradient for mode in modes))
+        self._unscale, self._given = unscale, motion[..., :given]
+        self._free = motion[..., given:] @ unscale
+        self._turns = self._free[1, :, 3:5].reshape(2 * count, free) / self._tilt
+
+    def settle(self, euler_rates: Matrix, force: Matrix) -> None:
+        """As `Classical.settle`: at rest, tilted by what costs least for a sustained force."""
+        self._v = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
+        self._slope, self._offset, self._lost = np.zeros(6), np.zeros(6), 0
+        self._state, self._plan, self._turn = {}, {}, {}
+        for name, mode in self._by_name.items():
+            a, both, weight, _ = parts(mode)
+            n, m = len(a), mode.plant[1].shape[1]
+            sensed = n - {"yaw": 2, "heave": 3}.get(name, 4)
+            v = self._v[INPUTS[name]]
+            turned, driven = np.zeros(len(weight)), np.zeros(len(weight))
+            turned[n - 1], driven[n + m :] = float(name in _TILTING), v
+            for rest, pushed in ((turned, a[:sensed, n - 1] * turned[n - 1]), (driven, both[:sensed, m:] @ v)):
+                rest[:sensed] = -np.linalg.solve(a[:sensed, :sensed], pushed)
+            if name in _TILTING:
+                driven -= turned * (turned @ weight @ driven) / (turned @ weight @ turned)
+            self._state[name] = driven[:n]
+            self._plan[name], self._turn[name] = np.zeros((len(self.times), m)), np.zeros(m)
+
+    def move(
+        self,
+        euler_rates: Matrix,
+        force: Matrix,
+        angular: Matrix,
+        linear: Matrix,
+        ahead: Matrix | None = None,
+    ) -> None:
+        """One sample; arguments as for `move_classical`.
+
+        `ahead` are Euler rates and specific force less that of level rest at the knots 2 .. N.
+        """
+        begun, times = perf_counter(), self.times
+        now = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
+        inputs = self._inputs_ahead(now, ahead) - self._offset
+        given = [
+            np.concatenate([self._state[name], self._plan[name][0], inputs[:, places].ravel()])
+            for name, places in INPUTS.items()
+        ]
+        start = self._factor @ np.concatenate([plan[1:].ravel() for plan in self._plan.values()])
+        z, iterations = self._solve(np.concatenate(given), start, inputs)
+        self._lost = self._lost + 1 if z is None else 0
+        plans = np.split(self._unscale @ (start if z is None else z), self._ends)
+        for (name, mode), own, u in zip(self._modes.items(), given, plans, strict=True):
+            if self._lost:  # the linear washout takes over from the plan
+                share = np.clip(self._lost * times[1] / _GO_ON - 1.0, 0.0, 1.0)
+                felt = np.concatenate([self._state[name], inputs[1, INPUTS[name]]])
+                first = u[: self._plan[name].shape[1]]
+                first += share * (-self._by_name[name].feedback @ felt - first)
+            before = self._plan[name][:1]
+            self._state[name] = mode.states[1] @ np.concatenate([own, u])
+            plan = np.vstack([before, u.reshape(len(times) - 1, -1)])
+            self._plan[name] = self._shift.T @ plan
+            self._turn[name] = (plan[1] - plan[0]) / times[1]
+        self._v = now
+        self.read(angular, linear)
+        felt = np.empty(3)
+        turn_to_body(angular[0], linear[2] - [0.0, 0.0, STANDARD_GRAVITY], felt)
+        tilt = STANDARD_GRAVITY * np.array([angular[0, 1], -angular[0, 0], -1.0])
+        self._offset[3:] = felt - linear[2] - tilt
+        self.solves.seconds.append(perf_counter() - begun)
+        self.solves.iterations.append(iterations)
+        self.solves.bridged.append(z is None)
+
+    def read(self, angular: Matrix, linear: Matrix) -> None:
+        """Write attitude and displacement of the head with two derivatives, (3, 3) each."""
+        motion = np.zeros((3, 6))
+        for name, (place, angle) in _MOVES.items():
+            x, u = self._state[name], self._plan[name][0]
+            if place is not None:
+                at = -3 if angle is not None else -2
+                motion[:, place] = x[at], x[at + 1], u[-1]
+            if angle is not None:
+                motion[:, angle] = x[-1], u[0], self._turn[name][0]
+        linear[:], angular[:] = motion[:, :3], motion[:, 3:]
+
+    def _inputs_ahead(self, now: Matrix, ahead: Matrix | None) -> Matrix:
+        """Euler rates and specific force less that of level rest at all knots, (N + 1, 6)."""
+        time, lag = self._guess
+        self._slope += ((now - self._v) / self.times[1] - self._slope) * self.times[1] / lag
+        rows = np.vstack([self._v, np.broadcast_to(now, (len(self.times) - 1, 6))])
+        if ahead is not None:
+            rows[2:] = ahead
+        elif self.reference == "guess":
+            since = self.times[2:, None] - self.times[1]
+            rows[2:] += self._slope * time * (1.0 - np.exp(-since / time))
+        return rows
+
+    def _solve(self, given: Matrix, start: Matrix, inputs: Matrix) -> tuple[Matrix | None, int]:
+        """z of the programme, or None where the solver did not end; iterations."""
+        count, size = self._free.shape[1], len(start)
+        held = self._given @ given
+        q, q1, _ = held + self._free @ start
+        reached, turning = np.empty((count, 12)), np.empty((count, 12))
+        jacobian = np.empty((count, 12, 6))
+        along(self._geometry, self._station, q, q1, reached, jacobian, turning)
+        rest = (jacobian @ held[..., None])[..., 0]
+        rest[0] += reached - (jacobian @ q[..., None])[..., 0]
+        rest[2] += turning
+        turned, aircraft = held[1, :, 3:5] / self._tilt, inputs[1:, :2] / self._tilt
+        scale = self._bounds[1][:, None]
+        rows = jacobian @ self._free / scale[..., None]
+        a = np.vstack([rows.reshape(-1, size), self._turns])
+        low, high = (np.broadcast_to(b[:, None] - rest, rest.shape) / scale for b in self._bounds)
+        lower = np.concatenate([low.ravel(), (np.minimum(aircraft, 0.0) - 1.0 - turned).ravel()])
+        upper = np.concatenate([high.ravel(), (np.maximum(aircraft, 0.0) + 1.0 - turned).ravel()])
+        program = {"f": self._pull @ given, "A": a, "bupper": upper, "blower": lower}
+        if self._ready:
+            flag = self._program.update(**program)
+        else:
+            soft = np.full(len(a), _SOFT, dtype=np.int32)
+            flag, _ = self._program.setup(np.eye(size), sense=soft, **program)
+            self._ready = flag >= 0
+        if flag < 0:
+            return None, 0
+        z, _, flag, said = self._program.solve()
+        good = flag in _SOLVED and bool(np.isfinite(z).all())
+        return (z if good else None), int(said["iterations"])
