@@ -75,7 +75,7 @@ def chain() -> None:
     live = streams.build(streams.State.ENGAGED, [])
     streams._advance(live, 0, 1, np.zeros(6), 2**40, np.zeros((3, 1, 6)))
     host._read_until(host.make_ring(2), host.make_log(1), 0)
-    for settings in ("simona", "optimal"):
+    for settings in ("simona", "predictive", "optimal"):
         flown, by_frame = level(0.1), Washout(settings)
         stream = Washout(settings).run(flown)
         for now in zip(flown.specific_force, flown.angular_rate, strict=True):

@@ -23,9 +23,8 @@ but against it or beyond it only unnoticed. Each row may be passed at a price, l
 that a solution always exists and keeps all rows that can be kept. If the solver does not end within
 its iterations, the last plan goes on; after its end the linear washout u = -F (x, 0) takes over.
 
-v ahead is `constant`; a `guess`, v + m T (1 - exp(-t / T)) with the slope m low-passed; or `known`
-from the flight. The specific force that the small angles of the model miss is taken off v. It
-differs from predictive cueing of the literature in its legs and in having no small-angle platform.
+v ahead is `constant`; a `guess`, (v + m T (1 - exp(-t / T))) exp(-t / T_f) with the slope m
+low-passed; or `known` from the flight. The specific force that the small angles of the model miss is taken off v.
 """
 
 from time import perf_counter
@@ -79,7 +78,7 @@ class Condensed(NamedTuple):
 def knots(count: int, first: float, horizon: float) -> Matrix:
     """Times t_0 .. t_N [s], (N + 1,): the first span given, later ones longer by one ratio."""
     if horizon <= count * first * (1.0 + 1e-9):
-        return first * np.arange(count + 1)
+        return np.asarray(first * np.arange(count + 1))
     sums = np.arange(count)
     ratio = brentq(lambda r: first * np.sum(r**sums) - horizon, 1.0, horizon / first + 1.0)
     return np.concatenate([[0.0], np.cumsum(first * ratio**sums)])
@@ -204,12 +203,16 @@ class Predictive:
         most = own.share.si * np.hstack([np.repeat(np.array(legs)[:, None], 6, axis=1), dofs])
         self._bounds, self._station = (-most, most), station
         self._bounds[0][0, 6:] = own.share.si * low
-        self._tilt, self._guess = own.tilt_rate.si, (own.guess_time.si, own.guess_lag.si)
+        self._tilt, self._guess = (
+            own.tilt_rate.si,
+            (own.guess_time.si, own.guess_lag.si, own.guess_fade.si),
+        )
         moved = self.times + interval
         self._shift = np.array([np.interp(moved, self.times, row) for row in np.eye(own.knots + 1)])
         self._assemble()
         self._program, self._ready = daqp.Model(), False
-        self._program.settings = {"iter_limit": own.iterations, "w_soft": own.price.si}
+        self._program.settings = {"iter_limit": own.iterations}
+        self._price, self._tilt_price = own.price.si, own.tilt_price.si
 
     def _assemble(self) -> None:
         """Motion and cost of all modes at the knots 1 .. N, of s and of z = R U."""
@@ -252,10 +255,15 @@ class Predictive:
             v = self._v[INPUTS[name]]
             turned, driven = np.zeros(len(weight)), np.zeros(len(weight))
             turned[n - 1], driven[n + m :] = float(name in _TILTING), v
-            for rest, pushed in ((turned, a[:sensed, n - 1] * turned[n - 1]), (driven, both[:sensed, m:] @ v)):
+            for rest, pushed in (
+                (turned, a[:sensed, n - 1] * turned[n - 1]),
+                (driven, both[:sensed, m:] @ v),
+            ):
                 rest[:sensed] = -np.linalg.solve(a[:sensed, :sensed], pushed)
             if name in _TILTING:
-                driven -= turned * (turned @ weight @ driven) / (turned @ weight @ turned)
+                angle = -(turned @ weight @ driven) / (turned @ weight @ turned)
+                most = 0.5 * self._bounds[1][0, 9 + (name == "pitch_surge")]
+                driven += turned * np.clip(angle, -most, most)
             self._state[name] = driven[:n]
             self._plan[name], self._turn[name] = np.zeros((len(self.times), m)), np.zeros(m)
 
@@ -279,15 +287,19 @@ class Predictive:
             for name, places in INPUTS.items()
         ]
         start = self._factor @ np.concatenate([plan[1:].ravel() for plan in self._plan.values()])
-        z, iterations = self._solve(np.concatenate(given), start, inputs)
+        z, iterations = self._solve(self.programme(np.concatenate(given), start, inputs))
         self._lost = self._lost + 1 if z is None else 0
         plans = np.split(self._unscale @ (start if z is None else z), self._ends)
         for (name, mode), own, u in zip(self._modes.items(), given, plans, strict=True):
             if self._lost:  # the linear washout takes over from the plan
                 share = np.clip(self._lost * times[1] / _GO_ON - 1.0, 0.0, 1.0)
-                felt = np.concatenate([self._state[name], inputs[1, INPUTS[name]]])
-                first = u[: self._plan[name].shape[1]]
-                first += share * (-self._by_name[name].feedback @ felt - first)
+                first, m = u.copy(), self._plan[name].shape[1]
+                first[:m] = 0.0
+                felt = mode.states[1] @ np.concatenate([own, first])
+                felt = np.concatenate([felt, inputs[1, INPUTS[name]]])
+                feedback, later = self._by_name[name].feedback, mode.states[1][:, len(own) :]
+                loop = np.eye(m) + feedback[:, : len(later)] @ later[:, :m]
+                u[:m] -= share * (np.linalg.solve(loop, feedback @ felt) + u[:m])
             before = self._plan[name][:1]
             self._state[name] = mode.states[1] @ np.concatenate([own, u])
             plan = np.vstack([before, u.reshape(len(times) - 1, -1)])
@@ -317,7 +329,7 @@ class Predictive:
 
     def _inputs_ahead(self, now: Matrix, ahead: Matrix | None) -> Matrix:
         """Euler rates and specific force less that of level rest at all knots, (N + 1, 6)."""
-        time, lag = self._guess
+        time, lag, fade = self._guess
         self._slope += ((now - self._v) / self.times[1] - self._slope) * self.times[1] / lag
         rows = np.vstack([self._v, np.broadcast_to(now, (len(self.times) - 1, 6))])
         if ahead is not None:
@@ -325,10 +337,14 @@ class Predictive:
         elif self.reference == "guess":
             since = self.times[2:, None] - self.times[1]
             rows[2:] += self._slope * time * (1.0 - np.exp(-since / time))
+            rows[2:] *= np.exp(-since / fade)
         return rows
 
-    def _solve(self, given: Matrix, start: Matrix, inputs: Matrix) -> tuple[Matrix | None, int]:
-        """z of the programme, or None where the solver did not end; iterations."""
+    def programme(self, given: Matrix, start: Matrix, inputs: Matrix) -> dict[str, Matrix]:
+        """f, A and bounds of min z^T z / 2 + f^T z, linearised along the plan z = `start`.
+
+        `given` is s of all modes, `inputs` the aircraft's at all knots, (N + 1, 6).
+        """
         count, size = self._free.shape[1], len(start)
         held = self._given @ given
         q, q1, _ = held + self._free @ start
@@ -341,17 +357,27 @@ class Predictive:
         turned, aircraft = held[1, :, 3:5] / self._tilt, inputs[1:, :2] / self._tilt
         scale = self._bounds[1][:, None]
         rows = jacobian @ self._free / scale[..., None]
-        a = np.vstack([rows.reshape(-1, size), self._turns])
-        low, high = (np.broadcast_to(b[:, None] - rest, rest.shape) / scale for b in self._bounds)
-        lower = np.concatenate([low.ravel(), (np.minimum(aircraft, 0.0) - 1.0 - turned).ravel()])
-        upper = np.concatenate([high.ravel(), (np.maximum(aircraft, 0.0) + 1.0 - turned).ravel()])
-        program = {"f": self._pull @ given, "A": a, "bupper": upper, "blower": lower}
+        low, high = ((bound[:, None] - rest) / scale for bound in self._bounds)
+        low_turn, high_turn = np.minimum(aircraft, 0.0) - 1.0, np.maximum(aircraft, 0.0) + 1.0
+        return {
+            "f": self._pull @ given,
+            "A": np.vstack([rows.reshape(-1, size), self._turns]),
+            "blower": np.concatenate([low.ravel(), (low_turn - turned).ravel()]),
+            "bupper": np.concatenate([high.ravel(), (high_turn - turned).ravel()]),
+        }
+
+    def _solve(self, programme: dict[str, Matrix]) -> tuple[Matrix | None, int]:
+        """What solves a programme, or None where the solver did not end; iterations."""
         if self._ready:
-            flag = self._program.update(**program)
+            flag = self._program.update(**programme)
         else:
-            soft = np.full(len(a), _SOFT, dtype=np.int32)
-            flag, _ = self._program.setup(np.eye(size), sense=soft, **program)
+            soft = np.full(len(programme["A"]), _SOFT, dtype=np.int32)
+            unit = np.eye(len(programme["f"]))
+            flag, _ = self._program.setup(unit, sense=soft, **programme)
             self._ready = flag >= 0
+            prices = np.full(len(programme["A"]), self._price)
+            prices[-len(self._turns) :] = self._tilt_price
+            self._program.soft_weights(w_l=prices, w_u=prices)
         if flag < 0:
             return None, 0
         z, _, flag, said = self._program.solve()

@@ -33,7 +33,14 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.classical import Classical, make_classical, move_classical
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated, pilot_station, vector
+from cmf_mj.pilot.motion import (
+    MOST_RATE,
+    PilotMotion,
+    body_rates,
+    interpolated,
+    pilot_station,
+    vector,
+)
 from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
 from cmf_mj.pilot.predictive import Predictive
 from cmf_mj.pilot.washout_settings import (
@@ -264,7 +271,7 @@ class Washout:
                 self.predictive.settle(running.euler_rates, force)
                 self.predictive.read(running.angular, running.linear)
                 continue
-            running.algorithm.settle(running.euler_rates, force)
+            running.algorithm.settle(running.euler_rates, force)  # type: ignore[union-attr]
             # At rest a step with the same inputs changes nothing; it reads the outputs.
             rest = (running.euler_rates, np.zeros(3), force)
             move(running.algorithm, *rest, running.angular, running.linear)

@@ -4,7 +4,7 @@ A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, s
 """
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import tomlkit
@@ -187,9 +187,11 @@ class Prediction(Settings):
     horizon: Time
     guess_time: Time  #: T of the guess.
     guess_lag: Time  #: Time constant of its slope.
+    guess_fade: Time  #: T_f, with which it fades.
     share: Share  #: Of travel, speed and acceleration, of legs and pose, that a plan may use.
     tilt_rate: Rate  #: Largest rate against or beyond the aircraft's, in roll and pitch.
-    price: Ratio  #: Of passing a constraint by all of its limit, in units of the cost.
+    price: Ratio  #: Of passing a limit of legs or pose by all of itself, in units of the cost.
+    tilt_price: Ratio  #: Likewise of passing the tilt rate.
 
 
 class PredictiveSettings(OptimalSettings):
@@ -199,9 +201,11 @@ class PredictiveSettings(OptimalSettings):
     prediction: Prediction
 
 
-WashoutSettings = ClassicalSettings | OptimalSettings | PredictiveSettings  #: Parameters of any washout.
+WashoutSettings = (
+    ClassicalSettings | OptimalSettings | PredictiveSettings
+)  #: Parameters of any washout.
 
-_KINDS = {"optimal": OptimalSettings, "predictive": PredictiveSettings}
+_KINDS: dict[str, Any] = {"optimal": OptimalSettings, "predictive": PredictiveSettings}
 
 
 def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSettings:

@@ -1,0 +1,257 @@
+"""The predictive washout: linear-quadratic limits, a dense solution, limits kept, plans bridged."""
+
+import numpy as np
+import pytest
+from cab_motions import G, level, pushed, sustained, turn_entry
+from scipy import integrate, linalg
+from scipy.optimize import nnls
+
+from cmf_mj.core.filters import hold
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.kinematics import about, pose_to_legs
+from cmf_mj.machine.machine import load_machine
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.cueing import cue, excursion
+from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.optimal import washout_modes
+from cmf_mj.pilot.predictive import along, condense, knots, parts, span_cost
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import load_washout
+
+SETTINGS = load_washout("predictive")
+MODES = washout_modes(SETTINGS)
+LIMITS = load_motion_limits()
+
+
+def changed(mode=(), sizes=1.0, **prediction):
+    """The shipped set with some sizes multiplied and entries of the horizon changed."""
+    tables = SETTINGS.model_dump()
+    for table, key in mode:
+        tables[table][key]["value"] *= sizes
+    for key, value in prediction.items():
+        if isinstance(tables["prediction"][key], dict):
+            tables["prediction"][key]["value"] = value
+        else:
+            tables["prediction"][key] = value
+    return type(SETTINGS)(**tables)
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_unconstrained_over_a_long_horizon_it_is_the_discrete_riccati_solution(name):
+    """State (x, u), input the next u: SciPy's equation has u+ = -K (x, u)."""
+    mode, span, count = MODES[name], 0.1, 150
+    a, both, weight, _ = parts(mode)
+    n, m = len(a), mode.plant[1].shape[1]
+    b = both[:, :m]
+    held = hold(a, b, np.zeros((0, n)), np.zeros((0, m)), span)
+    w = span_cost((a, b), weight[: n + m, : n + m], span)
+    moved = np.block([[held.transition, held.earlier], [np.zeros((m, n + m))]])
+    driven = np.vstack([held.later, np.eye(m)])
+    q, s, r = w[: n + m, : n + m], w[: n + m, n + m :], w[n + m :, n + m :]
+    p = linalg.solve_discrete_are(moved, driven, q, r, s=s)
+    gain = np.linalg.solve(r + driven.T @ p @ driven, driven.T @ p @ moved + s.T)
+    whole = condense(mode, knots(count, span, 0.0))
+    plan = -np.linalg.solve(whole.hessian, whole.gradient[:, : n + m])
+    np.testing.assert_allclose(plan[:m], -gain, atol=1e-7 * np.abs(gain).max())
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_over_any_horizon_it_tends_to_the_optimal_washout_with_the_spans(name):
+    """u = -F x: the error of straight lines between knots falls with the square of the span."""
+    mode = MODES[name]
+    a, both, _, _ = parts(mode)
+    n, m = len(a), mode.plant[1].shape[1]
+    b, gain = both[:, :m], mode.feedback[:, :n]
+    x = np.linspace(1.0, 0.3, n)
+    errors = []
+    for count in (20, 40):
+        times = knots(count, 0.4 / count, 0.0)
+        whole = condense(mode, times)
+        given = np.zeros(whole.gradient.shape[1])
+        given[: n + m] = np.concatenate([x, -gain @ x])
+        plan = -np.linalg.solve(whole.hessian, whole.gradient @ given).reshape(count, m)
+        closed = linalg.expm((a - b @ gain) * times[-1])
+        exact = -gain @ closed @ x
+        errors.append(np.abs(plan[-1] - exact).max() / np.abs(gain @ x).max())
+    assert errors[1] < 0.35 * errors[0] and errors[1] < 0.01
+
+
+def test_cost_of_a_span_is_the_integral():
+    """Against adaptive quadrature of the simulated motion."""
+    draw = np.random.default_rng(4)
+    mode = MODES["pitch_surge"]
+    a, both, weight, _ = parts(mode)
+    x, w0, w1 = draw.normal(size=len(a)), draw.normal(size=4), draw.normal(size=4)
+    span = 0.3
+    whole = np.concatenate([x, w0, w1])
+    actual = whole @ span_cost((a, both), weight, span) @ whole
+
+    def rate(t, y):
+        w = w0 + (w1 - w0) * t / span
+        z = np.concatenate([y[:-1], w])
+        return np.concatenate([a @ y[:-1] + both @ w, [z @ weight @ z]])
+
+    run = integrate.solve_ivp(rate, (0, span), np.append(x, 0.0), rtol=1e-11, atol=1e-12)
+    assert actual == pytest.approx(run.y[-1, -1], rel=1e-8)
+
+
+def test_knots_begin_with_a_frame_and_end_at_the_horizon():
+    times = knots(16, 0.0125, 3.0)
+    assert (times[0], times[1], times[-1]) == pytest.approx((0.0, 0.0125, 3.0))
+    ratio = np.diff(times)[1:] / np.diff(times)[:-1]
+    np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_legs_and_pose_along_a_motion_are_those_of_the_centroid():
+    """Central differences of the kinematics along a path of the head."""
+    station, shape = pilot_station(), load_machine().geometry
+    q0, rate = (
+        np.array([0.2, -0.1, 0.1, 0.1, -0.12, 0.2]),
+        np.array([0.3, 0.2, -0.1, 0.1, 0.2, 0.1]),
+    )
+    head, h = about(station, "cmf"), 1e-4
+
+    def legs(t):
+        return pose_to_legs(q0 + t * rate, head)
+
+    reached, jacobian, turning = np.empty((1, 12)), np.empty((1, 12, 6)), np.empty((1, 12))
+    along(head, station, q0[None], rate[None], reached, jacobian, turning)
+    np.testing.assert_allclose(reached[0, :6], pose_to_legs(reached[0, 6:], shape), atol=1e-12)
+    np.testing.assert_allclose(jacobian[0, :6] @ rate, (legs(h) - legs(-h)) / (2 * h), atol=1e-7)
+    second = (legs(h) - 2 * legs(0.0) + legs(-h)) / h**2
+    np.testing.assert_allclose(turning[0, :6], second, atol=1e-6)
+    there = [np.empty((1, 12)) for _ in range(2)]
+    for sign, row in zip((1, -1), there, strict=True):
+        along(
+            head,
+            station,
+            q0[None] + sign * h * rate,
+            rate[None],
+            row,
+            jacobian.copy(),
+            turning.copy(),
+        )
+    moved = (there[0] - there[1])[0] / (2 * h)
+    np.testing.assert_allclose(jacobian[0] @ rate, moved, atol=1e-6)
+
+
+def test_one_axis_is_the_dense_solution_of_the_same_programme():
+    """Least distance by Lawson and Hanson's NNLS: z = -f + A^T y, y >= 0 of active rows."""
+    washout = Washout(SETTINGS)
+    own, seen = washout.predictive, []
+    solve = own._solve
+
+    def solving(programme):
+        z, count = solve(programme)
+        seen.append((programme, z))
+        return z, count
+
+    own._solve = solving
+    washout.run(pushed(2, sustained(12.0, seconds=2.0, at=0.2)))
+    active = 0
+    for programme, z in seen[::7]:
+        f, a = programme["f"], programme["A"]
+        rows = np.vstack([a, -a])
+        bound = np.concatenate([programme["blower"], -programme["bupper"]])
+        # With z = y - f: min |y|^2 subject to rows y >= bound + rows f.
+        least = bound + rows @ f
+        stacked = np.vstack([rows.T, least])
+        target = np.zeros(len(stacked))
+        target[-1] = 1.0
+        y, _ = nnls(stacked, target, maxiter=20000)
+        left = stacked @ y - target
+        dense = -left[:-1] / left[-1] - f
+        np.testing.assert_allclose(z, dense, atol=1e-8 * max(1.0, np.abs(z).max()))
+        active += int((y > 0.0).any())
+    assert active > 3
+
+
+@pytest.mark.parametrize(("axis", "most"), [(0, 0.05), (1, 0.05), (2, 0.15)])
+def test_with_travel_for_nothing_it_follows_a_known_aircraft(axis, most):
+    """A push forth and back within all limits: the head feels what the aircraft's pilot does."""
+    free = [
+        (mode, key)
+        for mode in ("pitch_surge", "roll_sway", "heave")
+        for key in ("position", "position_integral", "velocity", "acceleration")
+    ]
+    time = np.arange(320) / 80.0
+    history = 0.5 * np.where(time < 2.0, np.sin(np.pi * time), 0.0)
+    missed = []
+    for settings in (SETTINGS, changed(free, 900.0, reference="known")):
+        washout = Washout(settings)
+        motion = PilotMotion.from_platform(washout.run(pushed(axis, history)), washout.station)
+        felt = motion.specific_force[:, axis] + G * (axis == 2)
+        error = felt - settings.gains[axis] * history
+        missed.append(np.sqrt(np.mean(error**2) / np.mean((settings.gains[axis] * history) ** 2)))
+    assert missed[1] < most < missed[0]
+
+
+def test_without_senses_it_stays_where_it_is():
+    errors = [
+        *(
+            (mode, key)
+            for mode in ("pitch_surge", "roll_sway")
+            for key in ("force_error", "rate_error")
+        ),
+        *(("heave", "force_error"), ("yaw", "rate_error")),
+    ]
+    stream = Washout(changed(errors, 1e4)).run(pushed(0, sustained(2.0, seconds=5.0)))
+    assert np.abs(stream.pose).max() < 1e-6
+
+
+def test_tilt_keeps_its_rate_where_the_aircraft_does_not_turn():
+    stream = Washout(SETTINGS).run(pushed(0, sustained(3.0, seconds=10.0)))
+    assert np.degrees(np.abs(stream.velocity[:, 4]).max()) == pytest.approx(3.0, rel=1e-3)
+    assert np.abs(stream.pose[-1, 4]) > np.radians(5.0)
+
+
+@pytest.mark.parametrize("machine", ["cmf", "simona", "lab"])
+def test_ten_times_what_the_machine_can_do_touches_no_limit(machine):
+    """Random pulses of force and rate, by each machine's legs."""
+    draw = np.random.default_rng(11)
+    flown = level(12.0)
+    steps = np.repeat(draw.normal(size=(24, 6)), 40, axis=0)
+    force = flown.specific_force + 30.0 * steps[:, :3]
+    flown = PilotMotion(flown.time, force, 2.0 * steps[:, 3:], flown.attitude)
+    base = load_machine(machine)
+    station = next(iter(base.cabs.values())).station.si * FLIP
+    washout = Washout(SETTINGS, station=station, machine=base)
+    stream = washout.run(flown)
+    assert np.isfinite(stream.pose).all()
+    assert 0.9 < excursion(stream, None, base).largest <= 1.0
+    assert not any(washout.predictive.solves.bridged)
+
+
+def test_a_plan_goes_on_when_the_solver_does_not_end_and_then_fades_to_a_washout():
+    washout = Washout(SETTINGS)
+    own = washout.predictive
+    for _ in range(80):
+        washout.frame([2.0, 0.0, -G], np.zeros(3))
+    own._solve = lambda programme: (None, 0)
+    frames = [washout.frame([0.0, 0.0, -G], np.zeros(3)) for _ in range(4000)]
+    pose, speed = (
+        np.array([getattr(frame, name) for frame in frames]) for name in ("pose", "velocity")
+    )
+    assert np.isfinite(pose).all()
+    change = np.diff(speed[:, :3], axis=0) * 80.0
+    assert np.abs(change).max() < 4.0
+    assert np.abs(pose[-1, [0, 4]]).max() < 0.02 < np.abs(pose[:, 0]).max()
+    assert sum(own.solves.bridged) == 4000
+
+
+def test_what_is_known_ahead_is_felt_in_time():
+    """A step of force: the earlier it is known, the less error; a guess is no worse than none."""
+    flown = pushed(0, np.clip((np.arange(1600) / 80.0 - 5.0) * 2.0, 0.0, 2.5))
+    errors = [
+        cue(flown, changed(reference=name)).error.rms[0] for name in ("constant", "guess", "known")
+    ]
+    assert errors[2] < 0.9 * errors[0]
+    assert errors[1] < 1.05 * errors[0]
+
+
+def test_a_live_frame_is_that_of_the_whole_flight_to_the_bit():
+    flown = turn_entry()
+    whole, live = Washout(SETTINGS).run(flown), Washout(SETTINGS)
+    for row in range(0, 600):
+        frame = live.frame(flown.specific_force[row], flown.angular_rate[row])
+        np.testing.assert_array_equal(frame.pose, whole.pose[row])
