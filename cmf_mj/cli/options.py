@@ -154,10 +154,8 @@ OIL, MACHINES = "plant.parameters:HYDRAULICS", "machine.models:machine_names"
 SCENARIOS = "facility.scenario:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
 _FORMATS = "of figures: png (default), svg or pdf"
-_WASHOUTS, _SHIPPED = (
-    "pilot.washout_settings:WASHOUTS",
-    "simona, reid_nahon, optimal, predictive or TOML file",
-)
+_WASHOUTS = "pilot.washout_settings:WASHOUTS"
+_SHIPPED = "simona, reid_nahon, optimal, predictive or TOML file"
 _MANY_LAWS = "laws by name or TOML file; `all` of the report"
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]

@@ -169,7 +169,7 @@ def omct(
         frequency = float(frequencies[column])
         size = amplitude(dof, frequency)
         flown, begin = aircraft_motion(dof, frequency, size)
-        stream = Washout(settings, station=station).run(flown)
+        stream = Washout(settings, station=station, machine=chosen.machine).run(flown)
         motions = _without_machine(stream, station) if law is None else {}
         if law is not None:
             plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}

@@ -24,7 +24,8 @@ that a solution always exists and keeps all rows that can be kept. If the solver
 its iterations, the last plan goes on; after its end the linear washout u = -F (x, 0) takes over.
 
 v ahead is `constant`; a `guess`, (v + m T (1 - exp(-t / T))) exp(-t / T_f) with the slope m
-low-passed; or `known` from the flight. The specific force that the small angles of the model miss is taken off v.
+low-passed; or `known` from the flight. The specific force that the small angles of the model miss
+is taken off v.
 """
 
 from time import perf_counter

@@ -246,7 +246,9 @@ def fly_live(
     if errors := check(telemetry).errors:
         raise InputError(f"{form} at port {port}: {'; '.join(errors)}")
     carried = load_cab(cab)
-    host = _Host(form, port, bind, Washout(washout, station=carried.station))
+    host = _Host(
+        form, port, bind, Washout(washout, station=carried.station, machine=carried.machine)
+    )
     plant = Hexapod(carried, hydraulics)
     options |= {"attend": host.attend, "record_every": RECORD_EVERY}
     with host.socket:

@@ -285,6 +285,10 @@ class Washout:
 
         Specific force [m/s^2] and angular rate [rad/s] are at the pilot's station, body axes, (3,).
         """
+        if self.predictive is not None and self.predictive.reference == "known":
+            raise InputError(
+                "prediction.reference: 'known' needs a flight; allowed: constant, guess"
+            )
         if self._sequence is None:
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))

@@ -240,13 +240,21 @@ def test_a_plan_goes_on_when_the_solver_does_not_end_and_then_fades_to_a_washout
 
 
 def test_what_is_known_ahead_is_felt_in_time():
-    """A step of force: the earlier it is known, the less error; a guess is no worse than none."""
-    flown = pushed(0, np.clip((np.arange(1600) / 80.0 - 5.0) * 2.0, 0.0, 2.5))
-    errors = [
-        cue(flown, changed(reference=name)).error.rms[0] for name in ("constant", "guess", "known")
-    ]
-    assert errors[2] < 0.9 * errors[0]
-    assert errors[1] < 1.05 * errors[0]
+    """What lasts suits `constant`, what swings suits a guess that fades, and known beats both."""
+    time = np.arange(1200) / 80.0 - 4.0
+    lasting = np.clip(2.0 * time, 0.0, 2.5)
+    swinging = 2.5 * np.sin(np.pi * time) * ((time > 0.0) & (time < 6.0))
+    missed = np.array(
+        [
+            [
+                cue(pushed(0, history), changed(reference=name)).error.rms[0]
+                for name in ("constant", "guess", "known")
+            ]
+            for history in (lasting, swinging)
+        ]
+    )
+    assert missed[0, 0] < missed[0, 1] and missed[1, 1] < missed[1, 0]
+    assert (missed[:, 2] < 0.8 * missed[:, :2].min(axis=1)).all()
 
 
 def test_a_live_frame_is_that_of_the_whole_flight_to_the_bit():
@@ -255,3 +263,8 @@ def test_a_live_frame_is_that_of_the_whole_flight_to_the_bit():
     for row in range(0, 600):
         frame = live.frame(flown.specific_force[row], flown.angular_rate[row])
         np.testing.assert_array_equal(frame.pose, whole.pose[row])
+
+
+def test_a_live_aircraft_is_not_known_ahead():
+    with pytest.raises(ValueError, match="reference: 'known' needs a flight"):
+        Washout(changed(reference="known")).frame([0.0, 0.0, -G], np.zeros(3))
