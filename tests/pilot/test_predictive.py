@@ -177,7 +177,7 @@ def test_with_travel_for_nothing_it_follows_a_known_aircraft(axis, most):
     time = np.arange(320) / 80.0
     history = 0.5 * np.where(time < 2.0, np.sin(np.pi * time), 0.0)
     missed = []
-    for settings in (SETTINGS, changed(free, 900.0, reference="known")):
+    for settings in (SETTINGS, changed(free, 300.0, reference="known")):
         washout = Washout(settings)
         motion = PilotMotion.from_platform(washout.run(pushed(axis, history)), washout.station)
         felt = motion.specific_force[:, axis] + G * (axis == 2)
