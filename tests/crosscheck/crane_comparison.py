@@ -102,6 +102,7 @@ def crane_figure(shown: dict[str, History]) -> Figure:
     above.set(ylabel="pressure [MPa]")
     below.set(xlabel="time [s]", ylabel="difference [% of the pump]", ylim=(1e-6, 3.0))
     legend(above, below)
+    figure.suptitle("The hydraulic crane: chamber pressures in three engines")
     return figure
 
 
