@@ -3,7 +3,7 @@
 Writes `cueing.csv`: a row for each manoeuvre and family, with the measures of `judge` and the
 largest share of any limit. Manoeuvres are the shipped flights and drives; the classical washout is
 tuned on those of `TUNED` only, by covariance matrix adaptation of gains and corners, within the
-limits; the others are held out.
+limits; the others are held out. Without `--tune` it is `cueing_tuned.toml`, of 900 evaluations.
 """
 
 import argparse
@@ -92,17 +92,18 @@ def families(classical: WashoutSettings) -> Mapping[str, WashoutSettings]:
 def main() -> None:
     """Compare, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--tune", type=int, default=1000, help="evaluations of the search")
-    parser.add_argument("--washout", type=Path, help="a tuned set already there")
+    parser.add_argument("--tune", type=int, help="evaluations of the search")
+    parser.add_argument("--rate", type=float, default=80.0, help="frames a second")
     parser.add_argument("--out", type=Path, default=Path("out/cueing"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    if options.washout is None:
-        options.washout = save_washout(tuned(options.tune), options.out / "tuned.toml")
+    found = Path(__file__).with_name("cueing_tuned.toml")
+    if options.tune is not None:
+        found = save_washout(tuned(options.tune), options.out / "tuned.toml")
     rows = []
     for name in (*TUNED, *sorted({*flight_names(), *DRIVES} - {*TUNED})):
-        for family, settings in families(load_washout(options.washout)).items():
-            cued = cue(manoeuvre(name), settings)
+        for family, settings in families(load_washout(found)).items():
+            cued = cue(manoeuvre(name), settings, rate=options.rate)
             measures = judge(cued)._asdict()
             row = {"manoeuvre": name, "set": "tuned" if name in TUNED else "held out"}
             row |= {"family": family, "largest_share": f"{cued.excursion.largest:.6g}"}
