@@ -235,7 +235,9 @@ def test_a_plan_goes_on_when_the_solver_does_not_end_and_then_fades_to_a_washout
     assert np.isfinite(pose).all()
     change = np.diff(speed[:, :3], axis=0) * 80.0
     assert np.abs(change).max() < 4.0
-    assert np.abs(pose[-1, [0, 4]]).max() < 0.02 < np.abs(pose[:, 0]).max()
+    # The slowest pole of the shipped sizes, 0.03 rad/s, is left after 50 s.
+    assert (np.abs(pose[-1, [0, 4]]) < 0.05 * np.abs(pose[:, [0, 4]]).max(axis=0)).all()
+    assert np.abs(pose[:, 0]).max() > 0.3
     assert sum(own.solves.bridged) == 4000
 
 
