@@ -6,7 +6,7 @@ python examples/crane.py --step 8 with so many mechanical steps to a frame of 1/
 The benchmark: J. Rahikainen, F. Gonzalez, M. A. Naya, J. Sopanen, A. Mikkola, *On the cosimulation
 of multibody systems and hydraulic dynamics*, Multibody System Dynamics 50 (2020), open access, (c)
 the authors. Its numbers are read from `demo_MBS_hydraulic_crane.cpp`, `ChHydraulicActuator.cpp` and
-`ChHydraulicCircuit.cpp` of Project Chrono (three-clause BSD); that of rotational inertia is Chrono's
+`ChHydraulicCircuit.cpp` of Project Chrono (three-clause BSD); rotational inertias are Chrono's
 default of 1 kg m^2. What the benchmark does not have is set so that it has no effect.
 
 A crane of mass M and length L at 30 deg carries a ball of mass m. Its cylinder, from a point as far
