@@ -16,6 +16,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
+# Several threads of linear algebra on busy cores wait for each other, up to 40 times.
+export OPENBLAS_NUM_THREADS = 1
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
 .PHONY: compare laws report video studio test test-all test-versions lint types imports links tests slow search site paper constraints clean

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Argument, Option, echo
 
@@ -13,7 +13,9 @@ from cmf_mj.cli import options
 from cmf_mj.cli.campaign import campaigns
 from cmf_mj.cli.common import app, show, written
 
-Campaign = Annotated[Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml")]
+Campaign = Annotated[
+    Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml, or report, hardware")
+]
 Try = Annotated[bool, Option("--effects/--no-effects", help="try what else the machine may have")]
 
 
@@ -24,18 +26,27 @@ def fit_command(
     jobs: options.Jobs = None,
     out: options.Out = Path("out/fit"),
 ) -> None:
-    """Find a machine's numbers from recordings of it, and say how far to trust them."""
+    """Find a machine's numbers from recordings of it, and say how far to trust them.
+
+    report, hardware and hardware_lag are campaigns of what the 2014 report prints.
+    """
+    from cmf_mj.core.result import Result, fields_of
     from cmf_mj.show.fit import figures
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.fit import doubt, results
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit
+    from cmf_mj.studies.fit.stated import Stated
 
     jobs = jobs or os.cpu_count() or 1
     posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
     results.save(posterior, out)
     doubts, table = doubt.doubt(posterior, jobs, effects=effects), results.numbers(posterior)
-    files = save_files(figures(posterior) | {"fit.md": doubts.page(table)}, out)
+    drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
+    if doubts.stated:
+        stated = Result(doubts.stated, fields_of(Stated)).table
+        drawn |= {"stated.csv": stated.save}
+    files = save_files(drawn, out)
     show(table, *doubts.tables(), doubts.verdict, written(files, out))
 
 

@@ -189,8 +189,6 @@ def certify_command(
 reports = typer.Typer()
 app.add_typer(reports, name="report", rich_help_panel="The report")
 
-_CALIBRATED = "report, hardware, hardware_lag"
-_TABLES = "report_2014.calibration.trial:load_studies"
 _NUMBERS = "by number with commas between, `all` or `none`"
 
 Figures = Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")]
@@ -251,28 +249,3 @@ def linear_command(
     loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
     show(linear.equation_table(), linear.misprint_table(), rows, loops, written(paths, out))
-
-
-@options.drawing(reports.command)("calibrate")
-def calibrate_command(
-    tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
-    rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,
-    quick: options.Quick = False,
-    samples: Annotated[int, Option(help="samples for the uncertainty")] = 128,
-    jobs: options.Jobs = None,
-    out: options.Out = Path("out/calibrate"),
-) -> None:
-    """Fit the free parameters to the published tables: values, residuals and uncertainty."""
-    from cmf_mj.core.files import in_folder
-    from cmf_mj.report_2014.calibration import fit as report
-    from cmf_mj.report_2014.calibration.fit import calibrate, examine
-    from cmf_mj.report_2014.calibration.trial import load_calibration
-
-    for chosen in [load_calibration(name) for name in tables]:
-        say = partial(typer.echo, err=True)
-        fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
-        result = examine(fitted, samples=samples, jobs=jobs)
-        folder = in_folder(out, chosen.name)
-        paths = report.save_calibration(result, folder)
-        shown = report.calibration_tables(result)
-        show(*shown, report.verdict_text(result), written(paths, folder))

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from cmf_mj.show.look import legend, new_figure, stack
+from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
+from cmf_mj.studies.fit.stated import FAR, Stated
 
 _SHOWN = 4.0  #: Seconds of a recording.
 
 
-def figures(posterior: Posterior) -> dict[str, Figure]:
-    """Figures by file name."""
-    return {"numbers.png": numbers(posterior), "recordings.png": recordings(posterior)}
+def figures(posterior: Posterior, rows: Sequence[Stated]) -> dict[str, Figure]:
+    """Figures by file name; `rows` are what is stated."""
+    found = {"numbers.png": numbers(posterior)}
+    if posterior.campaign.recordings:
+        found["recordings.png"] = recordings(posterior)
+    return found | ({"stated.png": stated(rows)} if rows else {})
 
 
 def numbers(posterior: Posterior) -> Figure:
@@ -51,4 +57,23 @@ def recordings(posterior: Posterior) -> Figure:
         axes.plot(since[shown], scale * found[channel][shown, 0], "--", label="fitted machine")
         axes.set_title(f"{channel.replace('_', ' ')} of leg 1, {one.name.replace('_', ' ')}")
     legend(rows[0])
+    return figure
+
+
+def stated(rows: Sequence[Stated]) -> Figure:
+    """What is stated: how far the fitted machine is off, with the spread of what is open."""
+    figure = new_figure(7.5, 1.3 + 0.21 * len(rows), gridded=False)
+    axes = figure.add_subplot()
+    axes.axvspan(-FAR, FAR, color="0.92")
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    known = [(place, one) for place, one in enumerate(rows) if np.isfinite(one.off)]
+    for role, colour in (("fitted", BLUE), ("held back", ORANGE)):
+        mine = [(one.off, place) for place, one in known if one.role == role]
+        if mine:
+            axes.plot(*zip(*mine, strict=True), "o", color=colour, label=role)
+    axes.set_yticks(range(len(rows)), [f"{one.evidence}, {one.what}" for one in rows], fontsize=8)
+    axes.invert_yaxis()
+    axes.set(xlabel="fitted machine less what is stated [deviations]")
+    axes.set_title("What is stated of the machine")
+    legend(axes)
     return figure

@@ -187,6 +187,13 @@ def libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+@contextmanager
+def one_library_thread() -> Iterator[None]:
+    """Linear algebra on one thread: several on busy cores wait for each other, up to 40 times."""
+    with libraries().limit(limits=1):
+        yield
+
+
 def attempt(tasks: Sequence[Any], work: Work) -> list[tuple[int, list[Row]]]:
     """Run tasks one after the other; what one raises becomes its rows.
 

@@ -27,9 +27,9 @@ from cmf_mj.machine.models import RigidBody
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.washout_settings import ClassicalSettings, OptimalSettings, load_washout
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.report_2014.calibration.trial import CalibrationStudy, load_calibration
 from cmf_mj.report_2014.ledger import LedgerEntry, load_ledger
 from cmf_mj.report_2014.posterior.run import PosteriorSettings, load_posterior
+from cmf_mj.studies.fit.campaign import CampaignSettings, load_campaign
 from cmf_mj.studies.settings import StudySettings, load_study
 
 SIGNALS = (
@@ -61,7 +61,7 @@ SETTINGS: list[tuple[type[Settings], Any]] = [
     (OptimalSettings, load_washout("optimal")),
     (StudySettings, load_study("mismatch").settings),
     (PosteriorSettings, load_posterior("rotation").settings),
-    (CalibrationStudy, load_calibration("hardware")),
+    (CampaignSettings, load_campaign("hardware").settings),
     (LedgerEntry, load_ledger()[0]),
     (RigidBody, load_machine().platform),
     *((type(one), one) for one in SIGNALS),

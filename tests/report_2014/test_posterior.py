@@ -16,7 +16,7 @@ from cmf_mj.analysis.linear.linear import Linear, loop_damping
 from cmf_mj.cli.common import app
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.report_2014.posterior import answers, evidence, sampling
+from cmf_mj.report_2014.posterior import answers, evidence
 from cmf_mj.report_2014.posterior.run import (
     GROUPS,
     TABLES,
@@ -28,6 +28,7 @@ from cmf_mj.report_2014.posterior.run import (
 from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
+from cmf_mj.studies.fit import sampling
 
 LEAKS = "hydraulics.actuators.*.leak_rate"
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,11 +19,11 @@ from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.report_2014.calibration.trial import MEASURES, load_calibration
 from cmf_mj.report_2014.model_tables import table_4_1
 from cmf_mj.report_2014.models import published_gains
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
 from cmf_mj.studies.case import CaseResult
+from cmf_mj.studies.fit.campaign import load_campaign
 
 CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"))
 """The tables of `contents.toml`."""
@@ -80,12 +80,12 @@ _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
 }
 _FITTED = {
-    (row.law, row.published.dof, row.of, MEASURES[measure], row.printed(measure))
-    for name in ("report", "hardware")
-    for row in load_calibration(name).rows
-    for measure in row.fitted
+    (one.at[0], one.at[1], of, one.field, one.value)
+    for name, of in (("report", "nonlinear"), ("hardware", "hardware"))
+    for one in load_campaign(name).evidence.statements
+    if not one.held_back
 }
-"""Printed numbers that the two calibrations fitted, wherever they are printed."""
+"""Printed numbers that the two shipped campaigns fitted, wherever they are printed."""
 
 
 class PrintedQuantity(NamedTuple):

@@ -17,7 +17,7 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
 from cmf_mj.report_2014.posterior.evidence import HELD_OUT, observations, scatter
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
-from cmf_mj.report_2014.posterior.sampling import normalised, weighted_quantiles
+from cmf_mj.studies.fit.sampling import normalised, weighted_quantiles
 
 Array = NDArray[np.float64]
 

@@ -38,10 +38,11 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.report_2014.posterior import evidence, sampling
+from cmf_mj.report_2014.posterior import evidence
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
+from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.settings import study_table
 
 GROUPS = ("rows", "fits", "three_g", "flown")
@@ -245,29 +246,26 @@ def _weighted(
 ) -> tuple[list[Row], list[Row], Array]:
     """Rounds of machines with their weights, damping ratios of all, and the posterior's weights."""
     settings, drawn, damping = study.settings, list[Row](), list[Row]()
-    points = sampling.first_round(settings.draws, len(settings.unknowns), settings.seed)
-    rounds: list[sampling.Round] = []
-    while True:
-        values = [study.values(q) for q in sampling.quantiles(points[len(drawn) :])]
-        for rows in run("drawn", [(v, len(drawn) + i) for i, v in enumerate(values)]):
+
+    def likelihoods(_: int, points: Array) -> Array:
+        first = len(drawn)
+        values = [study.values(q) for q in sampling.quantiles(points)]
+        for rows in run("drawn", [(v, first + i) for i, v in enumerate(values)]):
             number = len(drawn)
             drawn.append(rows[0] | {"machine": number})
-            damping += [row | {"machine": number} for row in rows[1:]]
-        pressures = np.array([row["supply_pressure"] for row in drawn])
-        likelihoods = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
-        likelihoods["three_g"] = evidence.oscillation_likelihood(pressures, force)
-        ratio = sampling.log_ratio(points, rounds)
-        weights = np.sum(list(likelihoods.values()), axis=0) + ratio
-        if len(rounds) == settings.rounds - 1:
-            break
-        seed = [settings.seed, 2, len(rounds)]
-        rounds.append(sampling.Round(points, weights, settings.draws, seed))
-        points = np.vstack([points, rounds[-1].draw()])
-    posterior = sampling.normalised(weights)
-    for i, row in enumerate(drawn):
-        row |= {f"log_{group}": likelihoods[group][i] for group in GROUPS}
-        row |= {"log_ratio": ratio[i], "weight": posterior[i]}
-    return drawn, damping, posterior
+            damping.extend(row | {"machine": number} for row in rows[1:])
+        new = drawn[first:]
+        psi = np.array([row["supply_pressure"] for row in new])
+        known = evidence.oscillation_likelihood(psi, force)
+        for row, three_g in zip(new, known, strict=True):
+            row["log_three_g"] = float(three_g)
+        return np.sum([[row[f"log_{group}"] for row in new] for group in GROUPS], axis=0)
+
+    size = len(settings.unknowns)
+    made = sampling.importance(likelihoods, size, settings.draws, settings.rounds, settings.seed)
+    for row, ratio, weight in zip(drawn, made.ratio, made.weights, strict=True):
+        row |= {"log_ratio": ratio, "weight": weight}
+    return drawn, damping, made.weights
 
 
 def _count(study: PosteriorStudy) -> int:

@@ -18,8 +18,8 @@ from cmf_mj.report_2014.posterior.answers import (
 )
 from cmf_mj.report_2014.posterior.evidence import FLOWN
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
-from cmf_mj.report_2014.posterior.sampling import effective_size
 from cmf_mj.show.look import save_files
+from cmf_mj.studies.fit.sampling import effective_size
 
 DERIVED = "acceleration_d2"
 """Law that reaches on single legs what the report hoped for in rotation."""

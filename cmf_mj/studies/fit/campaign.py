@@ -16,6 +16,13 @@
     deviation = 30.0
     source = "guess"
 
+    [held.supply]                       # not known exactly either, but not fitted
+    path = "hydraulics.supply_pressure"
+    deviation = 10.0
+    source = "gauge"
+
+What is known beside recordings, or in their stead, stands under `[evidence]`, see `evidence`. A
+file may begin with `base = "hardware"`, a shipped campaign, and repeat only what it changes.
 Recordings hold the demand of the legs, `leg_reference`, or of kind `valves` `valve_command`, and of
 `leg_position`, `cap_pressure`, `rod_pressure` what was measured.
 """
@@ -28,8 +35,8 @@ import numpy as np
 from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError, within
-from cmf_mj.core.settings import Name, Settings, read_toml, validated
+from cmf_mj.core.errors import InputError, check_name, within
+from cmf_mj.core.settings import Name, Settings, beside, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.chain import AnyElectronics, ElectronicsSettings
 from cmf_mj.facility.unknown import Unknown
@@ -37,13 +44,19 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import CMF
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.plant.parameters import hydraulics_of
+from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.facility_csv import LEGS
 from cmf_mj.record.record import Record
+from cmf_mj.studies.fit.evidence import Deviations, Evidence, EvidenceSettings, load_evidence
 
 FILE = "campaign.toml"  #: Name of a campaign's file in its folder.
+
+_READY = Path(__file__).with_name("ready")
+SHIPPED = tuple(sorted(path.stem for path in _READY.glob("*.toml")))
+"""Campaigns of this package: what the 2014 report states of its two plants."""
 
 MEASURED = ("leg_position", "cap_pressure", "rod_pressure")
 """Channels that a fit explains."""
@@ -78,8 +91,13 @@ class CampaignSettings(Settings):
     """Whether demand and measurement were logged by two clocks: offset and skew are then fitted."""
     highest: Annotated[float, Field(gt=0.0)] = 50.0
     """Frequency up to which recordings are explained [Hz], at most 0.4 of a recording's rate."""
-    recordings: Mapping[Name, RecordingSettings] = Field(min_length=1)
+    recordings: Mapping[Name, RecordingSettings] = {}
     unknowns: Mapping[Name, Unknown] = {}  #: Default those of `data_sheet`.
+    held: Mapping[Name, Unknown] = {}  #: Not fitted: what they leave open widens predictions.
+    evidence: Mapping[Name, EvidenceSettings] = {}
+    deviations: Deviations = Deviations()  #: Of what is stated in `evidence`.
+    simulated: bool = False  #: Whether what linearisation misses is found by simulation.
+    plant: Literal["hexapod", "single_legs"] = "hexapod"
 
 
 class Recording(NamedTuple):
@@ -96,18 +114,14 @@ class Campaign(NamedTuple):
 
     folder: Path
     settings: CampaignSettings
-    plant: Hexapod  #: The data sheet's machine.
+    plant: Plant  #: The data sheet's machine.
     unknowns: Unknowns
     recordings: tuple[Recording, ...]
+    evidence: Evidence
 
     def of(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""
         return tuple(one for one in self.recordings if one.settings.held_back == held_back)
-
-
-def beside(folder: Path, name: str | None) -> Any:
-    """A file of the folder, or a name."""
-    return folder / name if name is not None and (folder / name).is_file() else name
 
 
 def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
@@ -152,26 +166,33 @@ def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
 
 
 def load_campaign(folder: str | Path) -> Campaign:
-    """Read a campaign and its recordings.
+    """Read a campaign and its recordings: a folder, its file, or a shipped one, see `SHIPPED`.
 
     Raises `InputError` that names the file, the recording and what is wrong.
     """
-    where = Path(folder)
+    where = _READY / f"{folder}.toml" if folder in SHIPPED else Path(folder)
     path = where / FILE if where.is_dir() else where
     where = path.parent
-    settings = validated(CampaignSettings, read_toml(path), str(path))
+    table = read_toml(path)
+    if "base" in table:
+        base = check_name("base", str(table.pop("base")), SHIPPED)
+        table = read_toml(_READY / f"{base}.toml") | table
+    settings = validated(CampaignSettings, table, str(path))
     with within(path):
         cab = load_cab(beside(where, settings.cab), beside(where, settings.machine))
         hydraulics = hydraulics_of(cab.machine, beside(where, settings.hydraulics))
-        plant = Hexapod(cab, hydraulics)
+        plant = make_plant(settings.plant, cab, hydraulics)
         unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
         law = settings.law or cab.machine.law
         recordings = [
             _recording(where, name, law, settings, cab.machine) for name in settings.recordings
         ]
-    made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings))
-    if not made.of(held_back=False):
-        raise InputError(f"{path}: recordings: all are held back; allowed: at least one to fit")
+        known = Unknowns({**unknowns, **settings.held}).on(plant)
+        stated = load_evidence(settings.evidence, settings.deviations, law, where, plant, known)
+    made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings), stated)
+    if not (made.of(held_back=False) or any(not one.held_back for one in stated.statements)):
+        allowed = "allowed: recordings or evidence, one of them not held back"
+        raise InputError(f"{path}: has nothing to fit; {allowed}")
     return made
 
 

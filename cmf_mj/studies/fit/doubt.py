@@ -28,16 +28,18 @@ from scipy import signal, stats
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.files import write_text
-from cmf_mj.core.result import Field, Result, Table, fields_of
+from cmf_mj.core.result import Field, Result, Table, fields_of, number
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.engine import one_library_thread
 from cmf_mj.studies.fit.engine import Fitter, Look, Posterior
 from cmf_mj.studies.fit.likelihood import BLOCK, coefficients, information
 from cmf_mj.studies.fit.model import Model, Piece, Residuals, minus
 from cmf_mj.studies.fit.results import nominal
+from cmf_mj.studies.fit.stated import Stated, stated
 
 Array = NDArray[np.float64]
 
@@ -257,7 +259,8 @@ def _gain(look: Look, fitter: Fitter, extra: Extra) -> float:
         values = {"extra": value if "*" in extra.path else float(value[0])}
         try:
             machine = alone.apply(values, fitter.model.machine(x[: fitter.size]))
-            return fitter.model.residuals_of(machine, fitter.clocks_of(x))
+            known = fitter.model.values(x[: fitter.size])
+            return fitter.model.residuals_of(machine, known, fitter.clocks_of(x))
         except (InputError, RunError):
             return None
 
@@ -306,6 +309,7 @@ class Doubt(NamedTuple):
     left: tuple[Left, ...]
     predictions: tuple[Prediction, ...]
     effects: tuple[Effect, ...]
+    stated: tuple[Stated, ...]
 
     @property
     def missed(self) -> list[Left]:
@@ -317,7 +321,8 @@ class Doubt(NamedTuple):
     def explained(self) -> bool:
         """Whether nothing that was looked at speaks against the model."""
         helping = any(one.helps for one in self.effects)
-        return not (self.missed or helping) and all(one.close for one in self.predictions)
+        near = all(one.close for one in self.predictions) and all(x.close for x in self.stated)
+        return near and not (self.missed or helping)
 
     def tables(self) -> list[Table]:
         """What the recordings leave open, residuals, predictions, effects; none of them empty."""
@@ -326,6 +331,7 @@ class Doubt(NamedTuple):
             Result(self.left, fields_of(Left), "What is left"),
             Result(self.predictions, fields_of(Prediction), "Recordings held back"),
             Result(self.effects, fields_of(Effect), "Effects that were tried"),
+            Result(self.stated, fields_of(Stated), "What is stated"),
         ]
         return [one.table for one in found if len(one)]
 
@@ -350,6 +356,12 @@ class Doubt(NamedTuple):
             if not two.close:
                 off = f"{two.gain:+.2f} dB and {two.phase:+.1f} deg"
                 lines.append(f"{two.recording}: held back, predicted {off} off.")
+        for three in self.stated:
+            if not three.close:
+                lines.append(
+                    f"{three.evidence}, {three.what}: {three.role}, stated {three.stated:.3g}, the "
+                    f"fitted machine has {number(three.fitted, '.3g')}."
+                )
         helping = ", ".join(one.name for one in self.effects if one.helps)
         if helping:
             lines.append(f"These effects would explain more, the most first: {helping}.")
@@ -365,9 +377,11 @@ class Doubt(NamedTuple):
         return lambda path: write_text(path, "\n\n".join(parts) + "\n")
 
 
+@one_library_thread()
 def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt:
     """Look for what speaks against a fit; with further `effects` where they are to be tried."""
     fitter = Fitter(posterior.campaign, "whole", jobs)
     rest = tuple(left(posterior, fitter)), tuple(predicted(posterior))
     more = tuple(tried(posterior, fitter)) if effects else ()
-    return Doubt(tuple(weak(posterior)), posterior.twins, *rest, more)
+    numbers = tuple(stated(posterior, jobs))
+    return Doubt(tuple(weak(posterior)), posterior.twins, *rest, more, numbers)

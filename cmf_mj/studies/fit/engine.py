@@ -9,6 +9,9 @@ update carries the derivatives on while steps gain. A stage ends where they prom
 
 Two lags in series can be exchanged without a trace; the fit tries it, and says so.
 
+Numbers that are stated say less than recordings, and "flown, hence stable" is no bell curve. Of
+evidence without recordings the posterior is drawn, by importance sampling (`sampling`).
+
 The folder's journal holds every step, so that a fit that was stopped goes on where it was.
 """
 
@@ -24,8 +27,10 @@ from scipy import stats
 
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.record.record import Record
-from cmf_mj.studies.engine import Journal
+from cmf_mj.studies.engine import Journal, one_library_thread
+from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, Recording, load_campaign
+from cmf_mj.studies.fit.evidence import Evidence
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
 from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
 
@@ -41,8 +46,11 @@ _ORDER = {"slow": 4, "whole": 12}  #: Of the noise's autoregression.
 _FAR = 1.5  #: Longest step of a number, in deviations of the prior.
 _INNER = 6  #: Most steps on one set of derivatives.
 _ENOUGH = {"slow": 20.0, "whole": 0.5}  #: Promised gain of -ln L below which a stage ends.
+_CHEAP = 1e-3  #: The same where there is evidence alone.
 _TWINS = (("drive_lag", "valve_lag"),)
 _SAME = 2.0  #: Loss of -ln L that an exchange may cost: two deviations.
+_SHIFT = -1  #: Row of the journal with what linearisation misses.
+_SAMPLING = 128, 2, 1  #: Draws, rounds and seed of importance sampling.
 _WIDEST = 4.0  #: Coordinates that an exchange may reach.
 
 
@@ -57,6 +65,8 @@ class Posterior(NamedTuple):
     look: "Look"  #: Residuals and derivatives there.
     twins: tuple[tuple[str, str], ...]  #: Numbers that can be exchanged.
     exchanged: Array  #: The coordinates with all twins exchanged.
+    drawn: Array  #: Points of importance sampling (m, n), of evidence alone; else none.
+    weights: Array  #: Theirs, (m,).
 
     @property
     def deviation(self) -> Array:
@@ -65,6 +75,10 @@ class Posterior(NamedTuple):
 
     def bounds(self, share: float = 0.9) -> Array:
         """Coordinates (2, n) between which a share of each number lies."""
+        if self.weights.size:
+            ends = np.array([0.5 - 0.5 * share, 0.5 + 0.5 * share])
+            columns = [sampling.weighted_quantiles(z, self.weights, ends) for z in self.drawn.T]
+            return np.stack(columns, axis=-1)
         half = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
         other = half[self._order()]
         low = np.minimum(self.z - half, self.exchanged - other)
@@ -90,6 +104,8 @@ class Posterior(NamedTuple):
 
     def samples(self, count: int, seed: int = 0) -> Array:
         """Coordinates of machines that the recordings allow, (count, n)."""
+        if self.weights.size:
+            return np.asarray(self.drawn[sampling.resampled(self.weights, count, seed)])
         generator = np.random.default_rng(seed)
         spread_ = self.covariance * (self.degrees - 2.0) / self.degrees
         law = stats.multivariate_t(self.z, spread_, df=self.degrees, allow_singular=True)
@@ -220,6 +236,7 @@ _CLOCK = np.array([0.02, 1e-4])
 """Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
 
 
+@one_library_thread()
 def fit(
     campaign: str | Path | Campaign,
     folder: str | Path,
@@ -277,7 +294,10 @@ def fit(
     if start is not None:
         x[: len(names)] = start
     number, width = 0, np.full(x.size, 0.03)
-    for stage in _STEPS:
+    if campaign.settings.simulated:
+        say("the data sheet's machine, simulated")
+        campaign = campaign._replace(evidence=_shifted(campaign, journal, jobs))
+    for stage in _STEPS if pieces else ("whole",):
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
             if number not in journal.results:
@@ -292,12 +312,38 @@ def fit(
     covariance = spread(look.found, x)[: len(names), : len(names)]
     twins, exchanged = _twins(fitter, names, look)
     how = max(3.0, pieces - 1.0), look, twins, exchanged[: len(names)]
-    return Posterior(campaign, names, x[: len(names)], covariance, *how)
+    drawn = (np.empty((0, len(names))), np.empty(0)) if pieces else _drawn(fitter, journal, say)
+    return Posterior(campaign, names, x[: len(names)], covariance, *how, *drawn)
+
+
+def _drawn(fitter: Fitter, journal: Journal, say: Progress) -> tuple[Array, Array]:
+    """Points of importance sampling and their weights, rounds from the journal where they are."""
+
+    def likelihoods(number: int, points: Array) -> Array:
+        if _SHIFT - 1 - number not in journal.results:
+            there = fitter.all(list(points))
+            merits = [fitter.merit(*one) for one in zip(points, there, strict=True)]
+            journal.add(_SHIFT - 1 - number, [{"merit": merits}])
+        merit_ = np.array(journal.results[_SHIFT - 1 - number][0]["merit"])
+        return np.asarray(0.5 * (points**2).sum(axis=1) - merit_)
+
+    drawn = sampling.importance(likelihoods, fitter.size, *_SAMPLING)
+    size = sampling.effective_size(drawn.weights)
+    say(f"{len(drawn.points)} machines drawn, effective sample size {size:.0f}")
+    return drawn.points, drawn.weights
+
+
+def _shifted(campaign: Campaign, journal: Journal, jobs: int) -> Evidence:
+    """The evidence with what linearisation misses, from the journal where it is there."""
+    if _SHIFT not in journal.results:
+        shift = campaign.evidence.shifted(jobs).shift
+        journal.add(_SHIFT, [{"shift": shift.tolist()}])
+    return campaign.evidence._replace(shift=np.array(journal.results[_SHIFT][0]["shift"]))
 
 
 def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
     """Steps on one set of derivatives, as a row of the journal; none where they promise little."""
-    enough, look = _ENOUGH[stage], fitter.look(x, width)
+    enough, look = _ENOUGH[stage] if fitter.model.pieces else _CHEAP, fitter.look(x, width)
     first = look
     ended = first.promise < enough
     for _ in range(0 if ended else _INNER):

@@ -5,15 +5,16 @@ autoregression of order p, whose variance s^2 of the whitened residuals e is tha
 
     e[k] = r[k] - a1 r[k-1] - ... - ap r[k-p],      -ln L = sum over channels n ln(s) + z'z / 2
 
-the last of the prior. A channel of a leg has a constant error, the same in all recordings, which is
-found with the numbers. With e linear in both, J by the numbers, W = 1 / s^2,
+the last of the prior. What is stated as a number (`evidence`) counts e^2 / 2 more. A channel of a
+leg has a constant error, the same in all recordings, which is found with the numbers. With e linear
+in both, J by the numbers, W = 1 / s^2,
 
     step = H^-1 g,        H = J' W J + 1,       g = J' W e - z
 
 What the model does not explain is no white noise, and H^-1 then promises too much. So the scatter
 of g is measured: over blocks of `BLOCK` seconds, cov = H^-1 (1 + sum g_b g_b') H^-1, and by leaving
 out one recording after the other (jackknife); of each number the larger deviation counts, with the
-correlations of the first.
+correlations of the first. The deviations of what is stated are believed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from cmf_mj.studies.fit.model import Residuals
+from cmf_mj.studies.fit.model import EVIDENCE, STATED, Residuals
 
 Array = NDArray[np.float64]
 
@@ -45,8 +46,11 @@ def coefficients(residual: Array, order: int) -> Array:
 def merit(residuals: Residuals, order: int) -> float:
     """The residuals' part of -ln L, each coloured as it is itself; constants taken out."""
     total = 0.0
-    for channels in residuals.values():
+    for name, channels in residuals.items():
         for residual in channels.values():
+            if name == EVIDENCE:
+                total += 0.5 * float((residual**2).sum())
+                continue
             white = _whitened(residual - residual.mean(axis=0), coefficients(residual, order))
             total += 0.5 * white.size * np.log(np.mean(white**2))
     return total
@@ -57,7 +61,7 @@ class Information(NamedTuple):
 
     matrix: Array  #: H without the prior's 1, constants taken out, (n, n).
     gradient: Array  #: J' W e, (n,).
-    blocks: Array  #: Its parts by block, (blocks, n).
+    blocks: Array  #: Scores whose scatter is that of the gradient, (blocks, n).
     by_recording: Mapping[str, tuple[Array, Array]]  #: Matrix and gradient of each.
 
 
@@ -65,12 +69,13 @@ def information(
     residuals: Residuals, slopes: Sequence[Residuals], order: int, spacing: Mapping[str, float]
 ) -> Information:
     """From residuals and their derivatives by each number; `spacing` of the samples [s]."""
-    legs = next(iter(next(iter(residuals.values())).values())).shape[1]
-    channels = sorted({channel for one in residuals.values() for channel in one})
+    recorded = {name: one for name, one in residuals.items() if name != EVIDENCE}
+    legs = max((e.shape[1] for one in recorded.values() for e in one.values()), default=0)
+    channels = sorted({channel for one in recorded.values() for channel in one})
     n, extra = len(slopes), len(channels) * legs
     bordered, score = np.zeros((n + extra, n + extra)), np.zeros(n + extra)
     rows = []
-    for name, found in residuals.items():
+    for name, found in recorded.items():
         block = max(1, round(BLOCK / spacing[name]))
         for channel, residual in found.items():
             colour = coefficients(residual, order)
@@ -99,9 +104,13 @@ def information(
         before = by_recording.get(name, (np.zeros((n, n)), np.zeros(n)))
         matrix = weight * np.einsum("tlp,tlq->pq", clean, clean, optimize=True)
         by_recording[name] = (before[0] + matrix, before[1] + scores.sum(axis=0))
-    blocks = np.array(parts)
     whole = sum((one[0] for one in by_recording.values()), np.zeros((n, n)))
-    return Information(whole, blocks.sum(axis=0), blocks, by_recording)
+    gradient = sum((one[1] for one in by_recording.values()), np.zeros(n))
+    for e in residuals.get(EVIDENCE, {}).values():
+        j = np.stack([-one[EVIDENCE][STATED][:, 0] for one in slopes], axis=-1)
+        whole, gradient = whole + j.T @ j, gradient + j.T @ e[:, 0]
+        parts += list(j)
+    return Information(whole, gradient, np.reshape(parts, (-1, n)), by_recording)
 
 
 def spread(found: Information, z: Array) -> Array:

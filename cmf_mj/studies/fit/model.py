@@ -23,7 +23,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
-from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.facility.unknowns import Unknowns, Values
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
@@ -38,7 +38,9 @@ SETTLING = (3.0, 0.3)
 _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
 
 Residuals = Mapping[str, Mapping[str, Array]]
-"""By recording and channel, (samples, legs), in SI."""
+"""By recording and channel, (samples, legs), in SI; e of what is stated as `EVIDENCE`, (n, 1)."""
+
+EVIDENCE, STATED = "evidence of numbers", "stated"
 
 
 def minus(one: Residuals, other: Residuals, by: float = 1.0) -> Residuals:
@@ -146,6 +148,7 @@ class Model:
         self.top = min(top or np.inf, campaign.settings.highest)
         chosen = campaign.of(held_back)
         self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
+        self.evidence, self.held_back = campaign.evidence, held_back
 
     def values(self, z: Array) -> dict[str, Any]:
         """Values of the unknowns at coordinates (n,)."""
@@ -160,15 +163,17 @@ class Model:
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
-        return self.residuals_of(self.machine(z), clocks)
+        return self.residuals_of(self.machine(z), self.values(z), clocks)
 
-    def residuals_of(self, plant: Plant, clocks: Array | None = None) -> Residuals:
-        """The same of a plant."""
+    def residuals_of(self, plant: Plant, values: Values, clocks: Array | None = None) -> Residuals:
+        """The same of a plant with such values."""
         found = {}
         for number, one in enumerate(self.pieces):
             clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
             simulated = one.simulated(plant, self.electronics, clock)
             found[one.name] = self.compared(one, simulated)
+        if (stated := self.evidence.excess(values, plant, held_back=self.held_back)).size:
+            found[EVIDENCE] = {STATED: stated[:, None]}
         return found
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:

@@ -87,6 +87,7 @@ def unit_of(path: str) -> str:
     """SI unit of a number by its path."""
     last = path.split(".")[-1]
     known = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
+    known |= {"derivative_pole": "rad/s", "supply_pressure": "Pa"}
     if "centre_of_mass" in path or "second_moment" in path:
         return "m" if "centre_of_mass" in path else "kg m^2"
     if last.endswith("_lag"):
@@ -122,7 +123,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     columns = dict(zip(paths(posterior), drawn.T, strict=True))
     write_parquet(pa.table(columns), in_folder(where, "samples.parquet"))
     write_text(in_folder(where, "box.toml"), tomlkit.dumps(box(posterior)))
-    return save_machine(posterior, where)
+    return save_machine(posterior, where) if posterior.campaign.plant.cab_parameters else where
 
 
 def save_machine(posterior: Posterior, where: Path) -> Path:

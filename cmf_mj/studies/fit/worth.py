@@ -18,11 +18,11 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.result import Field
-from cmf_mj.core.settings import read_toml, validated
+from cmf_mj.core.settings import beside, read_toml, validated
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.record.record import Record
-from cmf_mj.studies.fit.campaign import FILE, MEASURED, CampaignSettings, Recording, beside
+from cmf_mj.studies.fit.campaign import FILE, MEASURED, CampaignSettings, Recording
 from cmf_mj.studies.fit.engine import Fitter, Posterior
 from cmf_mj.studies.fit.likelihood import information
 from cmf_mj.studies.fit.model import Residuals, piece

@@ -13,7 +13,8 @@ all are weighted by the mixture of the rounds (balance heuristic),
     w = p(z) L(z) / mean(q1(z), q2(z), ...),        effective sample size = (sum w)^2 / sum w^2
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,37 @@ def log_ratio(points: Array, rounds: Sequence[Round]) -> Array:
     densities = [prior, *(one.log_density(points, prior) for one in rounds)]
     mixture = np.logaddexp.reduce(densities, axis=0) - np.log(len(densities))
     return np.asarray(prior - mixture)
+
+
+class Draws(NamedTuple):
+    """Machines that were drawn."""
+
+    points: Array  #: (n, k).
+    likelihood: Array  #: Ln L, (n,).
+    ratio: Array  #: Ln of prior over what they were drawn from, (n,).
+
+    @property
+    def weights(self) -> Array:
+        """Of the posterior, (n,), sum 1."""
+        return normalised(self.likelihood + self.ratio)
+
+
+def importance(
+    likelihoods: Callable[[int, Array], Array], size: int, count: int, rounds: int, seed: int
+) -> Draws:
+    """So many rounds of `count` points in `size` dimensions.
+
+    `likelihoods` gives ln L of the points of a round by its number, (count,).
+    """
+    points, known = first_round(count, size, seed), np.empty(0)
+    drawn: list[Round] = []
+    while True:
+        known = np.append(known, likelihoods(len(drawn), points[known.size :]))
+        ratio = log_ratio(points, drawn)
+        if len(drawn) == rounds - 1:
+            return Draws(points, known, ratio)
+        drawn.append(Round(points, known + ratio, count, [seed, 2, len(drawn)]))
+        points = np.vstack([points, drawn[-1].draw()])
 
 
 def normalised(log_weights: Array) -> Array:

@@ -1,1 +1,0 @@
-"""Calibration: which parameters were fitted to which published numbers, and what follows."""

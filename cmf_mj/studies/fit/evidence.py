@@ -1,0 +1,281 @@
+"""What is known of a machine beside recordings: results that somebody states, responses, flights.
+
+    [evidence.velocity]
+    source = "Table 2-6"
+    law = "velocity"                     # the law it ran, default the campaign's
+    dof = "heave"
+    phase_bandwidth_hz = 2.94            # likewise gain_bandwidth_hz, peak_gain_db, damping_ratio
+    held_back = ["phase_bandwidth_hz"]   # of it, what the fit must predict unseen
+    response = [[1.0, -0.1, -25.0]]      # [Hz, dB, deg], a row a frequency
+    deviations = { phase_deg = 3.0 }     # where they are not those of the campaign
+
+    [evidence.flown]
+    source = "flown with three cabs"
+    law = "velocity"
+    cabs = ["gfd", "rfd", "ifd"]
+    least_damping = 0.03                 # in every mode below 30 Hz
+
+With y what is stated, s its deviation and m that of the linear loop, friction left out, what is
+stated counts e^2 / 2 in -ln L,
+
+    e = (y - m - d) / s       with ln y and ln m of frequencies,     d = m_simulated(x0) - m(x0)
+    e = max(0, y - m) / s     of a damping ratio that is a least one
+
+d is what linearisation misses on the data sheet's machine x0, where a campaign asks for it by
+`simulated = true`: chirp and step of `cmf compare`, in 30 s.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.measures import Measures, are_stable, joined, least_damped_mode, measure_loop
+from cmf_mj.analysis.modes import bound
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError, within
+from cmf_mj.core.settings import Settings, beside
+from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.unknowns import Unknowns, Values
+from cmf_mj.machine.cab import load_cab
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.plant import Plant
+from cmf_mj.signals.signal import Dof
+from cmf_mj.studies.case import make_case, run_case
+
+Array = NDArray[np.float64]
+
+MEASURES = {
+    "phase_bandwidth_hz": "-90 deg [Hz]",
+    "gain_bandwidth_hz": "-3 dB [Hz]",
+    "peak_gain_db": "peak [dB]",
+    "damping_ratio": "zeta",
+}
+"""What may be stated of a law along an axis, fields of `Measures`, and its title."""
+
+LEAST = "least_damping"
+
+_LINES = np.geomspace(0.4, 15.0, 150)
+"""Lines the bandwidths are read between [Hz], 2.5 % apart."""
+_STEP = 1.5  #: Length of linear steps [s]: the overshoot comes within the first half second.
+_FASTEST_HZ = 30.0  #: Modes above it are of valves and sensors, not of the machine [Hz].
+_FARTHEST = 8.0  #: Deviations of what a machine does not have at all, such as an overshoot.
+
+Positive = Annotated[float, Field(gt=0.0)]
+Line = Annotated[tuple[Positive, float, float], Field(strict=False)]
+
+
+class Deviations(Settings):
+    """How far what is stated may be off: one standard deviation."""
+
+    phase_bandwidth_hz: Positive = 0.1  #: Of its logarithm: a share.
+    gain_bandwidth_hz: Positive = 0.1  #: Of its logarithm.
+    peak_gain_db: Positive = 1.0  #: [dB].
+    damping_ratio: Positive = 0.1
+    least_damping: Positive = 0.01  #: Of a shortfall.
+    gain_db: Positive = 0.5  #: Of a response [dB].
+    phase_deg: Positive = 5.0  #: Of a response [deg].
+
+
+class EvidenceSettings(Settings):
+    """One piece of evidence."""
+
+    source: Annotated[str, Field(min_length=1)]  #: Who states it, where.
+    law: str | None = None
+    dof: Dof = "heave"
+    cabs: Annotated[tuple[str, ...], Field(strict=False)] = ()  #: Default the campaign's.
+    phase_bandwidth_hz: Positive | None = None
+    gain_bandwidth_hz: Positive | None = None
+    peak_gain_db: float | None = None
+    damping_ratio: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    least_damping: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    response: Annotated[tuple[Line, ...], Field(strict=False)] = ()
+    held_back: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    deviations: Deviations | None = None
+
+
+class Statement(NamedTuple):
+    """One number that is stated."""
+
+    evidence: str  #: Its name in the campaign.
+    what: str  #: Title of the quantity.
+    field: str  #: Of `Deviations`.
+    at: tuple[str, str, str, float]  #: Law, degree of freedom, cab, frequency [Hz].
+    value: float
+    deviation: float
+    held_back: bool
+
+    def excess(self, predicted: float) -> float:
+        """E of a machine; `_FARTHEST` where it has no such number."""
+        if self.field == LEAST:
+            off = max(0.0, self.value - predicted)
+        elif self.field.endswith("_hz"):
+            off = float(np.log(self.value / predicted)) if predicted > 0.0 else np.nan
+        else:
+            off = self.value - predicted
+        e = off / self.deviation
+        return float(np.clip(e, -_FARTHEST, _FARTHEST)) if e == e else _FARTHEST
+
+
+class Found(NamedTuple):
+    """What a machine makes of all statements."""
+
+    value: Array  #: (n,), NaN where it has no such number.
+    stable: NDArray[np.bool_]  #: Of the loop behind each, (n,).
+
+
+class Evidence(NamedTuple):
+    """All that is stated of a machine, with the laws it ran and the machine of the data sheet."""
+
+    statements: tuple[Statement, ...]
+    laws: Mapping[str, Law]
+    plant: Plant
+    unknowns: Unknowns
+    shift: Array  #: d of each statement, (n,).
+
+    def linear(self, values: Values, plant: Plant) -> Found:
+        """What the linear loops of a machine with these values make of the statements.
+
+        Bandwidths are those of the response, also of an unstable loop: a fit must pass through it.
+        """
+        plants: dict[str, Linear] = {}
+        laws = {name: self.unknowns.apply(values, law) for name, law in self.laws.items()}
+        found: dict[tuple[str, str, str], tuple[Any, Measures]] = {}
+        value, stable = np.full(len(self.statements), np.nan), np.zeros(len(self.statements), bool)
+        for i, one in enumerate(self.statements):
+            law, dof, cab, hertz = one.at
+            if cab not in plants:
+                plants[cab] = Linear(self._with(cab, values, plant), friction="none")
+            linear = plants[cab]
+            if one.field == LEAST:
+                poles = np.asarray(linear.leg_loop(laws[law]).poles(), dtype=complex)
+                value[i] = least_damped_mode(poles, _FASTEST_HZ)[0]
+                stable[i] = are_stable(poles)
+                continue
+            if (law, dof, cab) not in found:
+                signal = dof if isinstance(linear.plant, Hexapod) else "leg_1"
+                loop = linear.loop(laws[law], signal)
+                found[law, dof, cab] = loop, _measured(loop)
+            loop, measures = found[law, dof, cab]
+            stable[i] = measures.stable
+            if one.field in MEASURES:
+                value[i] = getattr(measures, one.field)
+            else:
+                response = loop_response(loop, np.array([hertz])).frdata[0, 0, 0]
+                value[i] = _of_response(one.field, complex(response))
+        return Found(value + self.shift, stable)
+
+    def simulated(self, values: Values, plant: Plant, jobs: int) -> Array:
+        """The same of the simulation; linear ones of responses and least damping ratios."""
+        linear = self.linear(values, plant).value
+        runs = {
+            one.at[:3]: bound(self.unknowns.apply(values, self.laws[one.at[0]]), plant)
+            for one in self.statements
+            if one.field in MEASURES
+        }
+        cases = []
+        for (_, dof, cab), law in runs.items():
+            carried = self._with(cab, values, plant).cab_parameters or load_cab(None, plant.machine)
+            cases.append(make_case(law, dof, plant.name, carried, plant.parameters, quick=True))
+        results = dict(zip(runs, on_threads(run_case, cases, jobs), strict=True))
+        for i, one in enumerate(self.statements):
+            if one.field in MEASURES:
+                result = results[one.at[:3]]
+                measures = result.measures
+                if result.response is not None:
+                    measures = _unjudged(measures, bandwidths(result.response))
+                linear[i] = getattr(measures, one.field)
+        return linear
+
+    def shifted(self, jobs: int) -> "Evidence":
+        """With d of the data sheet's machine; 0 where a simulation has no such number."""
+        off = self.simulated({}, self.plant, jobs) - self.linear({}, self.plant).value
+        return self._replace(shift=np.where(np.isfinite(off), off, 0.0))
+
+    def excess(self, values: Values, plant: Plant, *, held_back: bool = False) -> Array:
+        """E of the statements that are fitted, or of those held back."""
+        found = self.linear(values, plant).value
+        chosen = [i for i, one in enumerate(self.statements) if one.held_back == held_back]
+        return np.array([self.statements[i].excess(float(found[i])) for i in chosen])
+
+    def _with(self, cab: str, values: Values, plant: Plant) -> Plant:
+        """The machine with a cab of its own, or the campaign's."""
+        if not cab:
+            return plant
+        carried = load_cab(cab, plant.machine)
+        return Hexapod(self.unknowns.apply(values, carried), plant.parameters)
+
+
+def _measured(loop: Any) -> Measures:
+    """Measures of a loop, its bandwidths whether it is stable or not."""
+    widths = bandwidths(loop_response(loop, _LINES))
+    return _unjudged(measure_loop(loop, frequencies=_LINES, duration=_STEP), widths)
+
+
+def _unjudged(measures: Measures, widths: Any) -> Measures:
+    """Measures with bandwidths also where the step rings on."""
+    there = joined(widths)
+    return measures._replace(**{name: getattr(there, name) for name in list(MEASURES)[:3]})
+
+
+def _of_response(field: str, response: complex) -> float:
+    """Gain [dB] or phase [deg] of a response."""
+    if field == "gain_db":
+        return float(20.0 * np.log10(abs(response)))
+    return float(np.degrees(np.angle(response)))
+
+
+def load_evidence(
+    tables: Mapping[str, EvidenceSettings],
+    deviations: Deviations,
+    law: str,
+    folder: Path,
+    plant: Plant,
+    unknowns: Unknowns,
+) -> Evidence:
+    """Make the statements of a campaign, `law` being its own; files lie in `folder`."""
+    statements: list[Statement] = []
+    laws: dict[str, Law] = {}
+    for name, said in tables.items():
+        with within(f"evidence.{name}"):
+            chosen = said.law or law
+            laws[chosen] = load_law(beside(folder, chosen))
+            for cab in said.cabs:
+                load_cab(cab, plant.machine)
+            mine = _statements(name, said, said.deviations or deviations, chosen)
+            known = {one.field for one in mine}
+            if unknown := [one for one in said.held_back if one not in known]:
+                allowed = ", ".join(sorted(known))
+                raise InputError(f"held_back: {unknown[0]!r} is not stated; allowed: {allowed}")
+            statements += mine
+    none = np.zeros(len(statements))
+    return Evidence(tuple(statements), laws, plant, unknowns, none)
+
+
+def _statements(
+    name: str, said: EvidenceSettings, deviations: Deviations, law: str
+) -> list[Statement]:
+    """The numbers that one piece of evidence states."""
+    rows: list[tuple[str, str, float, float]] = []  # field, title, frequency, value
+    for field, title in (MEASURES | {LEAST: "least zeta"}).items():
+        if (value := getattr(said, field)) is not None:
+            rows.append((field, title, 0.0, value))
+    for hertz, gain, phase in said.response:
+        rows += [("gain_db", f"gain at {hertz:g} Hz [dB]", hertz, gain)]
+        rows += [("phase_deg", f"phase at {hertz:g} Hz [deg]", hertz, phase)]
+    if not rows:
+        raise InputError(f"states nothing; allowed: {', '.join([*MEASURES, LEAST, 'response'])}")
+    return [
+        Statement(
+            *(name, title + (f", {cab}" if cab else ""), field, (law, said.dof, cab, hertz)),
+            *(value, getattr(deviations, field), field in said.held_back),
+        )
+        for cab in said.cabs or ("",)
+        for field, title, hertz, value in rows
+    ]
