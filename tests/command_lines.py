@@ -28,7 +28,6 @@ LINES = {
     "certify": "certify velocity --cabs gfd --quick --out {out}",
     "fit": "fit {campaign} --no-effects --out {out}",
     "campaign plan": "campaign plan --seconds 10 --out {out}",
-    "report calibrate": "report calibrate report --quick --samples 2 --out {out}",
     "report": "report --figures none --tables none --quick --out {out}",
     "report linear": "report linear --out {out}",
     "machine new": "machine new mine --file {out}/mine.toml",

@@ -34,7 +34,7 @@ SEAMS = (
     "studies.certificate:Family",
     "studies.engine:_started",
     "studies.tuning.search:cost",
-    "report_2014.calibration.fit:_cost_vector",
+    "studies.fit.evidence:Linear",
     "show.studio.server:Studio.__init__",
 )
 """Functions in which the work of commands begins, besides joblib's."""

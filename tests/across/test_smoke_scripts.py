@@ -139,16 +139,13 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     ledger = tmp_path / "docs" / "reference" / "ledger.md"
     shipped = ledger.read_text(encoding="utf-8")
     ledger.write_text(shipped.replace("## 3.", "## 33."), encoding="utf-8")
-    study = tmp_path / "out" / "calibrate" / "report"
+    study = tmp_path / "out" / "fit" / "report"
     study.mkdir(parents=True)
-    law = "| law | x | x |\n| --- | --- | --- |\n| b | 2 | 3 |\n"
-    tables = f"| parameter | x |\n| --- | --- |\n| a | 1 |\n\n{law}\n{law}"
-    (study / "calibration.md").write_text(tables, encoding="utf-8")
+    (study / "numbers.csv").write_text("number,x\na,1\n", encoding="utf-8")
     run("update_docs.py", "--root", str(tmp_path), cwd=tmp_path)
     assert ledger.read_text(encoding="utf-8") == shipped
     data = tmp_path / "docs" / "data"
-    assert (data / "calibration_report_parameters.csv").read_text() == "parameter,x\na,1\n"
-    assert (data / "calibration_report_rows.csv").read_text() == "law,x,x 2\nb,2,3\n"
+    assert (data / "calibration_report_numbers.csv").read_text() == "number,x\na,1\n"
 
 
 @pytest.mark.slow

@@ -40,12 +40,11 @@ FIGURES = {
     "study": "ladder",
     "certify": "certificates",
     "fit": "numbers recordings",
-    "report calibrate": "residuals",
     "report linear": "bode_velocity step_velocity",
 }
 """What the line of each command that draws leaves."""
 
-SLOW = {"measure", "fly", "learn", "study", "certify", "report calibrate"}
+SLOW = {"measure", "fly", "learn", "study", "certify"}
 
 
 def options_of(words: str) -> dict[str, Any]:

@@ -79,7 +79,6 @@ REFUSED = {
     "report --seed -1": "greater than or equal to 0",
     "report ledger 999": "number: 999 is not one of 1 to",
     "report linear --laws fast": "'fast'",
-    "report calibrate moon": "tables: 'moon' is not one of",
     "serve --port 70000": "port: 70000 is refused",
     "serve --host-port 70000": "host_port: '70000' is refused",
     "serve --lockstep": "lockstep: is nothing to the protocol cmf",

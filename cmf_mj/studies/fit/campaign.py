@@ -170,7 +170,7 @@ def load_campaign(folder: str | Path) -> Campaign:
 
     Raises `InputError` that names the file, the recording and what is wrong.
     """
-    where = _READY / f"{folder}.toml" if folder in SHIPPED else Path(folder)
+    where = _READY / f"{folder}.toml" if str(folder) in SHIPPED else Path(folder)
     path = where / FILE if where.is_dir() else where
     where = path.parent
     table = read_toml(path)

@@ -120,7 +120,7 @@ class Statement(NamedTuple):
         else:
             off = self.value - predicted
         e = off / self.deviation
-        return float(np.clip(e, -_FARTHEST, _FARTHEST)) if e == e else _FARTHEST
+        return e if e == e else _FARTHEST
 
 
 class Found(NamedTuple):

@@ -243,6 +243,7 @@ def test_flown_holds_the_leg_speed_back(tmp_path: Path) -> None:
 # -- spread and files -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_spread_holds_what_is_fitted_and_repeats(tmp_path: Path) -> None:
     """Numbers that are held widen it; same seed, same numbers."""
     known = {"source": "test", "dof": "heave", "phase_bandwidth_hz": 8.0}
