@@ -149,13 +149,13 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < least_demand(record, chosen):
         raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
-    residual, ended = _verdict(record)
-    stable = ended and not strays(record)
+    residual, stable = _verdict(record)
     try:
         feedback = dof_history(record, "leg_position", chosen)
     except NoPoseError:
         nan = float("nan")
         return StepMetrics(nan, nan, nan, nan, nan, residual, False)
+    stable = stable and not strays(record)
     tail = round(TAIL * rate)
     rest = float(feedback[at - 1])
     final = float(feedback[-tail:].mean())
