@@ -12,12 +12,14 @@ import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show
 from cmf_mj.cli.options import new_file
+from cmf_mj.machine.models import CMF
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
 app.add_typer(recordings, name="recording", rich_help_panel="Facility")
 
 _FILE = "CSV, Parquet, HDF5 or MAT"
 _MAP = "TOML file of `cmf recording new`; default the facility's columns"
+_OF = "name or TOML file; default that of the map, else the CMF"
 
 Recording = Annotated[Path, Argument(metavar="FILE", help=_FILE)]
 
@@ -38,15 +40,16 @@ def new_command(
 def check_command(
     recording: Recording,
     columns: Annotated[Path | None, Option(metavar="MAP", help=_MAP)] = None,
-    machine: options.Machine = "cmf",
+    machine: Annotated[str | None, options.name_or_file(options.MACHINES, "MACHINE", _OF)] = None,
     cab: Annotated[str | None, Option(metavar="CAB", help="default the machine's first")] = None,
 ) -> None:
     """Tell whether a recording is what its map says of a machine; status 1 if it is not."""
-    from cmf_mj.record.columns import read_mapped
+    from cmf_mj.record.columns import load_columns, read_mapped
     from cmf_mj.studies.recordings import check_recording, table, verdict
 
-    chosen = cmf_mj.load_machine(machine)
-    found = check_recording(read_mapped(recording, columns, chosen), chosen, cab)
+    known = None if columns is None else load_columns(columns)
+    chosen = cmf_mj.load_machine(machine or (known and known.machine) or CMF)
+    found = check_recording(read_mapped(recording, known, chosen), chosen, cab)
     show(table(found, f"{recording.name} on {chosen.name}"), verdict(found))
     if any(one.status == "fault" for one in found):
         raise typer.Exit(1)

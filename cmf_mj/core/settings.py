@@ -132,6 +132,11 @@ def check_file(path: Path) -> Path:
     return path
 
 
+def beside(folder: Path, name: str | None) -> Any:
+    """A TOML file, which counts from a folder, or any other name as it is."""
+    return folder / name if name is not None and name.endswith(".toml") else name
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     check_file(path)

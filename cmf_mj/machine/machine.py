@@ -260,6 +260,11 @@ class Machine(Settings):
         """What a record keeps of it besides the name: nothing of a shipped one."""
         return {} if self.shipped else self.model_dump(mode="json", exclude_none=True)
 
+    def known(self) -> dict[str, Any]:
+        """What the metadata of a recording say of it: name, and numbers where it is not shipped."""
+        kept = self.recorded()
+        return {"machine": self.name} | ({"machine_parameters": kept} if kept else {})
+
 
 @lru_cache
 def _geometry(gimbals: Gimbals) -> Geometry:

@@ -1,6 +1,6 @@
 """Maps from the columns of a recording to channels in SI: whose names, units, signs, offsets.
 
-    machine = "lab"                     # whose recording it is, for who reads the file
+    machine = "mine.toml"               # whose recording it is: a name, or a file beside this one
     bridge = 0.02                       # gaps up to this long [s] are filled with straight lines
     legs = [1, 2, 3, 4, 5, 6]           # what stands for {leg} in names, of our leg 1 first
 
@@ -20,7 +20,7 @@ Legs are positive out, poses count from neutral, x forward, y right, z down; see
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,12 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
-from cmf_mj.core.settings import Settings, Time, as_tuples, read_toml, validated
+from cmf_mj.core.settings import Settings, Time, as_tuples, beside, read_toml, validated
 from cmf_mj.machine.machine import Machine
 from cmf_mj.record.facility_csv import LAYOUT
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
-from cmf_mj.record.sources import Source, read_source
-from cmf_mj.record.times import bridged, even_clock, resampled
+from cmf_mj.record.sources import Source, bridged, even_clock, read_source, resampled
 
 Array = NDArray[np.float64]
 
@@ -51,7 +50,6 @@ CHANNELS = {
 """Channels that a map may have, with their SI units; all but the last two have six columns."""
 
 _SCALARS = ("supply_pressure", "return_pressure")
-_AXES = ("m",) * 3 + ("rad",) * 3
 _Six = Field(min_length=6, max_length=6)
 _Names = Annotated[tuple[str, ...], BeforeValidator(as_tuples), _Six]
 _Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples), _Six]
@@ -86,16 +84,25 @@ class ChannelColumns(Settings):
     offset: float | _Numbers = 0.0  #: What the file shows where the channel is zero [unit].
 
 
+class _Column(NamedTuple):
+    """One column of a channel."""
+
+    name: str  #: Empty where it was not recorded.
+    unit: str
+    sign: int
+    offset: float
+
+
 class ColumnMap(Settings):
     """What the columns of a recording are, as heads this module.
 
     >>> position = {"columns": "x{leg}", "unit": "mm"}
     >>> made = ColumnMap(time={"rate": 500.0}, channels={"leg_position": position})
-    >>> made.names("leg_position")[0]
+    >>> made.columns("leg_position")[0].name
     'x1'
     """
 
-    machine: str | None = None  #: Whose recording it is.
+    machine: str | None = None  #: Whose recording it is, by name or TOML file.
     bridge: Time = 0.0  #: Gaps up to this long are filled with straight lines [s].
     legs: Annotated[tuple[int | str, ...], BeforeValidator(as_tuples), _Six] = (1, 2, 3, 4, 5, 6)
     """What stands for {leg} in names, of leg 1 first; of poses, of surge first."""
@@ -105,28 +112,31 @@ class ColumnMap(Settings):
     @model_validator(mode="after")
     def _known(self) -> "ColumnMap":
         for name, one in self.channels.items():
-            si = CHANNELS[check_name("channels", name, CHANNELS)]
+            check_name("channels", name, CHANNELS)
             with within(f"channels.{name}"):
-                for unit, due in zip(
-                    _six(one.unit), _AXES if name in POSES else (si,) * 6, strict=True
-                ):
-                    _check_unit(unit, due)
                 single = isinstance(one.columns, str) and "{leg}" not in one.columns
                 if single != (name in _SCALARS):
                     allowed = (
                         "one name" if name in _SCALARS else "a pattern with {leg}, or six names"
                     )
                     raise InputError(f"columns: {one.columns!r} is refused; allowed: {allowed}")
+                for column, si in zip(self.columns(name), _si(name), strict=False):
+                    _check_unit(column.unit, si)
         return self
 
-    def names(self, channel: str) -> tuple[str, ...]:
-        """Names of the columns of a channel, of leg 1 first."""
-        columns = self.channels[channel].columns
-        if isinstance(columns, tuple):
-            return columns
-        if channel in _SCALARS:
-            return (columns,)
-        return tuple(columns.replace("{leg}", str(leg)) for leg in self.legs)
+    def columns(self, channel: str) -> list[_Column]:
+        """The columns of a channel, of leg 1 first."""
+        one = self.channels[channel]
+        names = one.columns
+        if isinstance(names, str):
+            legs = self.legs[:1] if channel in _SCALARS else self.legs
+            names = tuple(names.replace("{leg}", str(leg)) for leg in legs)
+        parts = [names, *(_six(part) for part in (one.unit, one.sign, one.offset))]
+        return [_Column(*column) for column in zip(*parts, strict=False)]
+
+
+def _si(channel: str) -> list[str]:
+    return ["m"] * 3 + ["rad"] * 3 if channel in POSES else [CHANNELS[channel]] * 6
 
 
 def _check_unit(unit: str, si: str) -> None:
@@ -139,10 +149,13 @@ def _six(value: Any) -> tuple[Any, ...]:
 
 
 def load_columns(source: "str | Path | ColumnMap") -> ColumnMap:
-    """A map from its TOML file, or as it is."""
+    """A map from its TOML file, whose machine counts from there, or as it is."""
     if isinstance(source, ColumnMap):
         return source
-    return validated(ColumnMap, read_toml(Path(source)), str(source))
+    table = read_toml(Path(source))
+    if isinstance(table.get("machine"), str):
+        table["machine"] = str(beside(Path(source).parent, table["machine"]))
+    return validated(ColumnMap, table, str(source))
 
 
 def read_mapped(
@@ -173,59 +186,57 @@ def read_mapped(
     >>> file.unlink()
     """
     if columns is None or columns == FACILITY:
-        return read_recording(Path(path))
+        record = read_recording(Path(path))
+        about = {} if "machine" in record.metadata else machine.known()
+        return Record(record.time, record.channels, record.units, dict(record.metadata) | about)
     chosen, source = load_columns(columns), read_source(path)
     with within(source.path):
         return _mapped(source, chosen, machine)
 
 
 def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
-    made: dict[str, Array] = {}
-    missing: list[str] = []
-    for channel, one in chosen.channels.items():
-        names = chosen.names(channel)
-        absent = [n for n in names if n not in source.columns and isinstance(one.columns, str)]
-        if len(absent) == len(names):
-            raise unknown_name(f"channels.{channel}: column", absent[0], source.columns)
-        missing += [
-            name or f"{channel} of leg {k + 1}"
-            for k, name in enumerate(names)
-            if name in absent or not name
-        ]
-        how = (one.unit, one.sign, one.offset)
-        for k, (name, unit, sign, offset) in enumerate(zip(names, *map(_six, how), strict=False)):
-            size = next(iter(source.columns.values())).size
-            known = name and name not in absent
-            raw = source.column(name) if known else np.full(size, np.nan)
-            made[f"{channel}/{k}"] = units.to_si(unit, sign * (one.scale * raw - offset))
-    when, time, off = chosen.time, None, 0.0
+    when = chosen.time
+    stamps: Array = np.arange(next(iter(source.columns.values())).size, dtype=float)
+    rate, off = when.resample or when.rate, 0.0
     if when.column is not None:
-        time = units.to_si(when.unit, source.column(when.column))
-        if np.isnan(time).any():
-            row = int(np.isnan(time).argmax())
-            raise InputError(f"time: {when.column}: row {row + 1} has none; allowed: a time")
-    rate = when.rate
-    if time is None:
-        time = np.arange(size) / float(rate or np.nan)
-    if when.resample is not None:
-        time, made = resampled(time, made, when.resample, chosen.bridge)
-        rate = when.resample
-    elif rate is None:
-        clock = even_clock(time)
-        time, rate, off = clock.times(time.size), clock.rate, clock.off
-    filled: dict[str, int] = {}
-    for name, values in made.items():
-        made[name], count = bridged(values, int(round(chosen.bridge * rate)))
-        filled |= {name: count} if count else {}
-    channels = {
-        name: made[f"{name}/0"]
-        if name in _SCALARS
-        else np.column_stack([made[f"{name}/{k}"] for k in range(6)])
-        for name in chosen.channels
-    }
-    said = {"file": source.path.name, "columns": "by map", "missing": missing, "bridged": filled}
-    metadata = {"machine": machine.name, "command": {"kind": "recording"}, "sample_rate": rate}
-    metadata |= {"recording": said | {"clock_off": off}}
-    if kept := machine.recorded():
-        metadata["machine_parameters"] = kept
+        stamps = units.to_si(when.unit, source.column(when.column))
+        if np.isnan(stamps).any():
+            row = int(np.isnan(stamps).argmax()) + 1
+            raise InputError(f"time: {when.column}: row {row} has none; allowed: a time")
+    elif when.rate is not None:
+        stamps = stamps / when.rate
+    time = stamps
+    if rate is None:
+        clock = even_clock(stamps)
+        time, rate, off = clock.times(stamps.size), clock.rate, clock.off
+    channels: dict[str, Array] = {}
+    missing: list[str] = []
+    counts: dict[str, int] = {}
+    for channel in chosen.channels:
+        legs, absent = _legs(source, chosen, channel)
+        missing += absent
+        if when.resample is not None:
+            time, legs = resampled(stamps, legs, rate, chosen.bridge)
+        for k, leg in enumerate(legs):
+            legs[k], count = bridged(leg, round(chosen.bridge * rate))
+            counts |= {f"{channel}/{k}": count} if count else {}
+        channels[channel] = legs[0] if channel in _SCALARS else legs.T
+    said = {"file": source.path.name, "columns": "by map", "missing": missing}
+    metadata = {"command": {"kind": "recording"}, "sample_rate": rate} | machine.known()
+    metadata |= {"recording": said | {"bridged": counts, "clock_off": off}}
     return Record(time, channels, {name: CHANNELS[name] for name in channels}, metadata)
+
+
+def _legs(source: Source, chosen: ColumnMap, channel: str) -> tuple[Array, list[str]]:
+    """Histories of a channel in SI, (6, N), NaN for legs not recorded, and the names of these."""
+    one, columns, made, missing = chosen.channels[channel], chosen.columns(channel), [], []
+    lost = np.full(next(iter(source.columns.values())).size, np.nan)
+    pattern = isinstance(one.columns, str)
+    if pattern and not any(column.name in source.columns for column in columns):
+        raise unknown_name(f"channels.{channel}: column", columns[0].name, source.columns)
+    for k, (name, unit, sign, offset) in enumerate(columns):
+        absent = not name or (pattern and name not in source.columns)
+        missing += [name or f"{channel} of leg {k + 1}"] if absent else []
+        raw = lost if absent else source.column(name)
+        made.append(units.to_si(unit, sign * (one.scale * raw - offset)))
+    return np.array(made), missing

@@ -1,76 +1,55 @@
 """A guess of the columns of a recording from their names, as a map to read and correct.
 
 Six names that differ in one number 1 to 6, or 0 to 5, or one letter a to f, are the legs of one
-channel. Its words say which: pos, x, length; ref, dmd, set; vel, v; cap, pa; rod, pb; force;
-valve, u. Units stand in brackets or at the end: `p1 [bar]`, `x1_mm`.
+channel; six with the words of six axes are a pose. Words, also two joined as in `Xcmd`, say which
+channel: pos, length; ref, cmd, set; vel; cap, pa; rod, pb; force; valve, u. Units stand in brackets
+or at the end: `p1 [bar]`, `x1_mm`, `v1_mm_s`.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import tomlkit
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.columns import CHANNELS, POSES
-from cmf_mj.record.sources import Source, read_source
-from cmf_mj.record.times import even_clock
+from cmf_mj.record.sources import Source, even_clock, read_source
 
-_WORDS = {
-    "leg_reference": "ref reference xref dmd demand demanded dem setpoint sp target desired xd",
-    "leg_velocity": "vel velocity speed v xdot dx xd_dot",
-    "leg_acceleration": "acc acceleration accel a xddot ddx",
-    "cap_pressure": "cap pcap capprs bore head pa pc pk p p1 prs pressure press",
-    "rod_pressure": "rod prod rodprs annulus pb pr ps p2",
-    "leg_force": "force f load fax loadcell",
-    "valve_command": "valve vlv u servo sv spool current",
-    "compensator_output": "cmp compensator controller",
-    "leg_position": "pos position x l s ext extension len length stroke fdk feedback meas leg act",
-}
-"""Words of names by channel; the earlier channel is preferred."""
+_CHANNELS = (
+    ("demand_pose", "pose"),
+    ("platform_pose", "pose"),
+    ("valve_command", "valve vlv servo sv spool u current"),
+    ("compensator_output", "cmp compensator controller"),
+    ("leg_velocity", "vel velocity speed v xdot dx"),
+    ("leg_acceleration", "acc acceleration accel a xddot ddx"),
+    ("rod_pressure", "rod prod annulus ann pb pr ps"),
+    ("cap_pressure", "cap pcap head bore pa pc pk"),
+    ("leg_force", "force f load fax loadcell"),
+    ("cap_pressure", "p prs pressure press"),
+    ("rod_pressure", "p prs pressure press"),
+    ("leg_reference", "x l s pos position length len ext extension stroke leg act cyl"),
+    ("leg_position", "x l s pos position length len ext extension stroke leg act cyl feedback fdk"),
+)
+"""Words of names by channel; an earlier entry is preferred."""
 
-_POSE = dict(
-    zip(
-        DOFS,
-        (
-            "surge x px",
-            "sway y py",
-            "heave z pz",
-            "roll phi rx",
-            "pitch theta ry",
-            "yaw psi rz heading",
-        ),
-        strict=True,
-    )
-)
-_TIME = "time t zeit timestamp sec seconds clock"
-_PLAIN = {"s": "s", "sec": "s", "msec": "ms", "°": "deg", "pct": "%", "percent": "%", "inch": "in"}
-_ENDS = (
-    "mm",
-    "cm",
-    "m",
-    "in",
-    "ft",
-    "bar",
-    "psi",
-    "kpa",
-    "mpa",
-    "pa",
-    "kn",
-    "n",
-    "lbf",
-    "deg",
-    "rad",
-    "ms",
-    "s",
-    "us",
-    "%",
-    "mms",
-    "mps",
-)
+_DEMAND = {*"ref reference cmd dmd demand demanded dem set setpoint sp target desired xd".split()}
+"""Words of what is asked for, which these channels have and those that are measured have not."""
+_ASKED, _EITHER = ("demand_pose", "leg_reference"), ("valve_command", "compensator_output")
+
+_AXES = ("surge x px", "sway y py", "heave z pz", "roll phi rx", "pitch theta ry", "yaw psi rz")
+_TIME = {*"time t zeit timestamp date sec seconds clock".split()}
+_SCALARS = {"supply_pressure": {"supply", "psup"}, "return_pressure": {"return", "tank"}}
+_WORDS = {*" ".join([*(words for _, words in _CHANNELS), *_AXES]).split(), *_DEMAND, *_TIME}
+
+_SPELLED = {one.lower(): one for one in "m mm cm Pa kPa MPa N kN bar psi in ft lbf deg rad".split()}
+_SPELLED |= {one: one for one in "s ms us % 1 g".split()}
+_SPELLED |= {"sec": "s", "msec": "ms", "°": "deg", "pct": "%", "percent": "%", "inch": "in"}
+_AFTER = {*_SPELLED} - {"1", "g"}  #: Units that may be the last word of a name.
 _LABELS = ("123456", "012345", "abcdef")
 _BY_SI = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "N": "N", "1": "%"}
 """Units of the field where a name states none, for the reader to correct."""
@@ -79,77 +58,62 @@ _BY_SI = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "N": "N", "1"
 class _Name(NamedTuple):
     """A name taken apart."""
 
-    words: frozenset[str]
+    words: set[str]
     unit: str  #: Empty where none is stated.
 
 
-def _apart(name: str, stated: str = "") -> _Name:
+def _apart(source: Source, name: str) -> _Name:
     bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
     plain = re.sub(r"[\[(][^\])]*[\])]", "", name)
-    parts = [part for part in re.split(r"[^a-zA-Z%°]+|(?<=[a-z])(?=[A-Z])", plain) if part]
-    words = [part.lower() for part in parts]
-    unit = _unit(stated or (bracket[1] if bracket else ""))
-    if not unit and len(words) > 1 and words[-1] in _ENDS:
-        unit = _unit(parts[-1])
-        words = words[:-1] if unit else words
-    return _Name(frozenset(words), unit)
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[%°]+", plain)
+    words = [word.lower() for word in words]
+    unit = _unit(source.units.get(name) or (bracket[1] if bracket else ""))
+    for size in (2, 1):  # mm_s, mm
+        if not unit and len(words) > size and {*words[-size:]} <= _AFTER:
+            unit = _unit("/".join(words[-size:]))
+            words = words[:-size] if unit else words
+    return _Name({part for word in words for part in _two(word)}, unit)
+
+
+def _two(word: str) -> tuple[str, ...]:
+    """A word, or the two that it joins, such as `xcmd`."""
+    cuts = ((word[:k], word[k:]) for k in range(1, len(word)))
+    return (word,) if word in _WORDS else next((c for c in cuts if {*c} <= _WORDS), (word,))
 
 
 def _unit(text: str) -> str:
     """A unit as this project spells it, empty where it has none."""
-    known = {
-        one.lower(): one
-        for one in (
-            "m",
-            "mm",
-            "cm",
-            "Pa",
-            "kPa",
-            "MPa",
-            "N",
-            "kN",
-            "bar",
-            "psi",
-            "in",
-            "ft",
-            "lbf",
-            "deg",
-            "rad",
-            "s",
-            "ms",
-            "us",
-            "%",
-            "1",
-            "g",
-        )
-    } | _PLAIN
     text = text.strip().replace("²", "^2").replace("s2", "s^2")
-    parts = [known.get(part.strip().lower(), part) for part in text.split("/")]
+    unit = "/".join(_SPELLED.get(part.strip().lower(), part) for part in text.split("/"))
     try:
-        units.factor("/".join(parts))
+        units.factor(unit)
     except InputError:
         return ""
-    return "/".join(parts)
+    return unit
 
 
-def _sixes(names: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+def _sixes(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Patterns with {leg} that six names fit, and what stands for it."""
-    seen: set[str] = set()
     for name in names:
         for spot in re.finditer(r"\d|(?<![a-zA-Z])[a-fA-F](?![a-zA-Z])", name):
             pattern = f"{name[: spot.start()]}{{leg}}{name[spot.end() :]}"
             for labels in _LABELS:
                 each = labels.upper() if spot[0].isupper() else labels
-                if pattern not in seen and all(pattern.replace("{leg}", k) in names for k in each):
-                    seen.add(pattern)
-                    yield pattern, list(each)
+                if spot[0] == each[0] and all(pattern.replace("{leg}", k) in names for k in each):
+                    yield pattern, each
 
 
-def _channel(words: Iterable[str], unit: str, taken: Iterable[str]) -> str | None:
-    """The channel whose words a name has, and whose unit fits; one with a unit alone is not one."""
-    for channel, known in _WORDS.items():
-        fits = not unit or units.si_unit(unit) == CHANNELS[channel]
-        if fits and channel not in taken and set(words) & set(known.split()):
+def _channel(words: set[str], unit: str, taken: Sequence[str]) -> str | None:
+    """The first channel whose words a name has, and whose unit fits."""
+    asked = bool(words & _DEMAND)
+    for channel, known in _CHANNELS:
+        due = "m" if channel in POSES else CHANNELS[channel]
+        fits = (not unit or units.si_unit(unit) == due) and channel not in taken
+        if (
+            fits
+            and words & {*known.split()}
+            and (channel in _EITHER or (channel in _ASKED) == asked)
+        ):
             return channel
     return None
 
@@ -157,82 +121,66 @@ def _channel(words: Iterable[str], unit: str, taken: Iterable[str]) -> str | Non
 def guess_columns(path: str | Path) -> str:
     """A map of a file's columns, as TOML text; what was not recognised is in comments."""
     source = read_source(path)
-    left = list(source.columns)
-    table: dict[str, Any] = {"time": _time(source, left)}
+    names = {name: _apart(source, name) for name in source.columns}
     channels: dict[str, Any] = {}
     doubts: list[str] = []
+    time = _time(source, names, doubts)
+    legs = ""
+    left = [name for name in names if name != time.get("column")]
+
+    def take(channel: str, columns: str | list[str], taken: list[str]) -> None:
+        nonlocal left
+        si = ["m"] * 3 + ["rad"] * 3 if channel in POSES else [CHANNELS[channel]] * len(taken)
+        stated = [names[name].unit for name in taken]
+        usual = {due: due for due in si} if channel in POSES else _BY_SI
+        unit = [one or usual[due] for one, due in zip(stated, si, strict=True)]
+        if not all(stated):
+            doubts.append(f"{channel}: no unit in {taken[0]!r}: the one below is a guess")
+        channels[channel] = {"columns": columns, "unit": unit if len({*unit}) > 1 else unit[0]}
+        left = [name for name in left if name not in taken]
+
     for pattern, labels in list(_sixes(left)):
-        names = [pattern.replace("{leg}", label) for label in labels]
-        if not set(names) <= set(left):
-            continue
-        words, unit = _apart(names[0], source.units.get(names[0], ""))
-        pose = next((p for p in POSES if p in re.sub(r"\W", "_", pattern.lower())), None)
-        channel = pose or _channel(words, unit, channels)
-        if channel is None or channel in channels:
-            continue
-        due = CHANNELS[channel]
-        stated = [unit or _BY_SI[due]] * 6 if pose is None else ["m"] * 3 + ["rad"] * 3
-        channels[channel] = {"columns": pattern, "unit": stated if pose else stated[0]}
-        if not unit:
-            doubts.append(f"{channel}: no unit in {names[0]!r}: {stated} is a guess")
-        if labels != list("123456"):
-            table["legs"] = labels
-        left = [name for name in left if name not in names]
-    left = _poses(source, left, channels, doubts)
-    for name in list(left):
-        words, unit = _apart(name, source.units.get(name, ""))
-        scalar = "supply_pressure" if words & {"supply", "psup"} else "return_pressure"
-        if scalar not in channels and words & {"supply", "psup", "return", "tank"} and unit:
-            channels[scalar] = {"columns": name, "unit": unit}
-            left.remove(name)
-    lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
-    lines += [f"not recognised: {name}" for name in left]
-    if not channels:
-        lines.append("no channel was recognised; name some of " + ", ".join(CHANNELS))
-    text = tomlkit.dumps(
-        {
-            **{k: v for k, v in table.items() if k == "legs"},
-            "time": table["time"],
-            "channels": channels,
-        }
-    )
-    return "".join(f"# {line}\n" for line in lines) + "\n" + text
-
-
-def _time(source: Source, left: list[str]) -> dict[str, Any]:
-    """The time column, its unit by its name, else by what makes an ordinary rate."""
-    for name in list(left):
-        words, unit = _apart(name, source.units.get(name, ""))
-        if words & set(_TIME.split()) and (not unit or units.si_unit(unit) == "s"):
-            left.remove(name)
-            table: dict[str, Any] = {"column": name, "unit": unit or "s"}
-            try:
-                even_clock(source.columns[name])
-            except InputError:
-                table["resample"] = 500.0
-            return table
-    return {"rate": 500.0}
-
-
-def _poses(
-    source: Source, left: list[str], channels: dict[str, Any], doubts: list[str]
-) -> list[str]:
-    """Take six axes by their words, of a demand and of a measurement; what is left."""
-    demand = set(_WORDS["leg_reference"].split())
+        taken = [pattern.replace("{leg}", label) for label in labels]
+        channel = _channel(*names[taken[0]], [*channels]) if {*taken} <= {*left} else None
+        if channel is not None:
+            legs = legs or labels
+            take(channel, pattern if labels == legs else taken, taken)
     for channel, asked in zip(POSES, (True, False), strict=True):
         found: dict[str, str] = {}
         for name in left:
-            words, _ = _apart(name)
-            axis = next((a for a, known in _POSE.items() if words & set(known.split())), None)
-            if axis is not None and bool(words & demand) == asked:
-                found.setdefault(axis, name)
-        if channel not in channels and len(found) == 6:
-            names = [found[axis] for axis in DOFS]
-            stated = [_apart(name, source.units.get(name, "")).unit for name in names]
-            due = ["m"] * 3 + ["deg"] * 3
-            unit = [one or other for one, other in zip(stated, due, strict=True)]
-            if not all(stated):
-                doubts.append(f"{channel}: not all names state a unit: {unit} is a guess")
-            channels[channel] = {"columns": names, "unit": unit}
-            left = [name for name in left if name not in names]
-    return left
+            words = names[name].words
+            for dof, known in zip(DOFS, _AXES, strict=True):
+                if words & {*known.split()} and bool(words & _DEMAND) == asked:
+                    found.setdefault(dof, name)
+        if channel not in channels and len({*found.values()}) == 6:
+            take(channel, [found[dof] for dof in DOFS], [found[dof] for dof in DOFS])
+    for name in list(left):
+        for channel, words in _SCALARS.items():
+            if channel not in channels and names[name].words & words and names[name].unit:
+                take(channel, name, [name])
+    lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
+    lines += [f"not recognised: {', '.join(left)}"] if left else []
+    if not channels:
+        lines.append("no channel was recognised; name some of " + ", ".join(CHANNELS))
+    table = {"legs": [*legs]} if legs not in ("", _LABELS[0]) else {}
+    text = tomlkit.dumps(table | {"time": time, "channels": channels})
+    return "".join(f"# {line}\n" for line in lines) + "\n" + text
+
+
+def _time(source: Source, names: dict[str, _Name], doubts: list[str]) -> dict[str, Any]:
+    """The time column, its unit by its name, else by what makes an ordinary rate."""
+    for name, (words, unit) in names.items():
+        if words & _TIME and (not unit or units.si_unit(unit) == "s"):
+            step = float(np.median(np.diff(source.columns[name])))
+            if not unit:
+                unit = next((one for one in ("s", "ms") if step * units.factor(one) < 0.1), "us")
+                doubts.append(f"time: no unit in {name!r}: {unit!r} is a guess")
+            try:
+                even_clock(units.to_si(unit, source.columns[name]))
+            except InputError as error:
+                doubts.append(f"{error}; resampled below")
+                rate = float(f"{1.0 / units.to_si(unit, step):.3g}") if step > 0.0 else 500.0
+                return {"column": name, "unit": unit, "resample": rate}
+            return {"column": name, "unit": unit}
+    doubts.append("time: no column was recognised: the rate [Hz] below is a guess")
+    return {"rate": 500.0}

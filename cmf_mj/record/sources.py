@@ -1,8 +1,9 @@
-"""Columns of recordings that others made: CSV, Parquet, HDF5 and MAT files.
+"""Columns and clocks of recordings that others made: CSV, Parquet, HDF5 and MAT files.
 
-A column is a name and numbers, NaN where there is none. An array of rows by columns, as HDF5 and
-MAT files hold, gives `name_1`, `name_2` and so on; a table in a table gives `table.name`, a group
-of HDF5 `group/name`. A CSV file may have text above its header, units in a row below it, any of the
+A column is a name and numbers, NaN where there is none; dates and times of day are seconds from the
+first. An array of rows by columns, as HDF5 and MAT files hold, gives `name_1`, `name_2` and so on;
+a table in a table gives `table.name`, a group of HDF5 `group/name`, a structure of MATLAB
+`structure.name`. A CSV file may have text above its header, units in a row below it, any of the
 separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`.
 """
 
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.csv
 from numpy.typing import NDArray
 
@@ -24,9 +26,17 @@ from cmf_mj.core.settings import check_file
 Array = NDArray[np.float64]
 
 _NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "-", "#N/A", "-nan", "-nan(ind)", "1.#QNAN"]
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?inf", re.ASCII)
+_NUMBER = r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?"
+_SHOWN = re.compile(rf"{_NUMBER}|[+-]?inf|[0-9][-0-9:./T ]*Z?")  #: A number, date or time of day.
 _UNIT = re.compile(r"[\[(].*[\])]|[a-zA-Z°%]{1,4}(/s(\^?2|²)?)?|1|-|")
 _LOOKED_AT = 200  #: Lines in which the header of a CSV file is looked for.
+_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  #: Units of dates and times [s].
+
+_OFF, _STEP = 0.4, 0.6
+"""How far a stamp may lie from its sample, and an interval from the usual, in samples."""
+_GAP = 3.0  #: Intervals, in usual ones, from which on a resampled recording has a gap.
+
+_Column = tuple[str, str, Array]  #: Name, unit where the file states one, numbers.
 
 
 class Source(NamedTuple):
@@ -34,12 +44,12 @@ class Source(NamedTuple):
 
     path: Path
     columns: Mapping[str, Array]  #: Name to numbers, (N,).
-    units: Mapping[str, str]  #: Name to unit, where the file states one beside the name.
+    units: Mapping[str, str]  #: Name to unit, empty where the file states none.
 
     def column(self, name: str) -> Array:
         """A column by name; refused with the most similar one."""
         if name not in self.columns:
-            raise unknown_name(f"{self.path}: column", name, self.columns)
+            raise unknown_name("column", name, self.columns)
         return self.columns[name]
 
 
@@ -50,183 +60,215 @@ def read_source(path: str | Path) -> Source:
     if reader is None:
         raise InputError(f"{source}: ending {source.suffix!r} is not one of {', '.join(_READERS)}")
     try:
-        columns, units = reader(source)
+        found = list(reader(source))
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source}: cannot be read: {reason(error)}") from error
-    lengths = [values.size for values in columns.values()]
+    lengths = [values.size for *_, values in found]
     if not lengths:
         raise InputError(f"{source}: has no column of numbers")
     usual = max(set(lengths), key=lambda size: (lengths.count(size), size))
-    kept = {name: values for name, values in columns.items() if values.size == usual}
-    return Source(source, kept, units)
+    kept = {name: values for name, _, values in found if values.size == usual}
+    return Source(source, kept, {name: unit for name, unit, _ in found})
 
 
-_Columns = tuple[dict[str, Array], dict[str, str]]
-
-
-def _csv(path: Path) -> _Columns:
+def _csv(path: Path) -> Iterator[_Column]:
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
-    lines = [(k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip()]
-    lines = [(row, line) for row, line in lines if not line.lstrip().startswith("#")]
-    separator, first = _cut(path, [line for _, line in lines[:_LOOKED_AT]])
-    width = len(_cells(lines[first][1], separator))
-    above = [_cells(line, separator) for _, line in lines[max(first - 2, 0) : first]]
+    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    separator, first = _cut(path, lines[:_LOOKED_AT])
+    width = len(_cells(lines[first], separator))
+    above = [_cells(line, separator) for line in lines[max(first - 2, 0) : first]]
     above = [cells for cells in above if len(cells) == width]
-    units: dict[str, str] = {}
-    names = above[-1] if above else [f"column_{k + 1}" for k in range(width)]
-    if len(above) == 2 and all(_UNIT.fullmatch(cell) for cell in names):
-        names, given = above
-        units = dict(zip(names, (cell.strip("[]() ") for cell in given), strict=True))
-    names = _distinct(path, names)
-    decimal = "," if separator != "," and re.search(r"\d,\d", lines[first][1]) else "."
-    rows = [_cells(line, separator) for _, line in lines[first:]] if separator is None else None
-    body = (
-        "\n".join("\t".join(row) for row in rows)
-        if rows
-        else "\n".join(line for _, line in lines[first:])
-    )
-    kinds = dict.fromkeys(names, pa.string())
+    units = [""] * width
+    if len(above) == 2 and all(_UNIT.fullmatch(cell) for cell in above[1]):
+        units = [cell.strip("[]() ") for cell in above.pop()]
+    header = above[-1] if above else [""] * width
+    names = [name or f"column_{k + 1}" for k, name in enumerate(header)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{path}: header: {twice[0]!r} names {len(twice)} columns")
+    rows = lines[first:] if separator else ["\t".join(line.split()) for line in lines[first:]]
+    body = "\n".join(rows).encode()
+    decimal = "," if separator != "," and re.search(r"\d,\d", lines[first]) else "."
     table = pyarrow.csv.read_csv(
-        io.BytesIO(body.encode()),
-        pyarrow.csv.ReadOptions(column_names=names),
+        io.BytesIO(body),
+        pyarrow.csv.ReadOptions(column_names=names, block_size=len(body) + 1),
         pyarrow.csv.ParseOptions(delimiter=separator or "\t"),
-        pyarrow.csv.ConvertOptions(
-            column_types=kinds, null_values=_NULLS, strings_can_be_null=True, decimal_point=decimal
-        ),
+        pyarrow.csv.ConvertOptions(null_values=_NULLS, decimal_point=decimal),
     )
-    columns = {}
-    for name in names:
-        values = _numbers(table[name], decimal)
-        if values is not None:
-            columns[name] = values
-    return columns, units
-
-
-def _numbers(column: pa.ChunkedArray, decimal: str) -> Array | None:
-    """A column of text as numbers; None where most are none, NaN where some are none."""
-    text = pa.compute.utf8_trim_whitespace(column)
-    if decimal == ",":
-        text = pa.compute.replace_substring(text, ",", ".")
-    known = pa.compute.match_substring_regex(text, r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
-    numbers = pa.compute.if_else(known, text, None).cast(pa.float64())
-    if (
-        numbers.null_count > 0.5 * len(numbers)
-        and pa.compute.any(
-            pa.compute.and_(pa.compute.invert(known), pa.compute.is_valid(text))
-        ).as_py()
-    ):
-        return None
-    return np.array(pa.compute.fill_null(numbers, np.nan).to_numpy())
+    stated = dict(zip(names, units, strict=True))
+    for name, unit, values in _of_table(table):
+        yield name, stated[name] or unit, values
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    return [cell.strip().strip('"') for cell in line.strip("\r\n").split(separator)]
+    return [cell.strip().strip('"') for cell in line.split(separator)]
 
 
 def _cut(path: Path, lines: list[str]) -> tuple[str | None, int]:
-    """The separator, None for blanks, and the first line of numbers."""
+    """The separator, None for blanks, and the first line of which half and more are numbers."""
     for separator in ("\t", ";", ",", None):
         rows = [_cells(line, separator) for line in lines]
         width = len(rows[-1]) if rows else 0
-        numeric = [
-            len(row) == width
-            and all(_NUMBER.fullmatch(c) or c in _NULLS for c in row)
-            or sum(bool(_NUMBER.fullmatch(c)) for c in row) > 0.5 * width
-            for row in rows
-        ]
-        if width > 1 and any(numeric):
-            return separator, numeric.index(True)
+        for first, row in enumerate(rows):
+            numbers = sum(bool(_SHOWN.fullmatch(cell)) or cell in _NULLS for cell in row)
+            if width > 1 and len(row) == width and numbers > 0.5 * width:
+                return separator, first
     raise InputError(f"{path}: no row of numbers within the first {_LOOKED_AT} lines")
 
 
-def _distinct(path: Path, names: list[str]) -> list[str]:
-    filled = [name or f"column_{k + 1}" for k, name in enumerate(names)]
-    for name in filled:
-        if filled.count(name) > 1:
-            raise InputError(f"{path}: header: {name!r} names {filled.count(name)} columns")
-    return filled
+def _of_table(table: pa.Table) -> Iterator[_Column]:
+    for field, column in zip(table.schema, table.columns, strict=True):
+        unit = (field.metadata or {}).get(b"unit", b"").decode()
+        if pa.types.is_string(field.type):  # numbers with something between them
+            text = pa.compute.utf8_trim_whitespace(column)
+            known = pa.compute.match_substring_regex(text, f"^{_NUMBER}$")
+            text = pa.compute.replace_substring(pa.compute.utf8_ltrim(text, "+"), ",", ".")
+            column = pa.compute.if_else(known, text, None).cast(pa.float64())
+            if column.null_count == len(column):
+                continue
+        elif pa.types.is_timestamp(field.type) or pa.types.is_time(field.type):
+            whole = pa.int32() if pa.types.is_time32(field.type) else pa.int64()
+            ticks = column.cast(whole).cast(pa.int64())
+            ticks = pa.compute.subtract(ticks, pa.compute.min(ticks))
+            column, unit, scale = ticks.cast(pa.float64()), "s", _TICKS[field.type.unit]
+            column = pa.compute.multiply(column, scale)
+        elif pa.types.is_nested(field.type) or pa.types.is_boolean(field.type):
+            continue
+        numbers = pa.compute.fill_null(column.cast(pa.float64()), np.nan)
+        yield field.name, unit, np.array(numbers.to_numpy())
 
 
-def _parquet(path: Path) -> _Columns:
-    table = read_table(path)
-    columns, units = {}, {}
-    for field in table.schema:
-        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
-            values = pa.compute.fill_null(table[field.name].cast(pa.float64()), np.nan)
-            columns[field.name] = np.array(values.to_numpy())
-        elif pa.types.is_timestamp(field.type):
-            stamps = table[field.name].cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy()
-            columns[field.name], units[field.name] = 1e-9 * (stamps - stamps[0]), "s"
-        stated = (field.metadata or {}).get(b"unit", b"").decode()
-        units |= {field.name: stated} if stated else {}
-    return columns, units
+def _hdf5(path: Path, between: str = "/") -> Iterator[_Column]:
+    with require("h5py", "hdf5").File(path, "r") as file:
+        yield from _of_tree("", file, between)
 
 
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """Columns of an array: its longer axis is time."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf" or array.size < 2:
-        return
-    array = np.squeeze(array).astype(float)
-    if array.ndim == 1:
-        yield name, array
-    elif array.ndim == 2:
-        rows = array if array.shape[0] >= array.shape[1] else array.T
-        yield from ((f"{name}_{k + 1}", rows[:, k].copy()) for k in range(rows.shape[1]))
-
-
-def _hdf5(path: Path) -> _Columns:
-    h5py = require("h5py", "hdf5")
-    columns: dict[str, Array] = {}
-    units: dict[str, str] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-            return
-        stated = item.attrs.get("unit", item.attrs.get("units", ""))
-        parts = item.dtype.names or ("",)
-        for part in parts:
-            whole = f"{name}.{part}" if part else name
-            for column, values in _flat(whole, item[part] if part else item[()]):
-                columns[column] = values
-                if isinstance(stated, str | bytes) and stated:
-                    units[column] = stated.decode() if isinstance(stated, bytes) else stated
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    return columns, units
-
-
-def _mat(path: Path) -> _Columns:
+def _mat(path: Path) -> Iterator[_Column]:
     from scipy.io import loadmat
 
     try:
-        content = loadmat(path, simplify_cells=True)
+        yield from _of_tree("", loadmat(path, simplify_cells=True), ".")
     except NotImplementedError:  # version 7.3 is HDF5
-        return _hdf5(path)
-    columns: dict[str, Array] = {}
+        yield from _hdf5(path, ".")
 
-    def walk(name: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for key, one in value.items():
-                if not key.startswith("__"):
-                    walk(f"{name}.{key}" if name else key, one)
-        elif isinstance(value, np.ndarray):
-            columns.update(_flat(name, value))
 
-    walk("", content)
-    return columns, {}
+def _of_tree(name: str, item: Any, between: str, unit: str = "") -> Iterator[_Column]:
+    """Columns of arrays, whose longer axis is time, in groups, structures and tables."""
+    if isinstance(item, Mapping):
+        for key in item:
+            if key[:1] not in ("#", "_"):
+                yield from _of_tree(f"{name}{between}{key}" if name else key, item[key], between)
+        return
+    about = getattr(item, "attrs", {})
+    stated = about.get("unit", about.get("units", unit))
+    unit = stated.decode() if isinstance(stated, bytes) else str(stated)
+    array = np.asarray(item)
+    for part in array.dtype.names or ():
+        yield from _of_tree(f"{name}.{part}", array[part], between, unit)
+    if array.dtype.kind in "biuf" and array.size > 1:
+        array = np.squeeze(array).astype(float)
+        if array.ndim == 1:
+            yield name, unit, array
+        elif array.ndim == 2:
+            legs = array if array.shape[0] < array.shape[1] else array.T
+            yield from ((f"{name}_{k + 1}", unit, leg.copy()) for k, leg in enumerate(legs))
 
 
 _READERS = {
     **dict.fromkeys((".csv", ".txt"), _csv),
-    ".parquet": _parquet,
+    ".parquet": lambda path: _of_table(read_table(path)),
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
     ".mat": _mat,
 }
+
+
+class Clock(NamedTuple):
+    """Even times: sample k is at start + k / rate."""
+
+    start: float  #: [s]
+    rate: float  #: [Hz]
+    off: float  #: Largest distance of a stamp from its sample [s].
+
+    def times(self, count: int) -> Array:
+        """Times of so many samples [s]."""
+        return self.start + np.arange(count) / self.rate
+
+
+def _steps(time: Array) -> Array:
+    """Intervals of time stamps [s], refused with the row where they do not rise."""
+    if time.size < 2:
+        raise InputError(f"time: has {time.size} samples; allowed: at least 2")
+    steps = np.diff(time)
+    bad = ~(steps > 0.0)
+    if bad.any():
+        row = int(bad.argmax()) + 1
+        said = f"row {row + 1} is at {time[row]:.9g} s after {time[row - 1]:.9g} s"
+        raise InputError(f"time: {said}; allowed: times that rise")
+    return steps
+
+
+def even_clock(time: Array) -> Clock:
+    """The even clock of time stamps [s], (N,); refused with the place where they have none.
+
+    Its rate is the one with the fewest digits that is as close to the stamps as a straight line.
+    """
+    steps, count = _steps(time), np.arange(time.size)
+    usual = float(np.median(steps))
+    slope, start = np.polyfit(count, time - time[0], 1) if time.size > 2 else (usual, 0.0)
+    best = float(np.abs(time - time[0] - start - slope * count).max())
+    for digits in range(1, 17):
+        rate = float(f"{1.0 / slope:.{digits}g}")
+        off = time - time[0] - count / rate
+        middle = 0.5 * (off.max() + off.min())
+        worst = float(np.abs(off - middle).max())
+        if worst <= max(1.2 * best, 1e-9 * time.size / rate):
+            break
+    row = int(np.abs(steps - usual).argmax()) + 1
+    if worst > _OFF / rate or abs(steps[row - 1] - 1.0 / rate) > _STEP / rate:
+        raise InputError(
+            f"time: row {row + 1}, {time[row]:.9g} s, is {steps[row - 1]:.6g} s after the row "
+            f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"
+        )
+    # A first stamp in the middle of its rounding is as good as any other.
+    return Clock(float(time[0] + (middle if worst > 1e-9 else 0.0)), rate, worst)
+
+
+def resampled(time: Array, values: Array, rate: float, bridge: float) -> tuple[Array, Array]:
+    """Even times [s] and histories (n, N) at them, on straight lines, without a filter.
+
+    Where stamps are farther apart than `bridge` [s] and three usual intervals, there is NaN.
+    """
+    steps = _steps(time)
+    count = int(np.floor((time[-1] - time[0]) * rate * (1.0 + 1e-12))) + 1
+    even = time[0] + np.arange(count) / rate
+    after = np.clip(np.searchsorted(time, even, side="left"), 1, time.size - 1)
+    wide = steps[after - 1] > max(bridge, _GAP * float(np.median(steps)))
+    lost = wide & (even > time[after - 1]) & (even < time[after])
+    return even, np.array([np.where(lost, np.nan, np.interp(even, time, one)) for one in values])
+
+
+def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last of each run of what is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
+
+
+def bridged(values: Array, most: float = np.inf) -> tuple[Array, int]:
+    """A history with gaps of at most so many samples filled by straight lines, and their samples.
+
+    Gaps at an end are filled, with its nearest number, where any length may be.
+    """
+    missing, at = np.isnan(values), np.arange(values.size)
+    if not missing.any() or missing.all():
+        return values, 0
+    fill = np.zeros(values.size, dtype=bool)
+    for first, end in runs(missing):
+        inside = first > 0 and end < values.size
+        fill[first:end] = end - first <= most and (inside or most == np.inf)
+    lines = np.interp(at, at[~missing], values[~missing])
+    return np.where(fill, lines, values), int(fill.sum())

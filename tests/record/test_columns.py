@@ -14,7 +14,7 @@ from cmf_mj import InputError, Record, load_machine
 from cmf_mj.core.files import write_table
 from cmf_mj.record.columns import ColumnMap, load_columns, read_mapped
 from cmf_mj.record.guess import guess_columns
-from cmf_mj.record.times import even_clock
+from cmf_mj.record.sources import even_clock
 
 LAB = load_machine("lab")
 TIME = np.arange(200) / 250.0
@@ -59,7 +59,6 @@ def test_structures_of_matlab_and_version_7_3(tmp_path: Path) -> None:
         target["log/t"], target["log/x"] = TIME[None], 1e3 * LEGS.T
     with file.open("r+b") as header:
         header.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    names = mapped(time={"column": "log/t"}, position={"columns": "log/x_{leg}"})
     np.testing.assert_allclose(read_mapped(file, names, LAB)["leg_position"], LEGS, atol=1e-15)
 
 
