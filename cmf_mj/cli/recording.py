@@ -44,12 +44,14 @@ def check_command(
     cab: Annotated[str | None, Option(metavar="CAB", help="default the machine's first")] = None,
 ) -> None:
     """Tell whether a recording is what its map says of a machine; status 1 if it is not."""
+    from cmf_mj.core.result import Result, fields_of
     from cmf_mj.record.columns import load_columns, read_mapped
-    from cmf_mj.studies.recordings import check_recording, table, verdict
+    from cmf_mj.studies.recordings import Finding, check_recording, verdict
 
     known = None if columns is None else load_columns(columns)
     chosen = cmf_mj.load_machine(machine or (known and known.machine) or CMF)
     found = check_recording(read_mapped(recording, known, chosen), chosen, cab)
-    show(table(found, f"{recording.name} on {chosen.name}"), verdict(found))
+    rows = Result(found, fields_of(Finding), f"{recording.name} on {chosen.name}")
+    show(rows, verdict(found))
     if any(one.status == "fault" for one in found):
         raise typer.Exit(1)

@@ -134,7 +134,7 @@ def check_file(path: Path) -> Path:
 
 def beside(folder: Path, name: str | None) -> Any:
     """A TOML file, which counts from a folder, or any other name as it is."""
-    return folder / name if name is not None and name.endswith(".toml") else name
+    return folder / name if name is not None and ".toml" in name else name
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ Legs are positive out, poses count from neutral, x forward, y right, z down; see
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,21 +84,12 @@ class ChannelColumns(Settings):
     offset: float | _Numbers = 0.0  #: What the file shows where the channel is zero [unit].
 
 
-class _Column(NamedTuple):
-    """One column of a channel."""
-
-    name: str  #: Empty where it was not recorded.
-    unit: str
-    sign: int
-    offset: float
-
-
 class ColumnMap(Settings):
     """What the columns of a recording are, as heads this module.
 
     >>> position = {"columns": "x{leg}", "unit": "mm"}
     >>> made = ColumnMap(time={"rate": 500.0}, channels={"leg_position": position})
-    >>> made.columns("leg_position")[0].name
+    >>> made.columns("leg_position")[0][0]
     'x1'
     """
 
@@ -120,19 +111,19 @@ class ColumnMap(Settings):
                         "one name" if name in _SCALARS else "a pattern with {leg}, or six names"
                     )
                     raise InputError(f"columns: {one.columns!r} is refused; allowed: {allowed}")
-                for column, si in zip(self.columns(name), _si(name), strict=False):
-                    _check_unit(column.unit, si)
+                for (_, unit, *_), si in zip(self.columns(name), _si(name), strict=False):
+                    _check_unit(unit, si)
         return self
 
-    def columns(self, channel: str) -> list[_Column]:
-        """The columns of a channel, of leg 1 first."""
+    def columns(self, channel: str) -> list[tuple[str, str, int, float]]:
+        """Name, empty for one not recorded, unit, sign and offset of each column of a channel."""
         one = self.channels[channel]
         names = one.columns
         if isinstance(names, str):
             legs = self.legs[:1] if channel in _SCALARS else self.legs
             names = tuple(names.replace("{leg}", str(leg)) for leg in legs)
         parts = [names, *(_six(part) for part in (one.unit, one.sign, one.offset))]
-        return [_Column(*column) for column in zip(*parts, strict=False)]
+        return list(zip(*parts, strict=False))
 
 
 def _si(channel: str) -> list[str]:
@@ -207,8 +198,7 @@ def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
         stamps = stamps / when.rate
     time = stamps
     if rate is None:
-        clock = even_clock(stamps)
-        time, rate, off = clock.times(stamps.size), clock.rate, clock.off
+        time, rate, off = even_clock(stamps)
     channels: dict[str, Array] = {}
     missing: list[str] = []
     counts: dict[str, int] = {}
@@ -232,8 +222,8 @@ def _legs(source: Source, chosen: ColumnMap, channel: str) -> tuple[Array, list[
     one, columns, made, missing = chosen.channels[channel], chosen.columns(channel), [], []
     lost = np.full(next(iter(source.columns.values())).size, np.nan)
     pattern = isinstance(one.columns, str)
-    if pattern and not any(column.name in source.columns for column in columns):
-        raise unknown_name(f"channels.{channel}: column", columns[0].name, source.columns)
+    if pattern and not any(name in source.columns for name, *_ in columns):
+        raise unknown_name(f"channels.{channel}: column", columns[0][0], source.columns)
     for k, (name, unit, sign, offset) in enumerate(columns):
         absent = not name or (pattern and name not in source.columns)
         missing += [name or f"{channel} of leg {k + 1}"] if absent else []

@@ -9,7 +9,7 @@ or at the end: `p1 [bar]`, `x1_mm`, `v1_mm_s`.
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import tomlkit
@@ -55,11 +55,7 @@ _BY_SI = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "N": "N", "1"
 """Units of the field where a name states none, for the reader to correct."""
 
 
-class _Name(NamedTuple):
-    """A name taken apart."""
-
-    words: set[str]
-    unit: str  #: Empty where none is stated.
+_Name = tuple[set[str], str]  #: Words of a name, and its unit, empty where none is stated.
 
 
 def _apart(source: Source, name: str) -> _Name:
@@ -72,7 +68,7 @@ def _apart(source: Source, name: str) -> _Name:
         if not unit and len(words) > size and {*words[-size:]} <= _AFTER:
             unit = _unit("/".join(words[-size:]))
             words = words[:-size] if unit else words
-    return _Name({part for word in words for part in _two(word)}, unit)
+    return {part for word in words for part in _two(word)}, unit
 
 
 def _two(word: str) -> tuple[str, ...]:
@@ -131,7 +127,7 @@ def guess_columns(path: str | Path) -> str:
     def take(channel: str, columns: str | list[str], taken: list[str]) -> None:
         nonlocal left
         si = ["m"] * 3 + ["rad"] * 3 if channel in POSES else [CHANNELS[channel]] * len(taken)
-        stated = [names[name].unit for name in taken]
+        stated = [names[name][1] for name in taken]
         usual = {due: due for due in si} if channel in POSES else _BY_SI
         unit = [one or usual[due] for one, due in zip(stated, si, strict=True)]
         if not all(stated):
@@ -148,7 +144,7 @@ def guess_columns(path: str | Path) -> str:
     for channel, asked in zip(POSES, (True, False), strict=True):
         found: dict[str, str] = {}
         for name in left:
-            words = names[name].words
+            words, _ = names[name]
             for dof, known in zip(DOFS, _AXES, strict=True):
                 if words & {*known.split()} and bool(words & _DEMAND) == asked:
                     found.setdefault(dof, name)
@@ -156,7 +152,7 @@ def guess_columns(path: str | Path) -> str:
             take(channel, [found[dof] for dof in DOFS], [found[dof] for dof in DOFS])
     for name in list(left):
         for channel, words in _SCALARS.items():
-            if channel not in channels and names[name].words & words and names[name].unit:
+            if channel not in channels and names[name][0] & words and names[name][1]:
                 take(channel, name, [name])
     lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
     lines += [f"not recognised: {', '.join(left)}"] if left else []

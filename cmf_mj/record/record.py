@@ -105,12 +105,13 @@ class Record:
         ([0.0254, 0.0508], 'm/s', 2.0)
         """
         stamps = shaped("time", time, None)
-        clock, made = even_clock(stamps), {name: real(name, v) for name, v in channels.items()}
+        even, rate, _ = even_clock(stamps)
+        made = {name: real(name, v) for name, v in channels.items()}
         si = {name: unit if _SI.fullmatch(unit) else si_unit(unit) for name, unit in units.items()}
         for name in set(made) & {name for name, unit in units.items() if unit != si[name]}:
             made[name] = to_si(units[name], made[name])
         known = {"command": {"kind": "recording"}} | dict(metadata or {})
-        return Record(clock.times(stamps.size), made, si, known | {"sample_rate": clock.rate})
+        return Record(even, made, si, known | {"sample_rate": rate})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How to make it again: frozen, as arrays alone would not be."""

@@ -30,7 +30,7 @@ _NUMBER = r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _SHOWN = re.compile(rf"{_NUMBER}|[+-]?inf|[0-9][-0-9:./T ]*Z?")  #: A number, date or time of day.
 _UNIT = re.compile(r"[\[(].*[\])]|[a-zA-Z°%]{1,4}(/s(\^?2|²)?)?|1|-|")
 _LOOKED_AT = 200  #: Lines in which the header of a CSV file is looked for.
-_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  #: Units of dates and times [s].
+_CLOCK = r"^[0-9]{2}:[0-9]{2}:[0-9]{2}([.][0-9]+)?$"  #: A time of day.
 
 _OFF, _STEP = 0.4, 0.6
 """How far a stamp may lie from its sample, and an interval from the usual, in samples."""
@@ -124,20 +124,24 @@ def _cut(path: Path, lines: list[str]) -> tuple[str | None, int]:
 def _of_table(table: pa.Table) -> Iterator[_Column]:
     for field, column in zip(table.schema, table.columns, strict=True):
         unit = (field.metadata or {}).get(b"unit", b"").decode()
-        if pa.types.is_string(field.type):  # numbers with something between them
+        if pa.types.is_time(column.type):
+            column = column.cast(pa.string())
+        if pa.types.is_string(column.type):  # times of day, or numbers with something between them
             text = pa.compute.utf8_trim_whitespace(column)
-            known = pa.compute.match_substring_regex(text, f"^{_NUMBER}$")
-            text = pa.compute.replace_substring(pa.compute.utf8_ltrim(text, "+"), ",", ".")
-            column = pa.compute.if_else(known, text, None).cast(pa.float64())
-            if column.null_count == len(column):
-                continue
-        elif pa.types.is_timestamp(field.type) or pa.types.is_time(field.type):
-            whole = pa.int32() if pa.types.is_time32(field.type) else pa.int64()
-            ticks = column.cast(whole).cast(pa.int64())
+            if pa.compute.all(pa.compute.match_substring_regex(text, _CLOCK)).as_py():
+                day = pa.compute.binary_join_element_wise("1970-01-01", text, " ")
+                column = day.cast(pa.timestamp("ns"))
+            else:
+                known = pa.compute.match_substring_regex(text, f"^{_NUMBER}$")
+                text = pa.compute.replace_substring(pa.compute.utf8_ltrim(text, "+"), ",", ".")
+                column = pa.compute.if_else(known, text, None).cast(pa.float64())
+                if column.null_count == len(column):
+                    continue
+        if pa.types.is_timestamp(column.type):
+            ticks = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
             ticks = pa.compute.subtract(ticks, pa.compute.min(ticks))
-            column, unit, scale = ticks.cast(pa.float64()), "s", _TICKS[field.type.unit]
-            column = pa.compute.multiply(column, scale)
-        elif pa.types.is_nested(field.type) or pa.types.is_boolean(field.type):
+            column, unit = pa.compute.multiply(ticks.cast(pa.float64()), 1e-9), "s"
+        if pa.types.is_nested(column.type) or pa.types.is_boolean(column.type):
             continue
         numbers = pa.compute.fill_null(column.cast(pa.float64()), np.nan)
         yield field.name, unit, np.array(numbers.to_numpy())
@@ -187,18 +191,6 @@ _READERS = {
 }
 
 
-class Clock(NamedTuple):
-    """Even times: sample k is at start + k / rate."""
-
-    start: float  #: [s]
-    rate: float  #: [Hz]
-    off: float  #: Largest distance of a stamp from its sample [s].
-
-    def times(self, count: int) -> Array:
-        """Times of so many samples [s]."""
-        return self.start + np.arange(count) / self.rate
-
-
 def _steps(time: Array) -> Array:
     """Intervals of time stamps [s], refused with the row where they do not rise."""
     if time.size < 2:
@@ -212,10 +204,11 @@ def _steps(time: Array) -> Array:
     return steps
 
 
-def even_clock(time: Array) -> Clock:
-    """The even clock of time stamps [s], (N,); refused with the place where they have none.
+def even_clock(time: Array) -> tuple[Array, float, float]:
+    """Even times of stamps [s], (N,), their rate [Hz], and the largest distance of a stamp [s].
 
-    Its rate is the one with the fewest digits that is as close to the stamps as a straight line.
+    The rate is the one with the fewest digits that is as close to the stamps as a straight line.
+    Stamps that are not even are refused with the row.
     """
     steps, count = _steps(time), np.arange(time.size)
     usual = float(np.median(steps))
@@ -235,7 +228,7 @@ def even_clock(time: Array) -> Clock:
             f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"
         )
     # A first stamp in the middle of its rounding is as good as any other.
-    return Clock(float(time[0] + (middle if worst > 1e-9 else 0.0)), rate, worst)
+    return time[0] + (middle if worst > 1e-9 else 0.0) + count / rate, rate, worst
 
 
 def resampled(time: Array, values: Array, rate: float, bridge: float) -> tuple[Array, Array]:

@@ -44,19 +44,10 @@ class Agreement(NamedTuple):
 
     slip: str  #: What is wrong, in words; empty if nothing is.
     delay: float  #: d [s], NaN where nothing moves.
+    cost: float  #: The sum above.
     gain: float  #: g, NaN where nothing moves.
     left: float  #: Share of what moves that is not explained, before any mending.
-    unseen: tuple[str, ...]  #: Slips that would not have mattered.
-
-
-class _Way(NamedTuple):
-    """How well histories agree without a slip."""
-
-    said: str
-    delay: float
-    cost: float
-    gain: float
-    left: float
+    unseen: tuple[str, ...] = ()  #: Slips that would not have mattered.
 
 
 def agree(
@@ -88,22 +79,20 @@ def agree(
     moved = min(ready(values).std(axis=0).max() for values in (expected, measured))
     moves = bool(moved > _MOVES * floor)
 
-    def fit(said: str, expected: Array, measured: Array) -> _Way:
+    def fit(said: str, expected: Array, measured: Array) -> Agreement:
         e, m = ready(expected), ready(measured)
         frames = _delay(e, m, rate / every) if shift and moves else 0.0
         e = shifted(e, (frames, 0.0), order=1, mode="nearest")
-        return _Way(said, frames * every / rate, *_fit(e, m, floor, moves))
+        return Agreement(said, frames * every / rate, *_fit(e, m, floor, moves))
 
     base, ways = fit("", expected, measured), [fit(*slip) for slip in slips]
     best = min(ways, key=lambda way: way.cost, default=base)
-    unseen = tuple(way.said for way in ways if abs(way.cost - base.cost) < 0.5 * _PRICE)
-    said = ""
-    if best.cost + _PRICE < base.cost and best.left < 0.5 * min(1.0, base.left):
-        said = " or ".join(way.said for way in ways if way.cost < best.cost + 0.5 * _PRICE)
-    else:
-        best = base
-    known = (best.delay, best.gain) if moves else (np.nan, np.nan)
-    return Agreement(said, *known, base.left, unseen)
+    unseen = tuple(way.slip for way in ways if abs(way.cost - base.cost) < 0.5 * _PRICE)
+    said = " or ".join(way.slip for way in ways if way.cost < best.cost + 0.5 * _PRICE)
+    if best.cost + _PRICE >= base.cost or best.left >= 0.5 * min(1.0, base.left):
+        best, said = base, ""
+    known = best._replace(slip=said, left=base.left, unseen=unseen)
+    return known if moves else known._replace(delay=np.nan, gain=np.nan)
 
 
 def there(values: Array) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.result import Field, Result, fields_of
+from cmf_mj.core.result import Field
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
 from cmf_mj.machine.machine import Machine
@@ -104,7 +104,7 @@ def check_recording(record: Record, machine: Machine, cab: str | None = None) ->
     'the recording fits the machine'
     """
     subject = _Subject(record, machine, Hexapod(load_cab(cab, machine)))
-    checks = (_missing, _gaps, _range, _sensors, _motion, _velocity, _valves)
+    checks = (_missing, _gaps, _range, _sensors, _motion, _slopes)
     found = [one for check in checks for one in check(subject)]
     wrong = (one for one in found if one.status == "fault" and one.name in _LEGS)
     if any(one.channel.startswith("leg") for one in wrong):
@@ -119,11 +119,6 @@ def verdict(findings: list[Finding]) -> str:
         for status in ("fault", "loss")
     )
     return faults or "the recording fits the machine" + f"; lost: {losses}" * bool(losses)
-
-
-def table(findings: list[Finding], title: str) -> Result[Finding]:
-    """The findings to print."""
-    return Result(findings, fields_of(Finding), title)
 
 
 def _named(legs: NDArray[np.bool_]) -> str:
@@ -298,21 +293,21 @@ def _timing(
     yield Finding("law", status, "leg_position", 100.0 * change, "%", said)
 
 
-def _velocity(subject: _Subject) -> Iterator[Finding]:
-    own, slope = subject.slow["leg_velocity"], subject.slope
-    fits = pairs.agree(slope, own, subject.rate, 1e-3, pairs.swaps(slope, own), shift=False)
-    yield from _judged("velocity", "leg_velocity", "the slope of positions", fits, pairs.LENGTHS)
+_SLOPES = (
+    ("velocity", "leg_velocity", "the slope of positions", 1e-3, pairs.LENGTHS),
+    ("valves", "valve_command", "velocities", 2e-3, {}),
+)
+"""What is compared with the slope of the positions: least of it that counts, and its units."""
 
 
-def _valves(subject: _Subject) -> Iterator[Finding]:
-    own, slope, how = (
-        subject.slow["valve_command"],
-        subject.slope,
-        {"shift": False, "centred": True},
-    )
-    fits = pairs.agree(slope, own, subject.rate, 2e-3, pairs.swaps(slope, own), **how)
-    if fits is not None and (fits.left < 0.8 or fits.slip):
-        yield from _judged("valves", "valve_command", "velocities", fits, {}, loose=True)
+def _slopes(subject: _Subject) -> Iterator[Finding]:
+    for name, channel, against, floor, sizes in _SLOPES:
+        own, valves = subject.slow[channel], name == "valves"
+        how: dict[str, Any] = {"shift": False, "centred": valves}
+        slips = pairs.swaps(subject.slope, own)
+        fits = pairs.agree(subject.slope, own, subject.rate, floor, slips, **how)
+        if not valves or (fits is not None and (fits.left < 0.8 or fits.slip)):
+            yield from _judged(name, channel, against, fits, sizes, loose=valves)
 
 
 def _force(subject: _Subject) -> Iterator[Finding]:

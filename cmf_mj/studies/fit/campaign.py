@@ -1,6 +1,6 @@
 """A campaign: a folder of recordings of one machine, and `campaign.toml` that says what each is.
 
-    machine = "mine.toml"               # the data sheet; files lie in the folder
+    machine = "mine.toml"               # the data sheet; files count from this one's folder
     law = "velocity"                    # the law that the machine ran
     columns = "columns.toml"            # how the files' columns are read; default the facility's
 
@@ -147,15 +147,8 @@ def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
     force = max(0.15 * weight, 3.0 * numbers["coulomb_friction"].si)
     value: dict[str, Any] = {"effect": "value", "low": 0.0, "high": force, "unit": "N"}
     ranges["friction"] = {"path": "hydraulics.friction"} | value
-    ranges["stiction"] = (
-        {"path": "hydraulics.stiction"}
-        | value
-        | {
-            "low": 1.0,
-            "high": 2.5,
-            "unit": "1",
-        }
-    )
+    stuck = {"path": "hydraulics.stiction", "low": 1.0, "high": 2.5, "unit": "1"}
+    ranges["stiction"] = value | stuck
     for axis in "xyz":
         place: dict[str, Any] = {"effect": "offset", "deviation": reach, "unit": "m"}
         ranges[f"centre_{axis}"] = {"path": f"{heavy}.centre_of_mass.{axis}"} | place

@@ -45,7 +45,7 @@ from cmf_mj.facility.unknowns import load_unknowns
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
@@ -75,6 +75,7 @@ POSES = (
     {"pitch": 0.7, "yaw": 0.5, "surge": -0.3},
 )
 """Poses of `hold`, each degree of freedom in parts of what it reaches alone."""
+_WHERE = ("machine", "cab")  #: Whose files are named by the way from the campaign's.
 AWAY, ELSEWHERE = POSES[1] | {"surge": 0.4}, POSES[4] | {"heave": -0.4}
 KEPT = ("demand_pose", *(group.channel for group in LAYOUT))
 
@@ -105,8 +106,9 @@ def plan_campaign(
 
     Machine, cab, hydraulics and laws are names or TOML files, by default the machine's; `seconds`
     is the length of each of the eight recordings. The law that is held back is by default the other
-    at `SLOWER` of its gains, since a law made for another machine may ring. A folder that holds a
-    campaign is refused.
+    at `SLOWER` of its gains, since a law made for another machine may ring. Files of laws and
+    hydraulics are copied into the folder; those of machine and cab, which name others, stay where
+    they are. A folder that holds a campaign is refused.
     """
     target = Path(folder)
     if (target / FILE).exists():
@@ -119,12 +121,13 @@ def plan_campaign(
     room = Room(Hexapod(cab, hydraulics, machine=machine), share)
     if named.get("law") == room.machine.law:
         del named["law"]
+    held = _kept("other_law", other_law, target) if other_law is not None else ""
+    named |= {name: _kept(name, one, target) for name, one in named.items() if name not in _WHERE}
     every = max(round(room.machine.rate / (RATE if room.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
-    if other_law is None:
-        other_law = _slower(load_law(law or room.machine.law), target / "slower.toml")
+    held = held or str(_slower(load_law(law or room.machine.law), target / "other_law.toml"))
     plans, runs, tables = _planned(room, seconds - LEAD), {}, {}
-    laws = {name: {"law": str(other_law)} if one.other_law else {} for name, one in plans.items()}
+    laws = {name: {"law": held} if one.other_law else {} for name, one in plans.items()}
     for name, one in plans.items():
         title = {"title": f"{name}: {one.pose}"}
         runs[name] = room.fitted(one, named | usual | laws[name] | title)
@@ -141,6 +144,15 @@ def plan_campaign(
         tables[name] = said | _beside(laws[name], target) | {"source": source.as_posix()}
     head = _beside(named, target) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
+
+
+def _kept(name: str, source: Source, folder: Path) -> str:
+    """A name as it is; of a file a copy in the folder, so that the campaign can be sent."""
+    file, ending, one = str(source).rpartition(".toml")
+    if not ending:
+        return str(source)
+    text = Path(file + ending).read_text(encoding="utf-8")
+    return f"{write_text(folder / f'{name}.toml', text)}{one}"
 
 
 def _slower(law: Law, file: Path) -> Path:
@@ -317,8 +329,8 @@ def record_campaign(
     Machine, cab and hydraulics are names, TOML files or loaded, by default those of the data sheet.
     Actuators that are all alike get unequal valves, `valve_gains` by the seed, which is also that
     of the noise. Files are the facility's CSV for the CMF, else the project's own records; they
-    hold the channels of `LAYOUT` and the demand, and no number of the machine. `progress` is called
-    with (recordings done, in all).
+    hold the channels of `LAYOUT`, the demand and the data sheet, and no number of the machine.
+    `progress` is called with (recordings done, in all).
     """
     place = Path(folder) / FILE
     names = list(read_toml(place).get("recordings", ()))
@@ -327,8 +339,9 @@ def record_campaign(
     table = tomlkit.parse(place.read_text(encoding="utf-8"))
     said = table["recordings"]
     runs = {name: load_scenario(place.parent / said[name]["source"]) for name in names}
+    sheet = runs[names[0]]
+    about = load_machine(sheet.machine).known()
     if machine is None:
-        sheet = runs[names[0]]
         machine, cab = sheet.machine, cab or sheet.cab
         hydraulics = hydraulics or sheet.hydraulics
     plant: Plant = Hexapod(cab, hydraulics, machine=machine)
@@ -340,9 +353,7 @@ def record_campaign(
         noise = np.random.SeedSequence(seed, spawn_key=(names.index(name),)).generate_state(1)
         with within(name):
             run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise[0])).record()
-        known = {key: run.metadata[key] for key in ("sample_rate", "law", "machine")}
-        if not plant.machine.shipped:
-            del known["machine"]
+        known = {key: run.metadata[key] for key in ("sample_rate", "law")} | about
         channels = {key: run[key] for key in KEPT if key in run.channels}
         units = {key: run.units[key] for key in channels}
         record = Record(run.time, channels, units, known | {"command": {"kind": "scenario"}})
