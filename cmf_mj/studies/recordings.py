@@ -293,7 +293,7 @@ def _timing(
     yield Finding("law", status, "leg_position", 100.0 * change, "%", said)
 
 
-_SLOPES = (
+_SLOPES: tuple[tuple[str, str, str, float, Mapping[str, float]], ...] = (
     ("velocity", "leg_velocity", "the slope of positions", 1e-3, pairs.LENGTHS),
     ("valves", "valve_command", "velocities", 2e-3, {}),
 )

@@ -14,8 +14,9 @@ from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.record.reader import read_recording
+from cmf_mj.studies.fit.campaign import load_campaign
 from cmf_mj.studies.fit.plan import demand, plan_campaign, record_campaign
 
 SHARE = 0.4
@@ -70,20 +71,35 @@ def test_plan_stays_within_stroke_speed_and_acceleration(name: str, tmp_path: Pa
 
 
 def test_record_tells_what_was_recorded_and_no_number_of_the_machine(tmp_path: Path) -> None:
-    """Two recordings of a hidden machine, of other valves by another seed."""
-    planned("lab", "original", tmp_path)
-    path = tmp_path / "campaign" / "campaign.toml"
+    """Recordings of a hidden machine, of other valves by another seed, after the folder moved.
+
+    Data sheet and folder go elsewhere; the law is not there any more, and a copy is used.
+    """
+    law, there = tmp_path / "mine.toml", tmp_path / "there"
+    table = cmf_mj.load_law("original").model_dump(
+        mode="json", exclude={"name"}, exclude_defaults=True
+    )
+    law.write_text(tomlkit.dumps({"mine": table}), encoding="utf-8")
+    there.mkdir()
+    sheet = machine_with_friction(there)
+    how: dict[str, Any] = {"seconds": 10.0, "share": SHARE, "other_law": law}
+    path = plan_campaign(sheet, None, None, law, there / "campaign", **how)
+    law.unlink()
+    path = there.rename(tmp_path / "here") / path.relative_to(there)
     table = read_toml(path)
-    table["recordings"] = {name: table["recordings"][name] for name in ("hold", "axes_small")}
+    table["recordings"] = {name: table["recordings"][name] for name in ("hold", "other_law")}
     path.write_text(tomlkit.dumps(table), encoding="utf-8")
     hidden = cmf_mj.load_cab(None, "lab").changed("hidden", mass=345.678)
     records = []
     for seed in (1, 2):
         record_campaign(path.parent, machine="lab", cab=hidden, seed=seed, jobs=1)
-        said = read_toml(path)["recordings"]
-        records.append(read_recording(path.parent / said["hold"]["file"]))
+        records.append(load_campaign(path.parent).recordings[0].record)
     record = records[0]
-    assert set(record.metadata) == {"sample_rate", "law", "command", "machine"}
+    assert set(record.metadata) == {
+        *("sample_rate", "law", "command", "machine", "machine_parameters")
+    }
+    assert record.metadata["law"] == "mine"
+    assert recorded_machine(record.metadata) == cmf_mj.load_machine(path.parents[1] / sheet.name)
     assert "345.678" not in json.dumps(dict(record.metadata), default=str)
     assert not {"leg_extension", "leg_force", "platform_pose"} & set(record.channels)
     assert record["leg_position"][:64].std() > 0.0
