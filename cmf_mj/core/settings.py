@@ -337,11 +337,6 @@ def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
     return path
 
 
-def beside(folder: Path, name: str | None) -> Any:
-    """A file of the folder, or a name."""
-    return folder / name if name is not None and (folder / name).is_file() else name
-
-
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:
     # Names pydantic gives to the alternatives of a union are no keys of the file.
     location = [str(part) for part in error["loc"] if not set("[(-") & set(str(part))]
