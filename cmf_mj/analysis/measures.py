@@ -155,7 +155,6 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     except NoPoseError:
         nan = float("nan")
         return StepMetrics(nan, nan, nan, nan, nan, residual, False)
-    stable = stable and not strays(record)
     tail = round(TAIL * rate)
     rest = float(feedback[at - 1])
     final = float(feedback[-tail:].mean())
@@ -172,7 +171,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
             f"record: goes from 10 to 90 % of the step within a sample of {1.0 / rate:.4g} s; "
             "allowed: a motion, in a record that shows it"
         )
-    return measured._replace(residual=residual, stable=stable)
+    return measured._replace(residual=residual, stable=stable and not strays(record))
 
 
 def _verdict(record: Record) -> tuple[float, bool]:

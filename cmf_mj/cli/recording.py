@@ -12,7 +12,6 @@ import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show
 from cmf_mj.cli.options import new_file
-from cmf_mj.machine.models import CMF
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
 app.add_typer(recordings, name="recording", rich_help_panel="Facility")
@@ -49,7 +48,7 @@ def check_command(
     from cmf_mj.studies.recordings import Finding, check_recording, verdict
 
     known = None if columns is None else load_columns(columns)
-    chosen = cmf_mj.load_machine(machine or (known and known.machine) or CMF)
+    chosen = cmf_mj.load_machine(machine or (known and known.machine) or "cmf")
     found = check_recording(read_mapped(recording, known, chosen), chosen, cab)
     rows = Result(found, fields_of(Finding), f"{recording.name} on {chosen.name}")
     show(rows, verdict(found))

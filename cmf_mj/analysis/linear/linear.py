@@ -192,7 +192,9 @@ class Linear:
         return loop_damping(self.loop(law))
 
     def margins(self, law: str | Law, signals: Sequence[str] = DOFS) -> Array:
-        """Gain [dB] and phase margins [deg] along degrees of freedom or legs, (n, 2).
+        """Gain [dB] and phase margins [deg] under a `law` along `signals`, (n, 2).
+
+        Signals are degrees of freedom or legs.
 
         The change that brings the loop to the limit of stability, the nearer one where there are
         two: a negative gain margin is one by which gain may fall. NaN where there is no crossing

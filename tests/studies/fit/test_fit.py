@@ -152,7 +152,7 @@ def test_what_is_wrong_with_a_campaign_is_named(tmp_path: Path) -> None:
     channels = {"leg_reference": legs, "leg_position": legs}
     units, about = dict.fromkeys(channels, "m"), {"sample_rate": float(RATE)}
     cmf_mj.Record(time, channels, units, about).save(tmp_path / "a.parquet")
-    with pytest.raises(InputError, match="all are held back"):
+    with pytest.raises(InputError, match="has nothing to fit"):
         load_campaign(tmp_path)
     said["kind"], said["held_back"] = "valves", False
     (tmp_path / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
