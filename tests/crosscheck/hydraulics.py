@@ -9,6 +9,7 @@ pressure, a differential equation that any integrator can take together with the
 
     Q_cap =  G_cap (u+ phi(Ps - p_cap) - u- phi(p_cap - Pt)) - L (p_cap - p_rod)
     Q_rod = -G_rod (u+ phi(p_rod - Pt) - u- phi(Ps - p_rod)) + L (p_cap - p_rod)
+    u+- of what is left of a spool's way beyond its overlap, sign(u) max(|u| - o, 0)
     phi(dp) = sign(dp) (sqrt(s^2 + 4 |dp|) - s) / 2
 
 Q counts content, s is the root of half the transition pressure. Spools do not depend on anything
@@ -20,6 +21,7 @@ with D and U the offsets of drive and spool from the held command c at the start
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,6 @@ from cmf_mj.plant.parameters import HydraulicParameters
 
 _OFF = (
     "null_bias",
-    "overlap",
     "hysteresis",
     "bearing_leakage",
     "coulomb_friction",
@@ -61,6 +62,7 @@ class Circuit:
     tank: float  #: Pt [Pa].
     drive_rate: float  #: a [rad/s].
     spool_rate: float  #: b [rad/s].
+    overlap: float  #: o, fraction.
 
     def start_pressures(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
         """Equal pressures (2, n) that hold static loads [N]: what piston leakage ends at."""
@@ -81,7 +83,8 @@ class Circuit:
         to_supply, to_tank = self.supply - pressure, pressure - self.tank
         opens = spool >= 0.0
         drop = np.where([opens, ~opens], to_supply, -to_tank)
-        flow = self.gain * np.abs(spool) * _orifice(drop, self.laminar)
+        open_ = np.maximum(np.abs(spool) - self.overlap, 0.0)
+        flow = self.gain * open_ * _orifice(drop, self.laminar)
         leak = self.leakage * (pressure[0] - pressure[1])
         flow[0] -= leak
         flow[1] += leak
@@ -92,24 +95,19 @@ class Circuit:
         yielding = (1.0 + ratio) / self.bulk_modulus
         return (flow / self.area - content * swept) / (length * yielding)
 
-    def spools(self, valves: NDArray[np.float64], per_frame: int) -> NDArray[np.float64]:
-        """Spool positions after each of `per_frame` parts of the frames of commands (N, n).
+    def spools(
+        self, drive: NDArray[np.float64], spool: NDArray[np.float64], command: Any, parts: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Drives (n,) after a frame with a held command, and spools after each of its parts.
 
-        Returns:
-            (N per_frame + 1, n), the first row the start at rest.
+        Both from those at its start, (n,); spools (parts, n).
         """
         a, b = self.drive_rate, self.spool_rate
-        time = np.arange(1, per_frame + 1)[:, None] / (per_frame * RATE)
+        time = np.arange(1, parts + 1)[:, None] / (parts * RATE)
         slow, fast, mixed = np.exp(-a * time), np.exp(-b * time), b / (b - a)
-        found = np.zeros((len(valves) * per_frame + 1, valves.shape[1]))
-        drive, spool = np.zeros(valves.shape[1]), np.zeros(valves.shape[1])
-        for frame, command in enumerate(valves):
-            share = drive - command
-            own = spool - command - mixed * share
-            rows = command + own * fast + mixed * share * slow
-            found[frame * per_frame + 1 : (frame + 1) * per_frame + 1] = rows
-            drive, spool = command + share * slow[-1], rows[-1]
-        return found
+        share = drive - command
+        own = spool - command - mixed * share
+        return command + share * slow[-1], command + own * fast + mixed * share * slow
 
     def check(self, pressure: NDArray[np.float64], extension: NDArray[np.float64]) -> None:
         """Refuse a trajectory that has left what the equations hold for.
@@ -173,4 +171,5 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
         tank=si["return_pressure"],
         drive_rate=si["drive_lag"],
         spool_rate=si["valve_lag"],
+        overlap=si["overlap"],
     )

@@ -8,9 +8,13 @@ chamber pressures are first-order states of the same system. The implicit trapez
 all of it together, constraints on velocity level (index 2), and so is of order 2:
 
     M(q) dv/dt = f(q, v, p) - G' lambda,    G v = 0,    dp/dt = g(p, q, v, u(t))
+
+It can have what the other plant lacks: a floor that is a mass on springs, of which the legs stand,
+and springs along the legs between each lower gimbal and its cylinder.
 """
 
 import time as clock
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import mujoco
@@ -62,6 +66,27 @@ def _turn(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
+class Spring(NamedTuple):
+    """What yields: a floor in x, y and z, or each leg along its axis. It is loaded at neutral."""
+
+    stiffness: float  #: [N/m].
+    damping: float = 0.0  #: [N s/m].
+    mass: float = 0.0  #: Of a floor [kg].
+
+
+class State(NamedTuple):
+    """What a controller may read, (6,) each, of pressures (2, 6)."""
+
+    extension: NDArray[np.float64]  #: [m].
+    speed: NDArray[np.float64]  #: [m/s].
+    acceleration: NDArray[np.float64]  #: [m/s^2].
+    pressure: NDArray[np.float64]  #: Of cap and rod chambers [Pa].
+
+
+Controller = Callable[[int, State], ArrayLike]
+"""Gives the valve commands (6,) that are held over a frame from its number and the state there."""
+
+
 class Trajectory(NamedTuple):
     """What an engine computed, at the ends of the control frames and at the start."""
 
@@ -75,11 +100,15 @@ class Trajectory(NamedTuple):
 class Machine:
     """The hexapod at rest in its neutral pose, ready to be driven once or several times."""
 
-    def __init__(self, plant: Hexapod) -> None:
+    def __init__(
+        self, plant: Hexapod, *, floor: Spring | None = None, mounts: Spring | None = None
+    ) -> None:
         """Build the machine of a plant.
 
         Args:
             plant: gives the mechanical numbers, the hydraulic set and the static leg forces.
+            floor: that the legs stand on, by default a rigid one.
+            mounts: of the cylinders on their lower gimbals, by default rigid ones.
 
         Raises:
             MissingExtraError: exudyn is not installed.
@@ -94,7 +123,22 @@ class Machine:
         self._spools = np.zeros((1, _LEGS))
         self._rate = float(RATE)
         self._extra = np.zeros(_LEGS)
+        self.floor, self.mounts = floor, mounts
+        self._base = 3 if floor else 0  # joints of the floor
+        self._joints = 4 if mounts else 3  # of a leg
+        self.pushed = 0.0
+        """Force down on the floor beside the weights [N]."""
+        self._springs(plant.model)
         self._build(plant.model)
+
+    def _springs(self, model: mujoco.MjModel) -> None:
+        """Forces that the springs have at neutral, so that they are the same neutral ones."""
+        gravity = float(-model.opt.gravity[2])
+        self._weight = gravity * (float(model.body_mass.sum()) + (self.floor or Spring(0.0)).mass)
+        barrels = [model.body(f"cylinder_{leg + 1}") for leg in range(_LEGS)]
+        upright = np.array([_turn(barrel.quat)[2, 2] for barrel in barrels])
+        weights = gravity * np.array([float(barrel.mass[0]) for barrel in barrels])
+        self._held = self.load + weights * upright
 
     def _build(self, model: mujoco.MjModel) -> None:
         platform, centre = self._add_platform(model)
@@ -103,7 +147,7 @@ class Machine:
         for leg in range(1, _LEGS + 1):
             below = items.MarkerKinematicTreeRigid(
                 objectNumber=tree,
-                linkNumber=3 * leg - 1,
+                linkNumber=self._base + self._joints * leg - 1,
                 localPosition=model.site(f"rod_end_{leg}").pos,
             )
             above = items.MarkerBodyPosition(
@@ -121,7 +165,7 @@ class Machine:
             items.ObjectGenericODE1(nodeNumbers=[system.AddNode(node)], rhsUserFunction=self._rates)
         )
         system.Assemble()
-        self._slides = np.array(system.systemData.GetObjectLTGODE2(tree))[2::3]
+        self._slides = np.array(system.systemData.GetObjectLTGODE2(tree))[self._of_legs()]
 
     def _add_platform(self, model: mujoco.MjModel) -> tuple[int, NDArray[np.float64]]:
         """Platform and cab as one body; its number, and its centre of mass in platform axes."""
@@ -138,22 +182,37 @@ class Machine:
         )
         return number, whole.centre
 
+    def _of_legs(self, which: int = -1) -> slice:
+        """A joint of each leg among all of the tree, by default its slide."""
+        return slice(self._base + which % self._joints, None, self._joints)
+
     def _add_legs(self, model: mujoco.MjModel) -> int:
-        """All legs as one kinematic tree: hinge x without mass, hinge y, slide z; its number."""
+        """Floor and all legs as one kinematic tree; its number.
+
+        Of a floor the slides x, y and z; of a leg hinge x without mass, hinge y, that of the mount
+        where it yields, slide z. A massless link is a joint more of what it carries.
+        """
         exudyn = self._exudyn
         kind = exudyn.JointType
-        parents: list[int] = []
-        frames, links = [], []
+        none = _Body(0.0, np.zeros(3), np.zeros((3, 3)))
+        parents, kinds = [-1, 0, 1][: self._base], [kind.PrismaticX, kind.PrismaticY]
+        kinds = [*kinds, kind.PrismaticZ][: self._base]
+        frames: list[NDArray[np.float64]] = [np.eye(4)] * self._base
+        links = [none] * self._base
+        if self.floor:
+            links[-1] = none._replace(mass=self.floor.mass)
         for leg in range(1, _LEGS + 1):
             first = len(parents)
-            parents += [-1, first, first + 1]
+            slides = self._joints - 2
+            parents += [self._base - 1, *range(first, first + self._joints - 1)]
+            kinds += [kind.RevoluteX, kind.RevoluteY, *([kind.PrismaticZ] * slides)]
             for name in (f"cylinder_{leg}", f"rod_{leg}"):
                 frame = np.eye(4)
                 frame[:3, 3], frame[:3, :3] = model.body(name).pos, _turn(model.body(name).quat)
                 frames.append(frame)
                 links.append(_own(model, name))
-            frames.insert(-1, np.eye(4))
-            links.insert(-2, _Body(0.0, np.zeros(3), np.zeros((3, 3))))
+            frames[-1:-1] = [np.eye(4)] * (self._joints - 2)
+            links[-2:-2] = [none] * (self._joints - 2)
         joints = len(parents)
         node = exudyn.itemInterface.NodeGenericODE2(
             numberOfODE2Coordinates=joints,
@@ -164,7 +223,7 @@ class Machine:
         tree = exudyn.itemInterface.ObjectKinematicTree(
             nodeNumber=self.system.AddNode(node),
             gravity=model.opt.gravity.tolist(),
-            jointTypes=[kind.RevoluteX, kind.RevoluteY, kind.PrismaticZ] * _LEGS,
+            jointTypes=kinds,
             linkParents=parents,
             jointHTs=frames,
             linkInertiasCOM=exudyn.Matrix3DList([link.inertia for link in links]),
@@ -177,11 +236,19 @@ class Machine:
     def _forces(
         self, system: Any, time: float, item: int, q: Any, speed: Any
     ) -> NDArray[np.float64]:
-        """Generalised forces of the tree: the cylinders on the slides."""
+        """Generalised forces of the tree: the cylinders on the slides, and the springs."""
         pressure = np.asarray(system.systemData.GetODE1Coordinates(copy=False))
-        forces = np.zeros(3 * _LEGS)
+        forces = np.zeros(self._base + self._joints * _LEGS)
         cylinder = self.circuit.forces(pressure.reshape(2, _LEGS) * _UNIT)
-        forces[2::3] = cylinder + self._extra
+        forces[self._of_legs()] = cylinder + self._extra
+        if self.floor:
+            way, rate = np.asarray(q)[:3], np.asarray(speed)[:3]
+            forces[:3] = -self.floor.stiffness * way - self.floor.damping * rate
+            forces[2] += self._weight - self.pushed
+        if self.mounts:
+            at = self._of_legs(2)
+            way, rate = np.asarray(q)[at], np.asarray(speed)[at]
+            forces[at] = self._held - self.mounts.stiffness * way - self.mounts.damping * rate
         return forces
 
     def _rates(self, system: Any, time: float, item: int, states: Any) -> NDArray[np.float64]:
@@ -231,30 +298,50 @@ class Machine:
                 f"valves: shape {commands.shape}, largest {np.abs(commands).max()}; "
                 f"allowed: (N, {_LEGS}), -1 to 1"
             )
+        return self.control(lambda frame, state: commands[frame], len(commands), step)
+
+    def control(self, controller: Controller, frames: int, step: float) -> Trajectory:
+        """Let a controller drive the machine from rest at neutral, otherwise as `run`."""
         parts = round(1.0 / (RATE * step)) if step > 0.0 else 0
         if parts < 1 or not np.isclose(parts * RATE * step, 1.0, rtol=1e-9):
             raise InputError(f"step: {step} s must be 1/{RATE} s over a whole number")
-        frames = len(commands)
         self._rate = float(parts * RATE)
-        self._spools = self.circuit.spools(commands, parts)
+        self._spools = np.zeros((frames * parts + 1, _LEGS))
         extension = np.zeros((frames + 1, _LEGS))
         pressure = np.zeros((frames + 1, _LEGS, 2))
-        data = self.system.systemData
+        data, drive = self.system.systemData, np.zeros(_LEGS)
+
+        def begin(frame: int, state: State) -> None:
+            """Keep the state at the start of a frame, and move the spools over it."""
+            nonlocal drive
+            extension[frame], pressure[frame] = state.extension, state.pressure.T
+            if frame < frames:
+                command = np.asarray(controller(frame, state))
+                first = frame * parts
+                drive, rows = self.circuit.spools(drive, self._spools[first], command, parts)
+                self._spools[first + 1 : first + parts + 1] = rows
 
         def keep(system: Any, time: float) -> bool:
             done = round(time * self._rate)
-            if done % parts == 0:
-                row = done // parts
-                extension[row] = np.asarray(data.GetODE2Coordinates(copy=False))[self._slides]
+            if done > 0 and done % parts == 0:  # it is called before the first step too
+                motion = (
+                    np.asarray(get(copy=False))[self._slides]
+                    for get in (
+                        data.GetODE2Coordinates,
+                        data.GetODE2Coordinates_t,
+                        data.GetODE2Coordinates_tt,
+                    )
+                )
                 states = np.asarray(data.GetODE1Coordinates(copy=False)).reshape(2, _LEGS)
-                pressure[row] = states.T * _UNIT
+                begin(done // parts, State(*motion, states * _UNIT))
             return True
 
-        pressure[0] = self.circuit.start_pressures(self.load).T
+        still = np.zeros(_LEGS)
+        began = clock.process_time()
+        begin(0, State(still, still, still, self.circuit.start_pressures(self.load)))
         self.system.SetPostStepUserFunction(keep)
-        begin = clock.process_time()
         self._solve(frames * parts, frames / RATE)
-        cpu_time = clock.process_time() - begin
+        cpu_time = clock.process_time() - began
         self.circuit.check(pressure, extension)
         return Trajectory(step, np.arange(frames + 1) / RATE, extension, pressure, cpu_time)
 
