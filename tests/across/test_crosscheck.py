@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crosscheck.hydraulics import Circuit, make_circuit
-from crosscheck.machine import Machine
+from crosscheck.machine import Machine, Spring
+from crosscheck.recordings import recorded
 from crosscheck.verification import Verification, distance, in_mujoco, valve_sines, verify
+from scipy import linalg
 
-from cmf_mj import Hexapod, load_hydraulics
+from cmf_mj import Hexapod, Run, load_hydraulics
 from cmf_mj.core import units
+from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import pose_jacobian
+from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters import HydraulicParameters
 
 SCRIPT = Path(__file__).resolve().parents[1] / "crosscheck"
@@ -88,6 +93,94 @@ def test_a_machine_starts_every_run_anew() -> None:
     again = machine.run(valves, 1.0 / 2048.0)
     np.testing.assert_array_equal(first.extension, again.extension)
     np.testing.assert_array_equal(first.pressure, again.pressure)
+
+
+def in_heave(
+    floor: Spring | None = None, mounts: Spring | None = None
+) -> tuple[np.ndarray, float, float, float, float]:
+    """Heave after a short opening of all valves (N,), then masses and springs of the heave mode.
+
+    These are the reflected mass, the momentum per speed on a fixed floor, the whole mass, and the
+    spring of the oil, that of a leg times the square of legs over heave.
+    """
+    lab = Hexapod(machine="lab")
+    oil = lab.parameters.model_copy(update={"supply": "constant"})
+    plant = Hexapod(None, oil, machine="lab")
+    valves = np.zeros((4096, 6))
+    valves[10:14] = 0.2
+    found = Machine(plant, floor=floor, mounts=mounts).run(valves, 1.0 / 2048.0)
+    legs = pose_jacobian(np.zeros(6), plant.machine)[:, 2]
+    mass = float(legs @ plant.reflected_mass() @ legs)
+    plant.start()
+    momentum = float(np.abs(plant.static_load() @ legs) / STANDARD_GRAVITY)
+    stiffness = cylinder.stiffness(
+        plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6)
+    )
+    spring = float(legs @ (stiffness * legs))
+    total = float(plant.model.body_mass.sum())
+    return found.extension[1024:].mean(axis=1), mass, momentum, total, spring
+
+
+def peak(history: np.ndarray, near: float) -> float:
+    """Frequency of the largest line of a history at 2048 Hz within a tenth of one [Hz]."""
+    slow = np.polyval(np.polyfit(np.arange(history.size), history, 2), np.arange(history.size))
+    lines = np.abs(np.fft.rfft((history - slow) * np.hanning(history.size), 2**18))
+    frequency = np.fft.rfftfreq(2**18, 1.0 / 2048.0)
+    lines[np.abs(frequency - near) > 0.1 * near] = 0.0
+    inside = np.argmax(lines)
+    assert lines[inside] > max(lines[inside - 1], lines[inside + 1]), "no peak, but an edge"
+    return float(frequency[inside])
+
+
+def test_a_floor_adds_the_modes_of_two_masses_on_two_springs() -> None:
+    # T = (m + M) w'^2 / 2 + S w' h' + M_h h'^2 / 2,  U = k w^2 / 2 + K_h h^2 / 2.
+    floor = Spring(stiffness=3.2e7, mass=2000.0)
+    heave, mass, momentum, total, spring = in_heave(floor=floor)
+    masses = np.array([[floor.mass + total, momentum], [momentum, mass]])
+    squares = linalg.eigh(np.diag([floor.stiffness, spring]), masses, eigvals_only=True)
+    for expected in np.sqrt(squares) / (2.0 * np.pi):
+        assert peak(heave, expected) == pytest.approx(expected, rel=0.01)
+
+
+def test_mounts_are_springs_in_series_with_the_oil() -> None:
+    # Of a leg with mounts k, u the way of the barrel m, s that of the piston: T = M (u + s)'^2 / 2
+    # + m u'^2 / 2, U = k u^2 / 2 + K s^2 / 2, in heave the sum of six such legs.
+    mounts = Spring(stiffness=2e7)
+    heave, mass, _, _, spring = in_heave(mounts=mounts)
+    legs = pose_jacobian(np.zeros(6), Hexapod(machine="lab").machine)[:, 2]
+    share = float(legs @ legs)
+    masses = np.array([[mass / share + 14.0, mass / share], [mass / share, mass / share]])
+    springs = np.diag([mounts.stiffness, spring / share])
+    expected = np.sqrt(linalg.eigh(springs, masses, eigvals_only=True)[0]) / (2.0 * np.pi)
+    assert expected < 0.9 * np.sqrt(spring / mass) / (2.0 * np.pi)
+    assert peak(heave, expected) == pytest.approx(expected, rel=0.01)
+
+
+def test_nothing_passes_within_the_overlap(circuit: Circuit) -> None:
+    still, middle = np.zeros(1), np.full((2, 1), 0.5 * circuit.supply)
+    lapped = circuit._replace(overlap=0.02)
+    for opening, left in ((0.015, 0.0), (-0.02, 0.0), (0.05, 0.03), (-0.05, -0.03)):
+        rate = lapped.rates(middle, still, still, np.array([opening]))
+        expected = circuit.rates(middle, still, still, np.array([left]))
+        np.testing.assert_allclose(rate, expected, rtol=1e-12)
+
+
+def test_a_closed_loop_is_recorded_as_ours() -> None:
+    """Through the same sensors and law the engines part by less than 0.2 % of what moves."""
+    lab = Hexapod(machine="lab")
+    plant = Hexapod(None, lab.parameters.model_copy(update={"supply": "constant"}), machine="lab")
+    time = np.arange(1024) / 2048.0
+    poses = np.zeros((1024, 6))
+    poses[:, 0] = 0.01 * np.sin(4.0 * np.pi * time) ** 3
+    how = {"electronics": "noisy", "record_every": 8}
+    run = Run(plant=plant, law="original", source=poses, **how)
+    ours, theirs = run.record(), recorded(run, Machine(plant))
+    np.testing.assert_array_equal(theirs["leg_reference"], ours["leg_reference"])
+    for name in ("leg_position", "cap_pressure", "rod_pressure"):
+        apart = theirs[name] - ours[name]
+        assert np.std(apart) < 2e-3 * np.std(ours[name] - ours[name].mean(axis=0)), name
+    step = np.diff(np.unique(ours["leg_position"])).min()
+    assert np.ptp(ours["leg_position"]) > 500.0 * step, "coarse sensors would hide a difference"
 
 
 def test_matched_ports_give_the_leg_speed_at_half_the_supply(circuit: Circuit) -> None:

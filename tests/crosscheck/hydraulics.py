@@ -20,9 +20,9 @@ else, so their two lags are summed in closed form frame by frame:
 with D and U the offsets of drive and spool from the held command c at the start of a frame.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,12 +42,35 @@ _OFF = (
 """Effects that these equations leave out, and which a set must therefore have switched off."""
 
 
-def _orifice(drop: NDArray[np.float64], laminar: float) -> NDArray[np.float64]:
-    return np.sign(drop) * 0.5 * (np.sqrt(laminar * laminar + 4.0 * np.abs(drop)) - laminar)
+@numba.njit(cache=True)
+def _flow(drop: float, laminar: float) -> float:
+    """phi of a drop [sqrt(Pa)]."""
+    size = 0.5 * (np.sqrt(laminar * laminar + 4.0 * abs(drop)) - laminar)
+    return size if drop >= 0.0 else -size
 
 
-@dataclass(frozen=True)
-class Circuit:
+@numba.njit(cache=True)
+def _rates(circuit, pressure, extension, speed, spool):  # type: ignore[no-untyped-def]
+    """What `Circuit.rates` gives."""
+    found = np.empty_like(pressure)
+    for leg in range(pressure.shape[1]):
+        opens = max(abs(spool[leg]) - circuit.overlap, 0.0)
+        leak = circuit.leakage * (pressure[0, leg] - pressure[1, leg])
+        for side in range(2):
+            p, sign = pressure[side, leg], 1.0 - 2.0 * side
+            filled = (spool[leg] >= 0.0) == (side == 0)
+            drop = (circuit.supply if filled else circuit.tank) - p
+            flow = circuit.gain[side, 0] * opens * _flow(drop, circuit.laminar) - sign * leak
+            ratio = p / circuit.bulk_modulus
+            content = 1.0 + ratio + 0.5 * ratio * ratio
+            yielding = (1.0 + ratio) / circuit.bulk_modulus
+            length = circuit.half_stroke + sign * extension[leg]
+            rate = flow / circuit.area[side, 0] - content * sign * speed[leg]
+            found[side, leg] = rate / (length * yielding)
+    return found
+
+
+class Circuit(NamedTuple):
     """Six equal cylinders and their valves on a constant supply."""
 
     area: NDArray[np.float64]  #: Piston area of cap and rod side [m^2], (2, 1).
@@ -80,20 +103,7 @@ class Circuit:
         spool: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """dp/dt [Pa/s], (2, n), from pressures, extensions [m], their speeds and spools (n,)."""
-        to_supply, to_tank = self.supply - pressure, pressure - self.tank
-        opens = spool >= 0.0
-        drop = np.where([opens, ~opens], to_supply, -to_tank)
-        open_ = np.maximum(np.abs(spool) - self.overlap, 0.0)
-        flow = self.gain * open_ * _orifice(drop, self.laminar)
-        leak = self.leakage * (pressure[0] - pressure[1])
-        flow[0] -= leak
-        flow[1] += leak
-        ratio = pressure / self.bulk_modulus
-        swept = np.array([speed, -speed])
-        length = self.half_stroke + np.array([extension, -extension])
-        content = 1.0 + ratio + 0.5 * ratio * ratio
-        yielding = (1.0 + ratio) / self.bulk_modulus
-        return (flow / self.area - content * swept) / (length * yielding)
+        return np.asarray(_rates(self, pressure, extension, speed, spool))
 
     def spools(
         self, drive: NDArray[np.float64], spool: NDArray[np.float64], command: Any, parts: int
@@ -157,7 +167,7 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
     half_drop = 0.5 * (si["supply_pressure"] - si["return_pressure"])
     squeezed = (si["return_pressure"] + half_drop) / si["bulk_modulus"]
     content = 1.0 + squeezed + 0.5 * squeezed * squeezed
-    drop = float(_orifice(np.array(half_drop), laminar))
+    drop = float(_flow(half_drop, laminar))
     relaxing = si["leak_rate"] * si["half_stroke"] / (4.0 * si["bulk_modulus"])
     return Circuit(
         area=area,

@@ -325,15 +325,13 @@ class Machine:
             done = round(time * self._rate)
             if done > 0 and done % parts == 0:  # it is called before the first step too
                 motion = (
-                    np.asarray(get(copy=False))[self._slides]
-                    for get in (
-                        data.GetODE2Coordinates,
-                        data.GetODE2Coordinates_t,
-                        data.GetODE2Coordinates_tt,
-                    )
+                    data.GetODE2Coordinates,
+                    data.GetODE2Coordinates_t,
+                    data.GetODE2Coordinates_tt,
                 )
+                way, speed, rate = (np.asarray(of(copy=False))[self._slides] for of in motion)
                 states = np.asarray(data.GetODE1Coordinates(copy=False)).reshape(2, _LEGS)
-                begin(done // parts, State(*motion, states * _UNIT))
+                begin(done // parts, State(way, speed, rate, states * _UNIT))
             return True
 
         still = np.zeros(_LEGS)
