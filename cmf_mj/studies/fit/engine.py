@@ -212,7 +212,6 @@ class Look(NamedTuple):
     def after(self, move: Array, there: Residuals) -> list[Residuals]:
         """Broyden's derivatives after a step: they give the change of residuals along it."""
         share = move / float(move @ move)
-        updated: list[Residuals] = []
         missing = {
             name: {
                 c: there[name][c]
@@ -222,14 +221,10 @@ class Look(NamedTuple):
             }
             for name, channels in self.here.items()
         }
-        for x, one in zip(share, self.slopes, strict=True):
-            updated.append(
-                {
-                    n: {c: v + x * missing[n][c] for c, v in parts.items()}
-                    for n, parts in one.items()
-                }
-            )
-        return updated
+        return [
+            {n: {c: v + x * missing[n][c] for c, v in parts.items()} for n, parts in one.items()}
+            for x, one in zip(share, self.slopes, strict=True)
+        ]
 
 
 _CLOCK = np.array([0.02, 1e-4])
