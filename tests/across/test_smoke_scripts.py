@@ -141,11 +141,11 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     ledger.write_text(shipped.replace("## 3.", "## 33."), encoding="utf-8")
     study = tmp_path / "out" / "fit" / "report"
     study.mkdir(parents=True)
-    (study / "numbers.csv").write_text("number,x\na,1\n", encoding="utf-8")
+    (study / "stated.csv").write_text("evidence,x\na,1\n", encoding="utf-8")
     run("update_docs.py", "--root", str(tmp_path), cwd=tmp_path)
     assert ledger.read_text(encoding="utf-8") == shipped
     data = tmp_path / "docs" / "data"
-    assert (data / "calibration_report_numbers.csv").read_text() == "number,x\na,1\n"
+    assert (data / "calibration_report_rows.csv").read_text() == "evidence,x\na,1\n"
 
 
 @pytest.mark.slow
