@@ -339,14 +339,16 @@ class Doubt(NamedTuple):
     def verdict(self) -> str:
         """How far the fit may be trusted, in words."""
         lines = [f"{one} and {other} cannot be separated." for one, other in self.twins]
+        what = "the recordings" if self.left else "what is stated"
         if self.explained:
-            text = "The model explains the recordings: what is left does not go with the demand"
+            text = f"The model explains {what}: "
+            text += "what is left does not go with the demand" if self.left else "all is close"
             text += ", no effect tried helps" if self.effects else ""
             if self.predictions:
                 text += f", and {len(self.predictions)} held back are predicted within "
                 text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
             return "\n".join([*lines, f"{text}."])
-        lines.append("The model does not explain the recordings.")
+        lines.append(f"The model does not explain {what}.")
         for one in self.missed[:3]:
             lines.append(
                 f"{one.recording}, {one.channel}: what is left goes with the demand, "
@@ -357,10 +359,11 @@ class Doubt(NamedTuple):
                 off = f"{two.gain:+.2f} dB and {two.phase:+.1f} deg"
                 lines.append(f"{two.recording}: held back, predicted {off} off.")
         for three in self.stated:
+            there = np.isfinite(three.fitted)
             if not three.close:
                 lines.append(
                     f"{three.evidence}, {three.what}: {three.role}, stated {three.stated:.3g}, the "
-                    f"fitted machine has {number(three.fitted, '.3g')}."
+                    f"fitted machine has {number(three.fitted, '.3g') if there else 'none'}."
                 )
         helping = ", ".join(one.name for one in self.effects if one.helps)
         if helping:

@@ -173,6 +173,7 @@ def test_a_response_gives_the_speed_of_another_machine(
     assert np.array_equal(again.z, posterior.z)  # from its journal
     found = doubt(posterior, effects=False)
     assert found.explained, found.verdict
+    assert found.verdict == "The model explains what is stated: all is close."
     assert {one.role for one in found.stated} == {"fitted"}
     assert all(one.low <= one.fitted <= one.high for one in found.stated)
 
@@ -186,6 +187,7 @@ def test_what_is_held_back_speaks_against_the_model(
     path = written(tmp_path / "campaign", {"right": right, "wrong": wrong})
     found = doubt(fit(path, tmp_path / "out"), effects=False)
     assert not found.explained
+    assert "The model does not explain what is stated." in found.verdict
     assert "wrong, peak [dB]: held back, stated 20, the fitted machine has" in found.verdict
 
 
