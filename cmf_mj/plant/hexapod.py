@@ -23,13 +23,16 @@ from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import RigidBody
 from cmf_mj.plant import cylinder, fit
-from cmf_mj.plant.model_text import model_texts
+from cmf_mj.plant.model_text import MACHINE_FILE, model_texts, with_floor
 from cmf_mj.plant.native import headless
 from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.plant.plant import Plant, set_timestep
 from cmf_mj.plant.single_legs import SingleLegs
 
 _LEGS = range(1, 7)
+
+FLOOR_DAMPING = 0.03  #: Damping ratio of a floor that yields.
+_SOFT, _PIN_LOSS = 1e-3, 1e-4  #: Impedance of pins that yield, and damping over stiffness [s].
 
 
 class HydraulicModes(NamedTuple):
@@ -217,15 +220,63 @@ class Hexapod(Plant):
 
 
 def hexapod_spec(
-    cab: str | Path | Cab | None = None, machine: str | Path | Machine | None = None
+    cab: str | Path | Cab | None = None,
+    machine: str | Path | Machine | None = None,
+    *,
+    floor_stiffness: float | None = None,
 ) -> mujoco.MjSpec:
-    """The editable MuJoCo model of a machine in its hall with a cab, for users who extend it."""
+    """The editable MuJoCo model of a machine in its hall with a cab, for users who extend it.
+
+    By default the legs stand on rigid ground. A floor of `floor_stiffness` [N/m] is a mass as large
+    as the machine's on equal springs in x, y and z, damped to `FLOOR_DAMPING`, not tilting: the
+    machine with shut valves and stiff oil swings on it at sqrt(k / 2 M). The springs bear the
+    weight where the floor is without one.
+    """
     chosen = load_cab(cab, machine)
     scene, files = model_texts(load_cab(chosen.base, chosen.machine))
+    if floor_stiffness is not None:
+        files[MACHINE_FILE] = with_floor(files[MACHINE_FILE])
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
         edit.apply(spec.body(edit.body))
+    if floor_stiffness is not None:
+        mass = sum(body.mass for body in spec.bodies)
+        body = spec.body("floor")
+        body.mass, body.inertia, body.explicitinertial = mass, [mass] * 3, True
+        for axis in "xyz":
+            joint = spec.joint(f"floor_{axis}")
+            joint.stiffness[0] = floor_stiffness
+            joint.damping[0] = 2.0 * FLOOR_DAMPING * np.sqrt(floor_stiffness * 2.0 * mass)
+        joint.springref = 2.0 * mass * -spec.option.gravity[2] / floor_stiffness
     return spec
+
+
+def on_floor(plant: Plant, stiffness: float) -> Hexapod:
+    """A motion base on a floor of that stiffness [N/m], as `hexapod_spec` says."""
+    cab, step = plant.cab_parameters, plant.model.opt.timestep
+    return Hexapod(
+        cab, plant.parameters, spec=hexapod_spec(cab, floor_stiffness=stiffness), timestep=step
+    )
+
+
+def on_mounts(plant: Plant, stiffness: float) -> Plant:
+    """A motion base whose legs yield with that stiffness [N/m] between rod ends and platform.
+
+    A soft pin of MuJoCo of impedance d, with the inverse mass w of its ends that the compiler found
+    in the pose it began in, is a spring k and a damper c for K = k (1 - d) w and B = c (1 - d) w as
+    its direct settings, beside a mass d / (1 - d) / w, here a thousandth. It yields across the leg
+    as much, where nothing pushes.
+    """
+
+    def soften(model: mujoco.MjModel) -> None:
+        for leg in _LEGS:
+            pin, ends = model.equality(f"gimbal_{leg}"), (f"rod_{leg}", "platform")
+            light = sum(model.body_invweight0[model.body(end).id, 0] for end in ends)
+            size = stiffness * (1.0 - _SOFT) * light
+            pin.solref[:] = -size, -_PIN_LOSS * size
+            pin.solimp[:2] = _SOFT
+
+    return plant.changed(plant.parameters, soften)
 
 
 def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) -> mujoco.MjModel:

@@ -20,7 +20,7 @@ from cmf_mj.machine.models import RigidBody
 
 Element = ElementTree.Element
 
-_MACHINE, _CAB_FILE, _NO_CAB = "cmf_hexapod.xml", "cabs/gfd.xml", "cabs/none.xml"
+MACHINE_FILE, _CAB_FILE, _NO_CAB = "cmf_hexapod.xml", "cabs/gfd.xml", "cabs/none.xml"
 """Files that the scene includes."""
 _DRAWN = ("geom", "frame", "replicate")  #: What only draws.
 
@@ -44,11 +44,26 @@ def model_texts(cab: Cab) -> tuple[str, dict[str, bytes]]:
     """The scene of a machine with one of its own cabs, z up, and the files that it includes."""
     machine, drawn = cab.machine, cab.machine.cabs[cab.name].mjcf
     files = {
-        _MACHINE: Path(machine.mjcf).read_bytes() if machine.mjcf else _machine(machine, cab),
+        MACHINE_FILE: Path(machine.mjcf).read_bytes() if machine.mjcf else _machine(machine, cab),
         _CAB_FILE: Path(drawn).read_bytes() if drawn else _cab(cab),
         _NO_CAB: models.model_path(_NO_CAB).read_bytes(),
     }
     return _scene(machine), files
+
+
+def with_floor(text: bytes) -> bytes:
+    """The file of a machine with its legs on a body `floor` that slides in x, y and z."""
+    root = ElementTree.fromstring(text)
+    world = next(root.iter("worldbody"))
+    floor = Element("body", name="floor")
+    for axis, line in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
+        ElementTree.SubElement(floor, "joint", name=f"floor_{axis}", type="slide", axis=line)
+    for leg in range(1, 7):
+        cylinder = _named(root, "body", f"cylinder_{leg}")
+        world.remove(cylinder)
+        floor.append(cylinder)
+    world.append(floor)
+    return ElementTree.tostring(root)
 
 
 def _scale(machine: Machine) -> float:
@@ -80,7 +95,7 @@ def _scene(machine: Machine) -> str:
 
 def _machine(machine: Machine, cab: Cab) -> bytes:
     """The shipped hexapod with a machine's geometry, masses and drawing."""
-    root, scale = ElementTree.parse(models.model_path(_MACHINE)).getroot(), _scale(machine)
+    root, scale = ElementTree.parse(models.model_path(MACHINE_FILE)).getroot(), _scale(machine)
     root.set("model", machine.name)
     for parent in list(root.iter()):
         for child in [c for c in parent if parent.tag in ("worldbody", "body") and c.tag in _DRAWN]:

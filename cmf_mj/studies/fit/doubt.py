@@ -12,12 +12,10 @@ correlation is below
 **Held back.** Recordings the fit never saw: ratio of measured to simulated leg positions over
 frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and phase in deg.
 
-**Effects.** Of each that the machine may have beside its numbers, one more number is fitted by a
-step from where the fit ended; its gain of -ln L says whether it would help.
+**Effects.** Of what the machine may have beside its numbers each is tried (`effects`).
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -25,20 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, stats
 
-from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table, fields_of, number
-from cmf_mj.core.settings import validated
-from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.facility.unknown import Unknown
-from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.engine import one_library_thread
-from cmf_mj.studies.fit.engine import Fitter, Look, Posterior
-from cmf_mj.studies.fit.likelihood import BLOCK, coefficients, information
-from cmf_mj.studies.fit.model import Model, Piece, Residuals, minus
-from cmf_mj.studies.fit.results import nominal
+from cmf_mj.studies.fit.effects import Effect, tried
+from cmf_mj.studies.fit.engine import Fitter, Posterior
+from cmf_mj.studies.fit.likelihood import BLOCK, coefficients
+from cmf_mj.studies.fit.model import Model, Piece
 from cmf_mj.studies.fit.stated import Stated, stated
 
 Array = NDArray[np.float64]
@@ -49,7 +41,6 @@ WITHIN_DB, WITHIN_DEG = 0.5, 3.0  #: What a prediction may be off.
 _LAGS = 20
 _LOOKS = 18  #: Correlations of a channel: three of each leg.
 _ORDER = 12
-_HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
 _CHANCE = 2.0  #: Correlation over its bound from which the model is said to miss something.
 _POWER = 1e-4  #: Share of the largest power above which a frequency counts.
 
@@ -199,108 +190,6 @@ def _ratio(measured: Array, simulated: Array, rate: float) -> tuple[float, float
     return float(gain[np.argmax(np.abs(gain))]), float(phase[np.argmax(np.abs(phase))])
 
 
-class Extra(NamedTuple):
-    """A number that a machine may have beside those that are fitted."""
-
-    path: str
-    unit: str
-    size: float  #: What is tried, in `unit`.
-    signed: bool = False  #: Whether it may go either way.
-
-
-_EFFECTS = {
-    "valve overlap": Extra("hydraulics.overlap", "1", 0.01),
-    "valve hysteresis": Extra("hydraulics.hysteresis", "1", 0.01),
-    "unequal null bias": Extra("hydraulics.actuators.*.null_bias", "1", 0.005, signed=True),
-    "viscous friction": Extra("hydraulics.viscous_friction", "N s/m", 0.05),
-    "Coulomb friction": Extra("hydraulics.friction", "N", 0.02),
-    "entrained gas": Extra("hydraulics.entrained_gas", "1", 0.002),
-    "resistance of the supply hoses": Extra("hydraulics.supply_hose", "Pa s/m^3", 1.0),
-}
-"""What a machine may have beside its numbers; of friction over a leg's static load and, viscous,
-per full speed, of hoses over what there is."""
-
-
-class Effect(NamedTuple):
-    """An effect that was tried."""
-
-    name: Annotated[str, Field(title="effect")]
-    gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]  #: By one step with it.
-
-    @property
-    def helps(self) -> bool:
-        """Whether it explains more than chance."""
-        return self.gain > _HELPS
-
-
-def tried(posterior: Posterior, fitter: Fitter) -> list[Effect]:
-    """Gain of each effect that is no unknown yet, the largest first."""
-    there = {one.path for one in posterior.campaign.unknowns.values()}
-    found = [
-        Effect(name, _gain(posterior.look, fitter, extra))
-        for name, extra in _EFFECTS.items()
-        if extra.path not in there
-    ]
-    return sorted(found, key=lambda effect: -effect.gain)
-
-
-def _gain(look: Look, fitter: Fitter, extra: Extra) -> float:
-    """Gain by one step of all numbers together with those of an effect."""
-    plant = fitter.model.plant
-    legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
-    before = np.array([nominal(plant, extra.path.replace("*", leg)) for leg in legs])
-    size = _size(extra, plant, before)
-    said = {"path": extra.path, "unit": extra.unit, "effect": "value", "low": -1.0, "high": 1.0}
-    alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, extra.path))
-
-    def there_at(point: tuple[Array, Array]) -> Residuals | None:
-        x, added = point
-        value = (before + added * size) / units.factor(extra.unit)
-        values = {"extra": value if "*" in extra.path else float(value[0])}
-        try:
-            machine = alone.apply(values, fitter.model.machine(x[: fitter.size]))
-            known = fitter.model.values(x[: fitter.size])
-            return fitter.model.residuals_of(machine, known, fitter.clocks_of(x))
-        except (InputError, RunError):
-            return None
-
-    def all_(points: Sequence[tuple[Array, Array]]) -> list[Residuals | None]:
-        with ThreadPoolExecutor(fitter.jobs) as pool:
-            return list(pool.map(there_at, points))
-
-    there = all_([(look.x, one) for one in np.eye(len(legs))])
-    if any(one is None for one in there):
-        return 0.0
-    slopes = [*look.slopes, *(minus(one, look.here) for one in there if one is not None)]
-    found = information(look.here, slopes, fitter.order, fitter.spacing)
-    point = np.concatenate([look.x, np.zeros(len(legs))])
-    step = np.linalg.solve(found.matrix + np.eye(point.size), found.gradient - point)
-    move, added = step[: look.x.size], step[look.x.size :]
-    if not extra.signed and added[0] <= 0.0:
-        return 0.0
-    points = [(look.x + part * move, part * added) for part in (1.0, 0.5, 0.25)]
-    merits = [
-        fitter.merit(x, residuals) + 0.5 * float(more @ more)
-        for (x, more), residuals in zip(points, all_(points), strict=True)
-    ]
-    return max(0.0, float(look.merit - min(merits)))
-
-
-def _size(extra: Extra, plant: Plant, before: Array) -> float:
-    """What is tried, in SI."""
-    size = float(units.to_si(extra.unit, extra.size))
-    cab = plant.cab_parameters
-    force = (cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / plant.legs
-    match extra.path.split(".")[-1]:
-        case "friction":
-            return size * force
-        case "viscous_friction":
-            return size * force / (100.0 * plant.parameters.leg_speed.si)
-        case "supply_hose":
-            return size * float(before[0])
-    return size
-
-
 class Doubt(NamedTuple):
     """All that speaks against a fit."""
 
@@ -369,8 +258,7 @@ class Doubt(NamedTuple):
         if helping:
             lines.append(f"These effects would explain more, the most first: {helping}.")
         elif self.effects:
-            lines.append("None of the effects tried helps: the model lacks one, such as a floor or")
-            lines.append("a leg that bends.")
+            lines.append("None of the effects tried helps: the model lacks another.")
         return "\n".join(lines)
 
     def page(self, numbers: Table) -> Callable[[Path], Path]:
@@ -385,6 +273,6 @@ def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt
     """Look for what speaks against a fit; with further `effects` where they are to be tried."""
     fitter = Fitter(posterior.campaign, "whole", jobs)
     rest = tuple(left(posterior, fitter)), tuple(predicted(posterior))
-    more = tuple(tried(posterior, fitter)) if effects else ()
+    more = tuple(tried(posterior.look, fitter)) if effects else ()
     numbers = tuple(stated(posterior, jobs))
     return Doubt(tuple(weak(posterior)), posterior.twins, *rest, more, numbers)

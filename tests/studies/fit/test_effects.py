@@ -1,0 +1,58 @@
+"""Effects that recordings have and the model lacks are named by what they gain."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import cmf_mj
+from cmf_mj.plant.hexapod import on_floor, on_mounts
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.fit import effects
+from cmf_mj.studies.fit.campaign import load_campaign
+from cmf_mj.studies.fit.effects import EFFECTS, Effect, tried
+from cmf_mj.studies.fit.engine import Fitter
+from tests.studies.fit.test_fit import campaign
+
+TRIED = ("valve overlap", "a floor that yields", "legs that yield")
+
+
+def gains(folder: Path, machine: Plant) -> list[Effect]:
+    """What effects gain on recordings of a machine whose numbers are those of the data sheet."""
+    fitter = Fitter(load_campaign(campaign(folder / "campaign", machine)), "whole", jobs=2)
+    there = np.array([0.0, 0.0, *stats.norm.ppf([1.0 / 3.0] * 2)])  # factors 1, of lags in 0.5 to 2
+    return tried(fitter.look(there, np.full(fitter.size, 0.03)), fitter)
+
+
+@pytest.mark.parametrize(
+    ("name", "on", "stiffness"),
+    [
+        ("a floor that yields", on_floor, 6e7),
+        ("legs that yield", on_mounts, 4e7),
+        ("", lambda plant, _: plant, 0.0),
+    ],
+)
+def test_what_yields_is_named(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    on: Callable[[Plant, float], Plant],
+    stiffness: float,
+) -> None:
+    """By recordings of our own plant with it; of one without it none is said to help."""
+    monkeypatch.setattr(effects, "EFFECTS", {key: EFFECTS[key] for key in TRIED})
+    found = gains(tmp_path, on(cmf_mj.Hexapod(machine="lab"), stiffness))
+    helping = [one.name for one in found if one.helps]
+    assert helping[:1] == ([name] if name else []), found
+
+
+def test_the_number_of_a_spring_is_its_compliance() -> None:
+    """One size of legs that yield is a fourth of the compliance of the oil in them."""
+    plant = cmf_mj.Hexapod(machine="lab")
+    change = EFFECTS["legs that yield"].on(plant, ("",))
+    once, twice = (change(plant, np.array([size])).model.eq_solref[0] for size in (1.0, 2.0))
+    np.testing.assert_allclose(once, 2.0 * twice)
+    oil = 6541476.69587172  # N/m, beta A (1 / h + ratio / h) of the data sheet
+    np.testing.assert_allclose(once, on_mounts(plant, 4.0 * oil).model.eq_solref[0], rtol=1e-9)
