@@ -52,7 +52,9 @@ def study_command(
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     from cmf_mj.report_2014.posterior import tables as posterior
+    from cmf_mj.report_2014.posterior import weighed
     from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
+    from cmf_mj.report_2014.posterior.weighing import load_effects, run_effects
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import RESULTS, run_study
     from cmf_mj.studies.settings import load_study, study_table
@@ -61,10 +63,16 @@ def study_command(
     how |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
     given = {"machine": machine, "cabs": cabs, "dofs": dofs, "draws": draws}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    out = claim(context, out or Path("out") / Path(specification).stem)
+    out, parts = claim(context, out or Path("out") / Path(specification).stem), tuple[Any, ...]()
     try:
         with progress_bar() as update:
-            if "unknowns" in study_table(specification)[0]:
+            asked = study_table(specification)[0]
+            if "effects" in asked:
+                effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
+                bank = run_effects(effects, out, progress=update, **how)
+                parts = (weighed.effects_text(bank), weighed.weighed(bank))
+                paths = weighed.save_effects(bank, out)
+            elif "unknowns" in asked:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)
                 parts = posterior.summary(results)

@@ -51,7 +51,7 @@ _PATH = re.compile(
     r"|joint\.[^.*]+\.(damping|stiffness|frictionloss|armature))"
     rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
     rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
-    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6*])"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6*])|effect\.\w+"
 )
 
 

@@ -20,6 +20,7 @@
     model.body.torso.mass                      of a plant's MuJoCo model, with the inertia as above;
     model.joint.knee.damping                   of bodies mass and inertia, of joints damping,
     model.geom.foot.friction                   stiffness, frictionloss, armature, of geoms friction
+    effect.lap                                 of `report_2014.posterior.effects`, changes no part
 
 What is known of one is an `Unknown`. Points of the unit cube come from a sampler, `cube`, or for
 each name a stream of its own, `streams`, so that an unknown added later leaves the others as they

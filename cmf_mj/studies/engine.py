@@ -280,6 +280,31 @@ def run_tasks(
                 alone = not alone and len(pending()) == len(left)
 
 
+@dataclass
+class Asker:
+    """Runs one list of tasks after the other, numbered through, each with what went before."""
+
+    journal: Journal
+    task: Callable[..., Any]  #: Makes one of its number, kind and case.
+    work: Work
+    how: Workers
+    progress: Progress | None
+    every: int  #: Tasks in all.
+    done: int = 0
+
+    def __call__(self, kind: str, cases: Sequence[tuple[Any, ...]]) -> list[list[Row]]:
+        """Rows of each case."""
+        tasks = [self.task(self.done + i, kind, *case) for i, case in enumerate(cases)]
+        before, self.done = self.done, self.done + len(tasks)
+
+        def tell(count: int, _: int) -> None:
+            if self.progress is not None:
+                self.progress(before + count, self.every)
+
+        run_tasks(self.journal, tasks, self.work, self.how, tell)
+        return [self.journal.results[task.number] for task in tasks]
+
+
 def run_study(
     study: Study, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> pa.Table:

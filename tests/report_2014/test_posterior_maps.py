@@ -8,8 +8,8 @@ import pyarrow as pa
 import pytest
 
 from cmf_mj.report_2014.posterior import answers
-from cmf_mj.report_2014.posterior.figures import limits_figure
 from cmf_mj.report_2014.posterior.run import MAPS, Results, load_posterior
+from cmf_mj.report_2014.posterior.tables import limits_figure
 
 
 class Made:

@@ -363,5 +363,6 @@ def test_ready_studies_are_sound() -> None:
     mismatch = load_study("mismatch").cases
     draws = load_study("mismatch").settings.draws
     assert sum(case.method == "linear" for case in mismatch) == 27 * (draws + 1)
-    with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
+    allowed = "ablation, effects, mismatch"
+    with pytest.raises(ValueError, match=f"study: base: 'all' is not one of {allowed}"):
         load_study({"base": "all"})

@@ -21,7 +21,7 @@ swing the largest mass, they slow it by about 2 %: models of the pressures belon
 """
 
 import re
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import control
 import numpy as np
@@ -83,8 +83,26 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
     if legs < 1:
         raise InputError(f"legs: {legs} must be at least 1")
     loaded = load_law(law)
-    asked = 1 if loaded.coordinates == "legs" else legs
-    dcl = make_dcl(loaded, asked)
+    key = loaded.model_dump_json(), loaded.machine.model_dump_json(), legs
+    if (found := _ASKED.get(key)) is None:
+        found = _asked(loaded, legs)
+        if len(_ASKED) >= _MOST:
+            _ASKED.pop(next(iter(_ASKED)), None)
+        _ASKED[key] = found
+    *matrices, states = found
+    names = {"inputs": labels(DCL_INPUTS, legs), "outputs": labels(("command",), legs)}
+    matrices = [matrix.copy() for matrix in matrices]
+    return control.ss(*matrices, loaded.frame, name="DCL", states=states, **names)
+
+
+_MOST = 64  #: Laws whose answers are kept: many plants are asked about the same few.
+_ASKED: dict[tuple[str, str, int], tuple[Any, ...]] = {}
+
+
+def _asked(law: Law, legs: int) -> tuple[Any, ...]:
+    """Matrices A, B, C and D of the DCL and the names of its states."""
+    asked = 1 if law.coordinates == "legs" else legs
+    dcl = make_dcl(law, asked)
     count = len(_STATES) * asked
     rows = []
     for unit in np.eye(count + len(DCL_INPUTS) * asked):
@@ -97,10 +115,8 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         for part in (half[:, :count], half[:, count:])
     )
     kept = _acting(a, c, legs)
-    names = {"inputs": labels(DCL_INPUTS, legs), "outputs": labels(("command",), legs)}
-    names["states"] = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
-    matrices = a[np.ix_(kept, kept)], b[kept], c[:, kept], d
-    return control.ss(*matrices, loaded.frame, name="DCL", **names)
+    names = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
+    return a[np.ix_(kept, kept)], b[kept], c[:, kept], d, names
 
 
 def _acting(a: Matrix, c: Matrix, legs: int) -> NDArray[np.int64]:

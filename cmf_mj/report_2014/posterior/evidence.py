@@ -17,16 +17,14 @@ scatter. The oscillation counts with the probability that 10 % of error leaves m
 from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import limit_cycle
-from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.unknown import Unknown
@@ -58,7 +56,7 @@ _PAIR_HZ = (4.0, 25.0)
 _SUPPLY = Unknowns(
     ratio=Unknown(path="hydraulics.supply", low=0.1, high=10.0, source="section 3.4.2")
 )
-_FARTHEST = 8.0
+FARTHEST = 8.0
 """Deviations that count for a quantity a machine does not have, such as a missing overshoot."""
 
 
@@ -71,11 +69,13 @@ class Observation(NamedTuple):
     deviation: float  #: s, of the logarithm where `relative`.
     relative: bool
 
+    def counted(self, value: Any) -> Any:
+        """A value as it counts: the logarithm where `relative`."""
+        return np.log(value) if self.relative else value
+
     def excess(self, predicted: float) -> float:
         """(m - y) / s of a machine."""
-        if self.relative:
-            return float(np.log(predicted / self.value)) / self.deviation
-        return (predicted - self.value) / self.deviation
+        return float(self.counted(predicted) - self.counted(self.value)) / self.deviation
 
 
 @lru_cache
@@ -97,14 +97,24 @@ def discrepancy() -> float:
     return float(np.sqrt(np.mean([np.log(value / machine) ** 2 for value in rows.values()])))  # type: ignore[operator]
 
 
-def _fit_features(response: NDArray[np.complex128], poles: NDArray[np.complex128]) -> list[float]:
+def fit_features(velocity: control.StateSpace) -> dict[str, float]:
+    """Of a system from a command to a velocity; the pair is the one that shows most in it.
+
+    A machine has pairs of other motions near that of heave, in which a trace of them is felt. That
+    of a fit is the one of the largest residue |c r| |l b|.
+    """
+    response = control.frequency_response(velocity, 2.0 * np.pi * _LINES).frdata[0, 0]
     gain, phase = np.abs(response), np.unwrap(np.angle(response))
+    a, b, c = (np.asarray(m) for m in (velocity.A, velocity.B, velocity.C))
+    poles, right = np.linalg.eig(a)
+    residues = np.abs(c @ right)[0] * np.abs(np.linalg.solve(right, b.astype(complex)))[:, 0]
     size = np.abs(poles) / (2.0 * np.pi)
-    pairs = poles[(poles.imag > 0.0) & (size > _PAIR_HZ[0]) & (size < _PAIR_HZ[1])]
-    pair = pairs[np.argmin(-pairs.real / np.abs(pairs))] if pairs.size else complex(np.nan)
+    inside = (poles.imag > 0.0) & (size > _PAIR_HZ[0]) & (size < _PAIR_HZ[1])
+    pair = poles[inside][np.argmax(residues[inside])] if inside.any() else complex(np.nan)
     frequency = float(np.abs(pair)) / (2.0 * np.pi)
     damping = float(-pair.real / np.abs(pair))
-    return [float(gain[0]), float(gain[2] / gain[0]), float(phase[1]), frequency, damping]
+    features = gain[0], gain[2] / gain[0], phase[1], frequency, damping
+    return dict(zip(_FIT_NAMES, map(float, features), strict=True))
 
 
 _FIT_NAMES = ("gain_1_hz", "gain_5_over_1_hz", "phase_3_hz", "pair_hz", "pair_damping")
@@ -120,10 +130,9 @@ def observations() -> tuple[Observation, ...]:
         found.append(Observation(f"{law}_{field}", "rows", value, s, log))
     fits = []
     for number in HARDWARE_MODELS:
-        si = hardware_velocity(number).to_si()
-        response = control.frequency_response(si, 2.0 * np.pi * _LINES).frdata[0, 0]
-        fits.append(_fit_features(response, si.poles()))
-    for name, values in zip(_FIT_NAMES, np.array(fits).T, strict=True):
+        fits.append(fit_features(control.ss(hardware_velocity(number).to_si())))
+    for name in _FIT_NAMES:
+        values = np.array([fit[name] for fit in fits])
         relative = name != "phase_3_hz"
         counted = np.log(values) if relative else values
         middle = float(np.exp(counted.mean()) if relative else counted.mean())
@@ -132,15 +141,15 @@ def observations() -> tuple[Observation, ...]:
     return tuple(found)
 
 
-def predictions(linear: Linear, heave: Mapping[str, Measures]) -> dict[str, float]:
-    """What a machine makes of all `observations`, by name; `heave` are its measures by law."""
-    stated = {
-        f"{law}_{field}": float(getattr(heave[law], field)) for _, law in ROWS for field in _FIELDS
-    }
-    model = linear.model("heave")
-    response = control.frequency_response(model, 2.0 * np.pi * _LINES).frdata[1, 0]
-    features = _fit_features(response, model.poles())
-    return stated | dict(zip(_FIT_NAMES, features, strict=True))
+@lru_cache
+def every_number() -> tuple[Observation, ...]:
+    """All `observations`, and last the one held out: the damping ratio with the integral."""
+    (row,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
+    assert row.damping_ratio is not None
+    held = Observation(
+        f"{HELD_OUT}_damping_ratio", "rows", row.damping_ratio, float(scatter()[2]), False
+    )
+    return (*observations(), held)
 
 
 def log_likelihood(predicted: Mapping[str, float], group: str) -> float:
@@ -149,8 +158,8 @@ def log_likelihood(predicted: Mapping[str, float], group: str) -> float:
     for one in observations():
         if one.group == group:
             excess = one.excess(predicted[one.name])
-            far = np.isnan(excess) or abs(excess) > _FARTHEST
-            total -= 0.5 * (_FARTHEST if far else excess) ** 2
+            far = np.isnan(excess) or abs(excess) > FARTHEST
+            total -= 0.5 * (FARTHEST if far else excess) ** 2
     return total
 
 

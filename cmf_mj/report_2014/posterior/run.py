@@ -14,8 +14,8 @@ simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -38,9 +38,9 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.report_2014.posterior import evidence
+from cmf_mj.report_2014.posterior import effects, evidence
 from cmf_mj.studies.case import swing_after_step
-from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
+from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.settings import study_table
@@ -121,8 +121,9 @@ def load_posterior(
     laws: Sequence[str | Law] | None = None,
     changes: Mapping[str, Any] | None = None,
     quick: bool = False,
+    form: type[PosteriorSettings] = PosteriorSettings,
 ) -> PosteriorStudy:
-    """Load a study of the unknown.
+    """Load a study of the unknown, its settings of a `form`.
 
     `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
     laws, `changes` replace its fields; a `quick` study has the fields of its table `quick`.
@@ -132,7 +133,7 @@ def load_posterior(
     table |= (fewer if quick else {}) | dict(changes or {})
     if laws is not None:
         table["laws"] = [load_law(law).name for law in laws]
-    settings = validated(PosteriorSettings, table, where)
+    settings = validated(form, table, where)
     with within(where):
         return _checked(settings, laws)
 
@@ -161,11 +162,11 @@ class Task:
     """One machine and what is asked of it."""
 
     number: int
-    study: PosteriorStudy
     kind: str  #: One of `_ASK`.
     values: Mapping[str, float]  #: Of the unknowns.
     draw: int | None = None  #: Of the mismatch; None for none.
     about: str = ""  #: Of a point: what is moved. Of a simulated machine: its cab.
+    study: PosteriorStudy = field(kw_only=True)
 
     @property
     def laws(self) -> list[Law]:
@@ -195,24 +196,11 @@ def run_posterior(
     study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> Results:
     """Run what is left of a study; `workers` as for `Workers`."""
-    how, settings = Workers(**workers), study.settings
+    settings, how = study.settings, Workers(**workers)
     journal = Journal(Path(folder), study.identity())
+    run = Asker(journal, partial(Task, study=study), _WORK, how, progress, _count(study))
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
-    done, every = 0, _count(study)
-
-    def run(kind: str, cases: Sequence[tuple[Any, ...]]) -> list[list[Row]]:
-        nonlocal done
-        tasks = [Task(done + i, study, kind, *case) for i, case in enumerate(cases)]
-        before, done = done, done + len(tasks)
-
-        def tell(count: int, _: int) -> None:
-            if progress is not None:
-                progress(before + count, every)
-
-        run_tasks(journal, tasks, _WORK, how, tell)
-        return [journal.results[task.number] for task in tasks]
-
-    force = [rows[0]["g"] for rows in run("force", [({"psi": p},) for p in evidence.PRESSURES])]
+    force = asked_force(run)
     tables["force"] = [
         {"supply_pressure": p, "g": g} for p, g in zip(evidence.PRESSURES, force, strict=True)
     ]
@@ -221,7 +209,7 @@ def run_posterior(
     kept, counts = np.unique(
         sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
     )
-    every -= settings.kept - len(kept)
+    run.every -= settings.kept - len(kept)
     chosen = [(Unknowns(settings.unknowns).of(drawn[i]), int(i)) for i in kept]
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
@@ -241,8 +229,13 @@ def run_posterior(
     return Results(study, *map(read_table, paths))
 
 
+def asked_force(run: Asker) -> list[float]:
+    """Acceleration under force feedback [g] at `PRESSURES`."""
+    return [rows[0]["g"] for rows in run("force", [({"psi": p},) for p in evidence.PRESSURES])]
+
+
 def _weighted(
-    study: PosteriorStudy, run: Callable[..., list[list[Row]]], force: Array
+    study: PosteriorStudy, run: Asker, force: Array
 ) -> tuple[list[Row], list[Row], Array]:
     """Rounds of machines with their weights, damping ratios of all, and the posterior's weights."""
     settings, drawn, damping = study.settings, list[Row](), list[Row]()
@@ -300,20 +293,12 @@ def _drawn(task: Task) -> list[Row]:
     """What a machine makes of the evidence, and damping ratios of all laws with all cabs."""
     study = task.study
     machines = task.machines(study.cabs)
-    first = next(iter(machines.values()))
-    flown = study.law(_shipped(evidence.FLOWN), task.values)
-    stable = all(machine.damping(flown)["stable"] for machine in machines.values())
-    heave = {}
-    for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
-        rows = first.measures(study.law(_shipped(law), task.values))
-        heave[law] = rows[DOFS.index("heave")]
-    predicted = evidence.predictions(first, heave)
+    shown = effects.shown(machines, {})
     row: Row = {
         **task.values,
-        **predicted,
-        f"{evidence.HELD_OUT}_damping_ratio": heave[evidence.HELD_OUT].damping_ratio,
-        **{f"log_{group}": evidence.log_likelihood(predicted, group) for group in ("rows", "fits")},
-        "log_flown": 0.0 if stable else -np.inf,
+        **shown,
+        **{f"log_{group}": evidence.log_likelihood(shown, group) for group in ("rows", "fits")},
+        "log_flown": 0.0 if shown["flown"] else -np.inf,
     }
     return [row, *_dampings(machines, task.laws)]
 
@@ -382,8 +367,13 @@ def _simulated(task: Task) -> list[Row]:
     ]
 
 
+def force_of(task: Task) -> list[Row]:
+    """Acceleration under force feedback [g]."""
+    return [{"g": evidence.oscillation_g(task.values["psi"])}]
+
+
 _ASK: dict[str, Callable[[Task], list[Row]]] = {
-    "force": lambda task: [{"g": evidence.oscillation_g(task.values["psi"])}],
+    "force": force_of,
     "drawn": _drawn,
     "kept": _kept,
     "point": _point,
@@ -391,8 +381,9 @@ _ASK: dict[str, Callable[[Task], list[Row]]] = {
 }
 
 
-def _refused(error: BaseException) -> list[Row]:
+def refused(error: BaseException) -> list[Row]:
+    """A machine that cannot be asked ends the study."""
     raise error
 
 
-_WORK = Work(lambda task, _: _ASK[task.kind](task), _refused, lambda task: task.number)
+_WORK = Work(lambda task, _: _ASK[task.kind](task), refused, lambda task: task.number)

@@ -1,0 +1,285 @@
+"""What plants with effects say: their evidence, numbers left out, reports made up, verdicts."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, fields_of
+from cmf_mj.report_2014.posterior.answers import LEVELS, REFERENCE, interval, percent
+from cmf_mj.report_2014.posterior.evidence import every_number
+from cmf_mj.report_2014.posterior.weighing import AVERAGE, NONE, TEMPER, Bank
+from cmf_mj.show.look import save_files
+from cmf_mj.studies.fit.sampling import effective_size, normalised, quantiles, weighted_quantiles
+
+Array = NDArray[np.float64]
+
+_ERRORS = 41  # of reading, that a prediction is spread over
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else percent(value)
+
+
+def _shares(span: Array) -> str:
+    """A probability with its interval."""
+    low, middle, high = (f"{100.0 * value:.0f}" for value in span)
+    return f"{middle} % ({low} to {high})"
+
+
+class Weighed(NamedTuple):
+    """A plant with effects: its evidence, and what it shows where others miss."""
+
+    plant: str
+    evidence: Annotated[float, Field(title="ln(Z / Z none)", form="+.2f")]
+    error: Annotated[float, Field(title="+-", form=".2f")]  #: Standard error of the sampling.
+    numbers: Annotated[float, Field(title="of numbers alone", form="+.2f")]
+    """Without 3 g and flown."""
+    laplace: Annotated[float, Field(title="of these by Laplace", form="+.2f")]
+    share: Annotated[float | None, Field(form=_share)]
+    """Of the plants with no effect or one."""
+    size: Annotated[float, Field(title="effective machines", form=".0f")]
+    value: Annotated[Array, Field(title="effect", form=partial(interval, form=".3g"))]
+    """Of a single one, in the unit of the study, at `LEVELS`."""
+    edge: Annotated[float, Field(title="nearest to a bound", form=".2f")]
+    """Least distance of the median of an unknown from a bound, in shares of its range."""
+    at: Annotated[str, Field(title="of")]  #: This unknown.
+    velocity_phase: Annotated[Array, Field(title="velocity -90 deg [Hz]", form=interval)]
+    original_phase: Annotated[Array, Field(title="original -90 deg [Hz]", form=interval)]
+    velocity_damping: Annotated[Array, Field(title="velocity zeta", form=interval)]
+    pair: Annotated[Array, Field(title="pair in heave [Hz]", form=partial(interval, form=".1f"))]
+    pair_damping: Annotated[Array, Field(title="its damping", form=interval)]
+
+
+_SEEN = (
+    *("velocity_phase_bandwidth_hz", "original_phase_bandwidth_hz", "velocity_damping_ratio"),
+    *("pair_hz", "pair_damping"),
+)
+
+
+def weighed(bank: Bank) -> Result[Weighed]:
+    """All plants, the most evidence first."""
+    rows, shares, alone = list[Weighed](), bank.shares(), bank.weights(NONE)
+    none, few = bank.log_evidence(NONE), bank.log_evidence(NONE, kinds=())
+    close, unknowns = bank.laplace(NONE), bank.study.settings.unknowns
+    for plant in bank.shown:
+        weights = bank.weights(plant)
+        single = plant in shares and plant != NONE
+        values = bank.effect(plant) if single else np.full(weights.size, np.nan)
+        seen = (bank.number(plant, name) for name in _SEEN)
+        ranks = quantiles(bank.points[:, : len(unknowns)]).T
+        medians = [float(weighted_quantiles(one, weights, np.array(0.5))) for one in ranks]
+        near, name = min((min(u, 1.0 - u), name) for u, name in zip(medians, unknowns, strict=True))
+        rows.append(
+            Weighed(
+                plant,
+                bank.log_evidence(plant) - none,
+                float(np.sqrt(((weights - alone) ** 2).sum())),
+                bank.log_evidence(plant, kinds=()) - few,
+                bank.laplace(plant) - close,
+                shares.get(plant),
+                effective_size(weights),
+                weighted_quantiles(values, weights, LEVELS),
+                near,
+                name,
+                *(weighted_quantiles(one, weights, LEVELS) for one in seen),
+            )
+        )
+    return Result(sorted(rows, key=lambda row: -row.evidence), fields_of(Weighed))
+
+
+class LeftOut(NamedTuple):
+    """A printed number, and what the rest of the evidence predicts of it."""
+
+    plant: str
+    number: str
+    printed: Annotated[float, Field(form=".3g")]
+    predicted: Annotated[Array, Field(form=partial(interval, form=".3g"))]
+    """With the deviation of printed numbers, at `LEVELS`."""
+    rank: Annotated[float, Field(form=".3f")]  #: u, the number left out.
+    recording: Annotated[float, Field(title="recording left out", form=".3f")]
+    """U, all numbers of its law or of the fits left out."""
+
+    def inside(self, edge: float = 0.05) -> bool:
+        """Whether the rank lies between an edge and 1 less that."""
+        return edge <= self.rank <= 1.0 - edge
+
+
+def left_out(bank: Bank) -> Result[LeftOut]:
+    """All printed numbers under the plant without effects, the likeliest one, and the average."""
+    shares, stated, rows = bank.shares(), every_number(), list[LeftOut]()
+    best = max(bank.shown, key=bank.log_evidence)
+    sources = [one.name.split("_")[0] if one.group == "rows" else one.group for one in stated]
+    errors = stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
+    for plant in (NONE, best, AVERAGE):
+        mixed = shares if plant == AVERAGE else {plant: 1.0}
+        for k, one in enumerate(stated):
+            same = [i for i, source in enumerate(sources) if source == sources[k]]
+            y, ranks = float(one.counted(one.value)), list[float]()
+            for out in ([k], same):
+                weights = {p: share * bank.weights(p, out=out) for p, share in mixed.items()}
+                made = np.concatenate([bank.shown[p][:, k] for p in mixed])
+                known = np.concatenate(list(weights.values())) * np.isfinite(made)
+                made = np.where(known > 0.0, made, 0.0)
+                ranks.append(
+                    float(known @ stats.norm.cdf((y - made) / one.deviation) / known.sum())
+                )
+                if out == [k]:
+                    each = (made[:, None] + one.deviation * errors).ravel()
+                    span = weighted_quantiles(each, np.repeat(known, _ERRORS), LEVELS)
+            span = np.exp(span) if one.relative else span
+            rows.append(LeftOut(plant, one.name, one.value, span, *ranks))
+    return Result(rows, fields_of(LeftOut))
+
+
+def made_up(bank: Bank) -> Result[dict[str, Any]]:
+    """How often reports made up of each plant make it, or another, the likeliest."""
+    stated, rows = every_number(), list[dict[str, Any]]()
+    s = np.array([one.deviation for one in stated])
+    generator = np.random.default_rng([bank.study.settings.seed, 7])
+    for plant in bank.alone:
+        weights = bank.ratio + TEMPER * bank.log_likelihood(plant)
+        weights[~np.isfinite(bank.shown[plant]).all(axis=1)] = -np.inf
+        chances, found = normalised(weights), dict.fromkeys(bank.alone, 0)
+        ranks, gains = list[int](), list[float]()
+        for _ in range(bank.settings.made_up):
+            machine = int(generator.choice(chances.size, p=chances))
+            report = bank.shown[plant][machine] + s * generator.normal(size=s.size)
+            ratio = bank.ratio.copy()
+            ratio[machine] = -np.inf  # a machine must not find itself
+            other = replace(bank, ratio=ratio)
+            every = {p: other.log_evidence(p, printed=report) for p in bank.alone}
+            order = sorted(every, key=lambda p: -every[p])
+            found[order[0]] += 1
+            ranks.append(order.index(plant))
+            gains.append(every[plant] - every[NONE])
+        rows.append(
+            {"plant": plant, "right": np.mean(np.array(ranks) == 0)}
+            | {"of the first three": np.mean(np.array(ranks) < 3), "gain": np.median(gains)}
+            | {f"found {p}": n for p, n in found.items()}
+        )
+    shown = Field("plant"), Field("right", form=percent), Field("of the first three", form=percent)
+    gain = Field("gain", "median ln(Z / Z none)", "+.2f")
+    return Result(rows, (*shown, gain, *(Field(f"found {p}") for p in bank.alone)))
+
+
+class Verdict(NamedTuple):
+    """What a law does with a cab on machines of a plant."""
+
+    plant: str
+    law: str
+    cab: str
+    unstable: Annotated[Array, Field(form=_shares)]
+    """Probability, and 90 % interval of the sampling."""
+    without: Annotated[Array, Field(title="not as flown", form=_shares)]  #: Without `flown`.
+    change: Annotated[
+        Array, Field(title="pair against " + REFERENCE, form=partial(interval, form="+.3f"))
+    ]
+    """Of the damping ratio, at `LEVELS`."""
+    same_sign: Annotated[float, Field(form=percent)]  #: Probability of its median's sign.
+
+
+def verdicts(bank: Bank) -> Result[Verdict]:
+    """All laws with all cabs on all plants, last the average weighted by evidence."""
+    shares, every = bank.shares(), bank.verdicts
+    laws, cabs = ([law.name for law in bank.study.laws], [cab.name for cab in bank.study.cabs])
+    size = {p: effective_size(bank.weights(p)) for p in shares}
+    rows = list[Verdict]()
+    for plant, law, cab in product((*shares, AVERAGE), laws, cabs):
+        mixed = shares if plant == AVERAGE else {plant: 1.0}
+        said = [r for r in every if r["plant"] in mixed and r["cab"] == cab]
+        base = {(r["plant"], r["machine"]): r["pair"] for r in said if r["law"] == REFERENCE}
+        mine = [r for r in said if r["law"] == law]
+        unstable = np.array([not r["stable"] for r in mine])
+        moved = np.array([r["pair"] - base[r["plant"], r["machine"]] for r in mine])
+        count, flown = (np.array([r[name] for r in mine], float) for name in ("count", "flown"))
+        spans = []
+        for weights in (count * flown, count):
+            total = {
+                p: sum(w for w, r in zip(weights, mine, strict=True) if r["plant"] == p)
+                for p in mixed
+            }
+            known = (
+                np.array([mixed[r["plant"]] / max(total[r["plant"]], 1e-9) for r in mine]) * weights
+            )
+            known = known / known.sum()
+            most = sum(share * size[p] for p, share in mixed.items())
+            spans.append(_chance(float(known @ unstable), min(effective_size(known), most)))
+            if weights is not count:
+                change = weighted_quantiles(moved, known, LEVELS)
+                same = float(known @ (np.sign(moved) == np.sign(change[1])))
+        rows.append(Verdict(plant, law, cab, spans[0], spans[1], change, same))
+    return Result(rows, fields_of(Verdict))
+
+
+def _chance(share: float, count: float) -> Array:
+    """5 %, the share itself and 95 % of a probability seen in so many machines (Jeffreys)."""
+    low, high = stats.beta.ppf((0.05, 0.95), share * count + 0.5, (1.0 - share) * count + 0.5)
+    return np.array([min(low, share), share, max(high, share)])
+
+
+def effects_text(bank: Bank) -> str:
+    """What the weighing says, as a Markdown list."""
+    plants, stated, said = weighed(bank), left_out(bank), verdicts(bank)
+    best, alone = plants[0], [one for one in plants if one.share is not None]
+    (none,) = (one for one in plants if one.plant == NONE)
+    lines = [
+        f"Of {len(plants) - 1} plants with one effect or two, `{best.plant}` has the most "
+        f"evidence: {np.exp(best.evidence):.1f} times that of none (ln {best.evidence:+.2f} +- "
+        f"{best.error:.2f}); of single ones `{alone[0].plant}` with a share of "
+        f"{percent(alone[0].share or 0.0)}, none {percent(none.share or 0.0)}."
+    ]
+    for plant in dict.fromkeys(one.plant for one in stated):
+        mine = [one for one in stated if one.plant == plant]
+        inside, far = (sum(one.inside(edge) for one in mine) for edge in (0.05, 0.0025))
+        lines.append(
+            f"`{plant}`: of {len(mine)} printed numbers of the hardware {inside} lie in the 90 % "
+            f"interval that the others predict, {len(mine) - far} beyond 99.5 %."
+        )
+    lines.append(
+        f"Nearest to a bound is the median of `{none.at}` with none ({none.edge:.2f} of its "
+        f"range), of `{best.at}` with `{best.plant}` ({best.edge:.2f})."
+    )
+    if bank.settings.made_up:
+        reports = made_up(bank)
+        right, three = (np.mean([r[name] for r in reports]) for name in ("right", _THIRD))
+        lines.append(
+            f"Of {bank.settings.made_up * len(reports)} reports made up with one effect or none "
+            f"the right one wins in {percent(float(right))} and is among the first three in "
+            f"{percent(float(three))}; by chance {percent(1.0 / len(reports))} and "
+            f"{percent(3.0 / len(reports))}."
+        )
+    by = {(one.plant, one.law, one.cab): one for one in said}
+    for (plant, law, cab), one in by.items():
+        other = by[NONE, law, cab]
+        turned = (one.unstable[1] - 0.5) * (other.unstable[1] - 0.5) < 0.0
+        sure = one.unstable[0] > 0.5 or one.unstable[2] < 0.5
+        if law != REFERENCE and turned and sure:
+            lines.append(
+                f"`{plant}` turns `{law}` with the {cab.upper()}: unstable on "
+                f"{_shares(one.unstable)}, with none on {_shares(other.unstable)}."
+            )
+    return "".join(f"- {line}\n" for line in lines)
+
+
+_THIRD = "of the first three"
+
+
+def save_effects(bank: Bank, folder: Path) -> list[Path]:
+    """Write tables and sentences of a study of effects."""
+    parts: dict[str, Callable[[Bank], Result[Any]]]
+    parts = {"effects": weighed, "left_out": left_out, "verdicts": verdicts, "made_up": made_up}
+    files = {
+        f"{name}.{kind}": part(bank).table.save if kind == "md" else part(bank).save
+        for name, part in parts.items()
+        for kind in ("md", "csv")
+    }
+    files["text.md"] = lambda path: write_text(path, effects_text(bank))
+    return save_files(files, folder, 90)

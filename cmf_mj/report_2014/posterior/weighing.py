@@ -1,0 +1,362 @@
+"""Which effects the report asks for: plants with each of them, weighed by what it prints.
+
+A plant e has the unknowns z of the study and those of its effects. With prior p, likelihood L and
+machines i drawn from a mixture q that all plants share, r = p / q, w = r L over its sum,
+
+    Z_e = sum r_i L_e,i / sum r_i              var ln(Z_e / Z_0) = sum (w_e,i - w_0,i)^2
+
+and a plant's share is Z_e / sum Z. Check (Laplace): with the numbers shown regressed on z under w,
+m = m0 + J z + e, Z is a Gaussian density of covariance s^2 + <e^2> + J J', of rows and fits alone.
+Left out, a printed number y of deviation s has under the other evidence the rank
+
+    u = sum w_i Phi((y - m_i) / s),    w_i of all but y, or of all but its own recording.
+
+A discrepancy is one more deviation of every number, as a share or an angle. Made-up reports are
+m + s N(0, 1) of machines drawn with L^a; each is weighed as the report is, its machine left out.
+Verdicts are of machines drawn without the evidence `flown`, with it those of them that can be.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field as Checked
+from scipy import stats
+from scipy.special import logsumexp
+
+from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.facility.unknown import Unknown
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.report_2014.page.runs import IDENTIFIED_ON, perform, specs
+from cmf_mj.report_2014.posterior import effects, evidence
+from cmf_mj.report_2014.posterior.run import (
+    PosteriorSettings,
+    PosteriorStudy,
+    Task,
+    asked_force,
+    force_of,
+    load_posterior,
+    refused,
+)
+from cmf_mj.studies.case import make_case, run_case
+from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
+from cmf_mj.studies.fit import sampling
+
+Array = NDArray[np.float64]
+
+NONE, AVERAGE = "none", "average"  #: The plant without effects; the average over plants.
+READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of what is shown.
+DISCREPANCIES = (0.0, 0.05, 0.1)
+
+TEMPER = 0.25  #: a of made-up machines.
+_REGRESSED = 0.2  # of the machines count in the regression
+_OF = {"rows": "simulated", "fits": "arx"}
+
+
+class EffectSettings(PosteriorSettings):
+    """What the study runs; `kept` machines of each plant fly the laws."""
+
+    effects: Annotated[dict[str, Unknown], Checked(min_length=1)]
+    skipped: list[str] = []  #: Of the effects, in a quick study.
+    pairs: Annotated[int, Checked(ge=0)]  #: Best effects that are paired.
+    made_up: Annotated[int, Checked(ge=0)]  #: Reports made up of each plant.
+
+    @property
+    def used(self) -> dict[str, Unknown]:
+        """Effects that are not skipped."""
+        return {name: one for name, one in self.effects.items() if name not in self.skipped}
+
+
+def load_effects(source: Any, **how: Any) -> PosteriorStudy:
+    """Load a study of effects, as `load_posterior`."""
+    study = load_posterior(source, form=EffectSettings, **how)
+    for name, one in _settings(study).effects.items():
+        if one.shape() or one.low is None:
+            raise InputError(f"effects.{name}: allowed: one number between bounds, low and high")
+        if kind := _kind(one):
+            check_name(f"effects.{name}: path: effect", kind, (*effects.EFFECTS, *READINGS))
+    return study
+
+
+def _settings(study: PosteriorStudy) -> EffectSettings:
+    return cast("EffectSettings", study.settings)
+
+
+def _kind(one: Unknown) -> str:
+    """Name of a linear effect, nothing for a path of the machine."""
+    return one.path.partition("effect.")[2]
+
+
+def _parts(plant: str) -> list[str]:
+    return [] if plant == NONE else plant.split("+")
+
+
+def _linear(task: Task, plant: str) -> dict[str, float]:
+    """Effects that change a linear plant, by name in SI."""
+    every = _settings(task.study).effects
+    kinds = {name: _kind(every[name]) for name in _parts(plant)}
+    return {
+        kind: float(every[name].number(1.0, task.values[name]))
+        for name, kind in kinds.items()
+        if kind in effects.EFFECTS
+    }
+
+
+def _machines(task: Task, plant: str) -> dict[str, Linear]:
+    """The machine by cab with effects that are numbers of it."""
+    settings = _settings(task.study)
+    own = {name: settings.effects[name] for name in _parts(plant)}
+    own = {name: one for name, one in own.items() if not _kind(one)}
+    known = settings.model_copy(update={"unknowns": {**settings.unknowns, **own}})
+    return replace(task, study=replace(task.study, settings=known)).machines(task.study.cabs)
+
+
+def _bank(task: Task) -> list[Row]:
+    """What a machine with the effects of each plant shows."""
+    every, plain, rows = _settings(task.study).effects, _machines(task, NONE), []
+    for plant in task.about.split(";"):
+        own = any(not _kind(every[name]) for name in _parts(plant))
+        machines = _machines(task, plant) if own else plain
+        rows.append({"plant": plant} | effects.shown(machines, _linear(task, plant)))
+    return rows
+
+
+def _verdicts(task: Task) -> list[Row]:
+    """Damping ratios of a machine with the effects of a plant, under all laws with all cabs."""
+    present = _linear(task, task.about)
+    return [
+        {"cab": cab, "law": law.name, **effects.damping(machine, present, law)}
+        for cab, machine in _machines(task, task.about).items()
+        for law in task.laws
+    ]
+
+
+def _readings(task: Task) -> list[Row]:
+    """Shifts of what the shipped machine shows, as simulation and as ARX models read it."""
+    cab, oil = task.study.cabs[0], task.study.hydraulics
+    linear, found = effects.shown({cab.name: Linear(Hexapod(cab, oil))}, {}), Row()
+    for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
+        measures = run_case(make_case(law, "heave", "hexapod", cab, oil, quick=True)).measures
+        found |= {f"{law}_{name}": getattr(measures, name) for name in effects.Reading._fields}
+    signals = ",".join((*IDENTIFIED_ON.values(), "multisine"))
+    runs = perform(specs(f"machine velocity heave {signals}"), jobs=1, quick=True)
+    models = [control.ss(one.continuous.rational) for one in runs.identified.values()]
+    read = {"rows": [found], "fits": [evidence.fit_features(model) for model in models]}
+    return [
+        {"name": one.name, "reading": _OF[one.group]}
+        | {
+            "shift": float(np.mean([one.counted(r[one.name]) for r in read[one.group]]))
+            - float(one.counted(linear[one.name]))
+        }
+        for one in evidence.every_number()
+    ]
+
+
+_ASK = {"force": force_of, "readings": _readings, "bank": _bank, "verdict": _verdicts}
+_WORK = Work(lambda task, _: _ASK[task.kind](task), refused, lambda task: task.number)
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Machines with what plants make of them, (n,) and (n, m) by plant, m numbers as counted."""
+
+    study: PosteriorStudy
+    points: Array  #: In the coordinates of the prior, unknowns and then effects, (n, k).
+    ratio: Array  #: Ln r.
+    three_g: Array  #: Ln of the likelihood of 3 g.
+    shown: Mapping[str, Array]
+    flown: Mapping[str, NDArray[np.bool_]]
+    verdicts: list[Row]  #: Damping ratios of machines by plant, cab and law.
+
+    @property
+    def settings(self) -> EffectSettings:
+        """Of the study."""
+        return _settings(self.study)
+
+    @property
+    def alone(self) -> list[str]:
+        """The plant without effects and those with one."""
+        return [plant for plant in self.shown if "+" not in plant]
+
+    def log_likelihood(
+        self,
+        plant: str,
+        printed: Array | None = None,
+        out: Iterable[int] = (),
+        more: float = 0.0,
+        kinds: Iterable[str] = ("three_g", "flown"),
+    ) -> Array:
+        """Ln L of all machines but for numbers left `out`, default none; `more` is a discrepancy.
+
+        `printed` (m,) stands in for the report's, `kinds` count beside numbers.
+        """
+        stated = evidence.every_number()
+        y = np.array([one.counted(one.value) for one in stated]) if printed is None else printed
+        s = np.array([one.deviation for one in stated])
+        wide = np.hypot(s, more)
+        off = np.abs((self.shown[plant] - y) / wide)
+        off[~(off < evidence.FARTHEST)] = evidence.FARTHEST
+        counts = np.ones(len(stated), dtype=bool)
+        counts[[*out, -1]] = False  # the last is held out always
+        total = -0.5 * (off[:, counts] ** 2).sum(axis=1) - np.log(wide / s)[counts].sum()
+        total = total + self.three_g if "three_g" in kinds else total
+        return np.where(self.flown[plant] | ("flown" not in kinds), total, -np.inf)
+
+    def log_evidence(self, plant: str, **how: Any) -> float:
+        """Ln Z."""
+        total = logsumexp(self.ratio + self.log_likelihood(plant, **how))
+        return float(total - logsumexp(self.ratio))
+
+    def weights(self, plant: str, **how: Any) -> Array:
+        """Of the posterior, sum 1."""
+        return sampling.normalised(self.ratio + self.log_likelihood(plant, **how))
+
+    def number(self, plant: str, name: str) -> Array:
+        """What machines show of a number, as printed, (n,)."""
+        stated = evidence.every_number()
+        place = [one.name for one in stated].index(name)
+        made = self.shown[plant][:, place]
+        return np.exp(made) if stated[place].relative else made
+
+    def effect(self, name: str) -> Array:
+        """Values of an effect in the unit of the study, (n,)."""
+        used = _settings(self.study).used
+        column = len(self.study.settings.unknowns) + list(used).index(name)
+        return used[name].at(sampling.quantiles(self.points[:, column]))
+
+    def laplace(self, plant: str) -> float:
+        """Ln Z of the numbers alone, as a linear model of the unknowns has it."""
+        known = len(self.study.settings.unknowns)
+        own = [known + list(_settings(self.study).used).index(name) for name in _parts(plant)]
+        made, stated = self.shown[plant][:, :-1], evidence.every_number()[:-1]
+        weights = self.ratio + self.log_likelihood(plant, kinds=())
+        weights = sampling.tempered(weights, _REGRESSED * len(self.ratio))
+        weights = np.where(np.isfinite(made).all(axis=1), weights, 0.0)
+        root = np.sqrt(weights / weights.sum())[:, None]
+        inputs = np.hstack([np.ones_like(root), self.points[:, [*range(known), *own]]])
+        made = np.where(weights[:, None] > 0.0, made, 0.0)
+        slopes = np.linalg.lstsq(root * inputs, root * made, rcond=None)[0]
+        left = ((root * (made - inputs @ slopes)) ** 2).sum(axis=0)
+        s = np.array([one.deviation for one in stated])
+        spread = np.diag(s**2 + left) + slopes[1:].T @ slopes[1:]
+        printed = np.array([one.counted(one.value) for one in stated])
+        density = stats.multivariate_normal(slopes[0], spread).logpdf(printed)
+        return float(density + 0.5 * np.log(2.0 * np.pi * s**2).sum())
+
+    def shares(self) -> dict[str, float]:
+        """Of the plants with no effect or one, all as probable before."""
+        every = sampling.normalised(np.array([self.log_evidence(one) for one in self.alone]))
+        return dict(zip(self.alone, every.tolist(), strict=True))
+
+
+def run_effects(
+    study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
+) -> Bank:
+    """Run what is left of a study of effects; `workers` as for `Workers`."""
+    settings, how = _settings(study), Workers(**workers)
+    count, used = settings.rounds * settings.draws, settings.used
+    reading = {name: one for name, one in used.items() if _kind(one) in READINGS}
+    plain = [NONE, *(name for name in used if name not in reading)]
+    every = 2 * count + settings.kept * (1 + len(used)) + len(evidence.PRESSURES) + bool(reading)
+    journal = Journal(Path(folder), study.identity())
+    ask = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
+    force = np.array(asked_force(ask))
+    moved = ask("readings", [({},)])[0] if reading else []
+    machines, rows, known = list[Row](), dict[str, list[Row]](), list[float]()
+
+    def likelihoods(_: int, points: Array) -> Array:
+        first = len(machines)
+        shares = effect_points(settings, first, len(points))
+        for z, share in zip(sampling.quantiles(points), shares, strict=True):
+            drawn = {
+                name: float(one.at(u)) for (name, one), u in zip(used.items(), share, strict=True)
+            }
+            machines.append(study.values(z) | drawn)
+        new = machines[first:]
+        known.extend(
+            evidence.oscillation_likelihood(np.array([m["supply_pressure"] for m in new]), force)
+        )
+        answers = ask("bank", [(m, first + i, ";".join(plain)) for i, m in enumerate(new)])
+        for row in (row for answer in answers for row in answer):
+            rows.setdefault(row["plant"], []).append(row)
+        made = _made(study, rows, machines, moved)
+        part = Bank(study, points, np.zeros(len(machines)), np.array(known), *made, [])
+        total = [part.log_likelihood(plant)[first:] for plant in part.shown]
+        return np.asarray(logsumexp(total, axis=0))
+
+    size = len(settings.unknowns)
+    drawn = sampling.importance(likelihoods, size, settings.draws, settings.rounds, settings.seed)
+    shares = effect_points(settings, 0, count)
+    points = np.hstack([drawn.points, stats.norm.ppf(shares)])
+    made = _made(study, rows, machines, moved)
+    bank = Bank(study, points, drawn.ratio, np.array(known), *made, [])
+    best = sorted(bank.alone[1:], key=lambda one: -bank.log_evidence(one))[: settings.pairs]
+    pairs = ["+".join(two) for two in combinations([n for n in used if n in best], 2)]
+    asked = [p for p in pairs if not set(_parts(p)) & reading.keys()]
+    if asked:
+        cases = [(m, i, ";".join(asked)) for i, m in enumerate(machines)]
+        for row in (row for answer in ask("bank", cases) for row in answer):
+            rows.setdefault(row["plant"], []).append(row)
+    made = _made(study, rows, machines, moved, pairs)
+    bank = Bank(study, points, drawn.ratio, np.array(known), *made, [])
+    return replace(bank, verdicts=_asked_verdicts(bank, ask, machines))
+
+
+def effect_points(settings: EffectSettings, first: int, count: int) -> Array:
+    """Quantiles of the effects of machines, (count, effects), each effect a stream of its own."""
+    rows = [
+        np.random.default_rng([settings.seed, 5, list(settings.effects).index(name)]).random(
+            first + count
+        )[first:]
+        for name in settings.used
+    ]
+    return np.array(rows).T
+
+
+def _made(
+    study: PosteriorStudy,
+    rows: Mapping[str, list[Row]],
+    machines: list[Row],
+    moved: list[Row],
+    pairs: Iterable[str] = (),
+) -> tuple[dict[str, Array], dict[str, NDArray[np.bool_]]]:
+    """Numbers as counted of all plants, those that only read otherwise too, and what can fly."""
+    used, stated = _settings(study).used, evidence.every_number()
+    reading = {name: _kind(one) for name, one in used.items() if _kind(one) in READINGS}
+    shown, flown = dict[str, Array](), dict[str, NDArray[np.bool_]]()
+    for plant in dict.fromkeys((*rows, *reading, *pairs)):
+        shifted = [name for name in _parts(plant) if name in reading]
+        source = rows["+".join(n for n in _parts(plant) if n not in reading) or NONE]
+        made = np.array([[one.counted(row[one.name]) for one in stated] for row in source])
+        for name in shifted:
+            by = {row["name"]: row["shift"] for row in moved if row["reading"] == reading[name]}
+            share = np.array([machine[name] for machine in machines])
+            made = made + share[:, None] * np.array([by.get(one.name, 0.0) for one in stated])
+        shown[plant], flown[plant] = made, np.array([row["flown"] for row in source])
+    return shown, flown
+
+
+def _asked_verdicts(bank: Bank, ask: Asker, machines: list[Row]) -> list[Row]:
+    """Damping ratios of machines drawn from each plant's posterior without `flown`."""
+    settings, chosen = _settings(bank.study), list[tuple[str, int, int]]()
+    for plant in bank.alone:
+        weights = bank.weights(plant, kinds=("three_g",))
+        drawn = sampling.resampled(weights, settings.kept, settings.seed)
+        chosen += [
+            (plant, int(i), int(n))
+            for i, n in zip(*np.unique(drawn, return_counts=True), strict=True)
+        ]
+    ask.every += len(chosen) - settings.kept * len(bank.alone)
+    answers = ask("verdict", [(machines[i], i, plant) for plant, i, _ in chosen])
+    return [
+        row | {"plant": plant, "machine": i, "count": n, "flown": bool(bank.flown[plant][i])}
+        for (plant, i, n), answer in zip(chosen, answers, strict=True)
+        for row in answer
+    ]
