@@ -2,7 +2,7 @@
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.electronics.sensors import at_frame
 from cmf_mj.facility import replay
@@ -10,7 +10,7 @@ from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
 
 
-@compiled
+@allocating
 def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
         now = at_frame(feedback, frame)
