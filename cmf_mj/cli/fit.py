@@ -40,8 +40,10 @@ def fit_command(
 
     jobs = jobs or os.cpu_count() or 1
     posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
+    doubts = doubt.doubt(posterior, jobs, effects=effects)
+    posterior = doubts.widened(posterior)
     results.save(posterior, out)
-    doubts, table = doubt.doubt(posterior, jobs, effects=effects), results.numbers(posterior)
+    table = results.numbers(posterior)
     drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
     if doubts.stated:
         stated = Result(doubts.stated, fields_of(Stated)).table

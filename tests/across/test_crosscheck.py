@@ -20,6 +20,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.signals.signal import plain
 
 SCRIPT = Path(__file__).resolve().parents[1] / "crosscheck"
 TARGET = 2e-6  #: Largest difference of a leg extension that counts as agreement [m].
@@ -181,6 +182,21 @@ def test_a_closed_loop_is_recorded_as_ours() -> None:
         assert np.std(apart) < 2e-3 * np.std(ours[name] - ours[name].mean(axis=0)), name
     step = np.diff(np.unique(ours["leg_position"])).min()
     assert np.ptp(ours["leg_position"]) > 500.0 * step, "coarse sensors would hide a difference"
+
+
+def test_what_changes_on_the_way_is_recorded() -> None:
+    """A scenario's motion that begins later: the demand is that of the simulation, bit for bit."""
+    oil = Hexapod(machine="lab").parameters.model_copy(update={"supply": "constant"})
+    sine = {"kind": "sine", "dof": "heave", "amplitude": 0.01, "frequency": 10.0, "cycles": 1}
+    run = Run(
+        plant=Hexapod(None, oil, machine="lab"),
+        law="original",
+        change=plain([{"at": 0.02, "fade": 0.0, "signal": [sine]}]),
+        duration=0.125,
+    )
+    theirs = recorded(run, Machine(run.plant))
+    assert np.ptp(theirs["leg_reference"]) > 0.005
+    np.testing.assert_array_equal(theirs["leg_reference"], run.record()["leg_reference"])
 
 
 def test_matched_ports_give_the_leg_speed_at_half_the_supply(circuit: Circuit) -> None:

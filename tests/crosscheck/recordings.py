@@ -15,7 +15,10 @@ from cmf_mj.electronics.chain import deliver, measure
 from cmf_mj.facility.front import follow, watched
 from cmf_mj.facility.run import Run
 from cmf_mj.record.record import Record
+from cmf_mj.studies.fit.plan import demand
 from crosscheck.machine import Machine, State
+
+_SIGNALS = {"signal", "change", "duration"}
 
 KEPT = {"leg_reference": "m", "leg_position": "m", "cap_pressure": "Pa", "rod_pressure": "Pa"}
 
@@ -33,7 +36,13 @@ def decide(controller, faults, frame, truth, feedback, reference, command):  # t
 
 
 def recorded(run: Run, machine: Machine) -> Record:
-    """Let an Exudyn machine do a run; channels as `KEPT`, kept every `record_every` frames."""
+    """Let an Exudyn machine do a run; channels as `KEPT`, kept every `record_every` frames.
+
+    Of a run of signals the poses are made first: what changes on its way is a session's.
+    """
+    if run.source is None:
+        given = {name: getattr(run, name) for name in run.model_fields_set - _SIGNALS}
+        run = Run(**given | {"source": demand(run)})
     session = run.session()
     session.plant.check()
     controller, memory = session.controller, session.memory

@@ -213,13 +213,18 @@ class Doubt(NamedTuple):
         near = all(one.close for one in self.predictions) and all(x.close for x in self.stated)
         return near and not (self.missed or helping)
 
+    def widened(self, posterior: Posterior) -> Posterior:
+        """The numbers where it is open which of the effects that help the machine has, if any."""
+        shifts = [one.shift for one in self.effects if one.helps]
+        return posterior._replace(shifts=np.reshape(shifts, (-1, posterior.z.size)))
+
     def tables(self) -> list[Table]:
         """What the recordings leave open, residuals, predictions, effects; none of them empty."""
         found: list[Result[Any]] = [
             Result(self.open, fields_of(Weak), "What the recordings leave open"),
             Result(self.left, fields_of(Left), "What is left"),
             Result(self.predictions, fields_of(Prediction), "Recordings held back"),
-            Result(self.effects, fields_of(Effect), "Effects that were tried"),
+            Result(self.effects, fields_of(Effect)[:2], "Effects that were tried"),
             Result(self.stated, fields_of(Stated), "What is stated"),
         ]
         return [one.table for one in found if len(one)]

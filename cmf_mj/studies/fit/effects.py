@@ -104,6 +104,7 @@ class Effect(NamedTuple):
 
     name: Annotated[str, Field(title="effect")]
     gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]  #: By one step with it.
+    shift: Array  #: What that step adds to the coordinates of the numbers, (n,).
 
     @property
     def helps(self) -> bool:
@@ -115,7 +116,7 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
     """Gain of each effect that is no unknown yet, the largest first."""
     there = {one.path for one in fitter.model.unknowns.values()}
     found = [
-        Effect(name, _gain(look, fitter, extra))
+        Effect(name, *_gain(look, fitter, extra))
         for name, extra in EFFECTS.items()
         if extra.path not in there
         and (isinstance(extra, Extra) or isinstance(fitter.model.plant, Hexapod))
@@ -123,8 +124,9 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
     return sorted(found, key=lambda effect: -effect.gain)
 
 
-def _gain(look: Look, fitter: Fitter, extra: Extra | Yielding) -> float:
-    """Gain by one step of all numbers together with those of an effect."""
+def _gain(look: Look, fitter: Fitter, extra: Extra | Yielding) -> tuple[float, Array]:
+    """Gain by one step of all numbers together with those of an effect, and the numbers' part."""
+    none = 0.0, np.zeros(fitter.size)
     legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
     changed = extra.on(fitter.model.plant, legs)
 
@@ -143,17 +145,20 @@ def _gain(look: Look, fitter: Fitter, extra: Extra | Yielding) -> float:
 
     there = all_([(look.x, one) for one in np.eye(len(legs))])
     if any(one is None for one in there):
-        return 0.0
+        return none
     slopes = [*look.slopes, *(minus(one, look.here) for one in there if one is not None)]
     found = information(look.here, slopes, fitter.order, fitter.spacing)
     point = np.concatenate([look.x, np.zeros(len(legs))])
     step = np.linalg.solve(found.matrix + np.eye(point.size), found.gradient - point)
     move, added = step[: look.x.size], step[look.x.size :]
     if not extra.signed and added[0] <= 0.0:
-        return 0.0
-    points = [(look.x + part * move, part * added) for part in (1.0, 0.5, 0.25)]
+        return none
+    parts = (1.0, 0.5, 0.25)
+    points = [(look.x + part * move, part * added) for part in parts]
     merits = [
         fitter.merit(x, residuals) + 0.5 * float(more @ more)
         for (x, more), residuals in zip(points, all_(points), strict=True)
     ]
-    return max(0.0, float(look.merit - min(merits)))
+    best = int(np.argmin(merits))
+    gain = float(look.merit - merits[best])
+    return (gain, parts[best] * move[: fitter.size]) if gain > 0.0 else none

@@ -15,7 +15,6 @@ evidence without recordings the posterior is drawn, by importance sampling (`sam
 The folder's journal holds every step, so that a fit that was stopped goes on where it was.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,10 +25,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.core.errors import InputError, RunError
-from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import Journal, one_library_thread
 from cmf_mj.studies.fit import sampling
-from cmf_mj.studies.fit.campaign import Campaign, Recording, load_campaign
+from cmf_mj.studies.fit.campaign import Campaign, load_campaign
 from cmf_mj.studies.fit.evidence import Evidence
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
 from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
@@ -67,6 +65,8 @@ class Posterior(NamedTuple):
     exchanged: Array  #: The coordinates with all twins exchanged.
     drawn: Array  #: Points of importance sampling (m, n), of evidence alone; else none.
     weights: Array  #: Theirs, (m,).
+    shifts: Array = np.empty((0, 0))
+    """Where else the numbers may be, by effects that the model lacks, less `z`, (m, n)."""
 
     @property
     def deviation(self) -> Array:
@@ -81,9 +81,13 @@ class Posterior(NamedTuple):
             return np.stack(columns, axis=-1)
         half = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
         other = half[self._order()]
-        low = np.minimum(self.z - half, self.exchanged - other)
-        high = np.maximum(self.z + half, self.exchanged + other)
+        low = np.minimum(self.z - half, self.exchanged - other) + self._elsewhere.min(axis=0)
+        high = np.maximum(self.z + half, self.exchanged + other) + self._elsewhere.max(axis=0)
         return np.clip([low, high], *stats.norm.ppf([1e-6, 1.0 - 1e-6]))
+
+    @property
+    def _elsewhere(self) -> Array:
+        return np.vstack([np.zeros(self.z.size), *self.shifts])
 
     def _order(self) -> NDArray[np.int64]:
         """Indices of the numbers with all twins exchanged."""
@@ -98,10 +102,6 @@ class Posterior(NamedTuple):
         low, high = self.bounds()
         return (high - low) < 0.5 * 2.0 * stats.norm.ppf(0.95)
 
-    def digests(self) -> list[tuple[Recording, str]]:
-        """The recordings that were fitted, with the digest of each."""
-        return [(one, digest(one.record)) for one in self.campaign.of(held_back=False)]
-
     def samples(self, count: int, seed: int = 0) -> Array:
         """Coordinates of machines that the recordings allow, (count, n)."""
         if self.weights.size:
@@ -112,7 +112,7 @@ class Posterior(NamedTuple):
         drawn = law.rvs(count, random_state=generator).reshape(count, -1)
         swapped = generator.random(count) < 0.5
         drawn[swapped] = self.exchanged + (drawn[swapped] - self.z)[:, self._order()]
-        return drawn
+        return drawn + generator.choice(self._elsewhere, count)
 
 
 class Fitter:
@@ -279,7 +279,7 @@ def fit(
     say = progress or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
-        "recordings": {one.name: digest(one.record) for one in campaign.recordings},
+        "recordings": {one.name: one.digest for one in campaign.recordings},
         "start": None if start is None else list(start),
     }
     journal = Journal(Path(folder) / "steps", identity)
@@ -387,11 +387,3 @@ def _twins(
             found.append(pair)
             x = moved
     return tuple(found), x
-
-
-def digest(record: Record) -> str:
-    """Digest of a recording."""
-    found = hashlib.sha256(np.ascontiguousarray(record.time).tobytes())
-    for name in sorted(record.channels):
-        found.update(name.encode() + np.ascontiguousarray(record[name]).tobytes())
-    return found.hexdigest()[:8]

@@ -168,7 +168,7 @@ def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
     said = {
         "status": "identified",
         "source": "fitted to recordings "
-        + ", ".join(f"{one.name} {digest}" for one, digest in posterior.digests()),
+        + ", ".join(f"{one.name} {one.digest}" for one in posterior.campaign.of(held_back=False)),
     }
     for path in paths(posterior):
         root, *rest = path.split(".")

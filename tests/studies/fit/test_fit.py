@@ -131,6 +131,19 @@ def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None
     assert np.array_equal(again.covariance, posterior.covariance)
 
 
+def test_effects_that_help_widen_the_numbers(found: tuple[Posterior, Path]) -> None:
+    """A number may be where it is with the effect or without: of the one that helps, not more."""
+    posterior, shift = found[0], np.array([0.0, 0.25, 0.0, -0.25])
+    effects = doubt.Effect("floor", 11.0, shift), doubt.Effect("gas", 9.0, 4.0 * shift)
+    wide = doubt.Doubt((), (), (), (), effects, ()).widened(posterior)
+    further = wide.bounds() - posterior.bounds()
+    np.testing.assert_allclose(
+        further, [np.minimum(shift, 0.0), np.maximum(shift, 0.0)], atol=1e-12
+    )
+    moved = wide.samples(4000) - posterior.samples(4000)
+    np.testing.assert_allclose(moved.mean(axis=0), 0.5 * shift, atol=0.02)
+
+
 @pytest.mark.slow
 def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
     """2 % of the spool's travel: the model is said not to explain, and overlap would help most."""
