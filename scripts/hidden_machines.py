@@ -5,6 +5,11 @@ sheets by more than machines are, and records a campaign on each, in OUT/NAME. I
 sealed in OUT/NAME.truth.json, which nothing but `score` reads. `fit` fits those that have no result
 yet, into OUT/NAME.fit; the same command again goes on. `score` compares: how often the 90 %
 intervals hold the truth, over the numbers that the fit says can be told.
+
+`laws` tunes a law on each fit and on each truth, three searches each, and measures both on the
+truth; it certifies the law with the fit's box, and looks whether the truth lies in it. `plain`
+records a sweep in one axis after the other, as long and as large as the planned campaign, fits it
+too, and compares the widths of the intervals.
 """
 
 import argparse
@@ -15,16 +20,40 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 
-from cmf_mj.core.files import write_csv, write_json
+from cmf_mj.analysis.modes import nominal_modes
+from cmf_mj.control.law import Law
+from cmf_mj.core.files import write_csv, write_json, write_text
+from cmf_mj.core.settings import read_toml
 from cmf_mj.core.units import factor
+from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
-from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.fit.plan import plan_campaign, record_campaign
+from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.studies.certificate_family import Box
+from cmf_mj.studies.fit.campaign import FILE
+from cmf_mj.studies.fit.plan import LEAD, Planned, Room, plan_campaign, record_campaign
+from cmf_mj.studies.tuning.evaluation import least_damping, linear_cab
+from cmf_mj.studies.tuning.forms import Template, make_template
+from cmf_mj.studies.tuning.search import Requirements, judged, search
 
-RESULT, TIME = "numbers.csv", "time.json"  #: In the folder of a fit.
+RESULT, TIME, LAWS = "numbers.csv", "time.json", "laws.json"  #: In the folder of a fit.
+
+
+SEEDS = (1, 2, 3)  #: Of the searches for a law.
+SWEPT = (0.2, 10.0)  #: First and last frequency of plain sweeps [Hz].
+
+
+class Hidden(NamedTuple):
+    """A machine whose numbers are not shown."""
+
+    cab: Cab
+    oil: HydraulicParameters
+    known: Unknowns
 
 
 class Kind(NamedTuple):
@@ -86,6 +115,16 @@ def numbers(plant: Hexapod) -> dict[str, float]:
     return {path: float(value) for path, value in said.items()}
 
 
+def hidden(kind: Kind, seed: int, index: int) -> Hidden:
+    """One machine of a seed."""
+    sheet = Hexapod(machine=kind.machine)
+    sheet.start()
+    known = unknowns(sheet, kind.friction * float(np.abs(sheet.static_load()).mean()))
+    values = known.streams(seed, index)
+    oil = known.apply(values, sheet.parameters, "hidden")
+    return Hidden(known.apply(values, load_cab(None, kind.machine), "hidden"), oil, known)
+
+
 def draw(options: argparse.Namespace) -> None:
     """Draw machines, plan and record the campaign of each, seal the numbers."""
     out = Path(options.out)
@@ -95,13 +134,7 @@ def draw(options: argparse.Namespace) -> None:
         sealed = out / f"{name}.truth.json"
         if sealed.exists():
             continue
-        sheet = Hexapod(machine=kind.machine)
-        sheet.start()
-        largest = kind.friction * float(np.abs(sheet.static_load()).mean())
-        known = unknowns(sheet, largest)
-        values = known.streams(options.seed, i)
-        oil = known.apply(values, sheet.parameters, "hidden")
-        cab = known.apply(values, load_cab(None, kind.machine), "hidden")
+        cab, oil, known = hidden(kind, options.seed, i)
         folder = out / name
         if not (folder / "campaign.toml").exists():
             how = {"seconds": options.seconds, "other_law": kind.other_law}
@@ -113,6 +146,15 @@ def draw(options: argparse.Namespace) -> None:
         print(f"{name}: recorded, {len(known)} numbers sealed", flush=True)
 
 
+def _again(sealed: Path) -> Hidden:
+    """A machine that was drawn, from its sealed file's seed and name."""
+    name = sealed.name.removesuffix(".truth.json")
+    shape = name.rstrip("0123456789")
+    kind = KINDS[shape]
+    seed = json.loads(sealed.read_text(encoding="utf-8"))["seed"]
+    return hidden(kind, seed, int(name.removeprefix(shape)) - 1)
+
+
 def _fits(out: Path) -> dict[str, Path]:
     """Folders of the fits by machine."""
     names = [path.name.removesuffix(".truth.json") for path in sorted(out.glob("*.truth.json"))]
@@ -121,28 +163,33 @@ def _fits(out: Path) -> dict[str, Path]:
 
 def fit(options: argparse.Namespace) -> None:
     """Fit each machine that has no result."""
+    for name, folder in _fits(Path(options.out)).items():
+        try:
+            _fit(Path(options.out) / name, folder, options.jobs)
+        except Exception as error:  # one machine must not keep the others from being fitted
+            print(f"{name}: {type(error).__name__}: {error}", flush=True)
+
+
+def _fit(campaign: Path, folder: Path, jobs: int) -> None:
+    """Fit a campaign into a folder, unless that is done."""
     from cmf_mj.studies.fit import doubt, results
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit as fit_campaign
 
-    out = Path(options.out)
-    for name, folder in _fits(out).items():
-        if (folder / TIME).exists():
-            continue
-        began = time.monotonic()
-        try:
-            posterior = fit_campaign(load_campaign(out / name), folder, jobs=options.jobs)
-            results.save(posterior, folder)
-        except Exception as error:  # one machine must not keep the others from being fitted
-            print(f"{name}: {type(error).__name__}: {error}", flush=True)
-            continue
-        taken, held = time.monotonic() - began, doubt.predicted(posterior)
-        off = {
-            "gain": max((abs(one.gain) for one in held), default=0.0),
-            "phase": max((abs(one.phase) for one in held), default=0.0),
-        }
-        write_json(folder / TIME, {"seconds": taken} | off)
-        print(f"{name}: fitted in {taken:.0f} s", flush=True)
+    if (folder / TIME).exists():
+        return
+    began, used = time.monotonic(), time.process_time()
+    posterior = fit_campaign(load_campaign(campaign), folder, jobs=jobs)
+    results.save(posterior, folder)
+    spent, held = time.process_time() - used, doubt.predicted(posterior)
+    off = {
+        "seconds": time.monotonic() - began,
+        "cpu": spent,
+        "gain": max((abs(one.gain) for one in held), default=0.0),
+        "phase": max((abs(one.phase) for one in held), default=0.0),
+    }
+    write_json(folder / TIME, off)
+    print(f"{campaign.name}: fitted in {off['seconds']:.0f} s, {spent:.0f} s of CPU", flush=True)
 
 
 def compared(truth: dict[str, float], rows: list[dict[str, str]]) -> list[dict[str, Any]]:
@@ -195,19 +242,150 @@ def summed(lines: list[dict[str, Any]]) -> tuple[int, int, int, float]:
     return len(known), len(lines), held, float(np.median(errors)) if errors else float("nan")
 
 
+def laws(options: argparse.Namespace) -> None:
+    """Tune on fit and truth, measure on the truth; certify the law with the fit's box."""
+    out = Path(options.out)
+    for name, folder in _fits(out).items():
+        if (folder / TIME).exists() and not (folder / LAWS).exists():
+            write_json(folder / LAWS, _tuned(_again(out / f"{name}.truth.json"), folder, options))
+    table = {name: folder / LAWS for name, folder in _fits(out).items() if (folder / LAWS).exists()}
+    found = {name: json.loads(path.read_text("utf-8")) for name, path in table.items()}
+    columns = list(next(iter(found.values()), {}))
+    write_csv(
+        out / "laws.csv", ("machine", *columns), [(n, *one.values()) for n, one in found.items()]
+    )
+    for name, one in found.items():
+        print(name, *(f"{key} {value:.4g}" for key, value in one.items()), sep="  ")
+
+
+def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str, float]:
+    """What laws tuned on a fit do on the machine it is of."""
+    from cmf_mj.studies.certificate import certify
+    from cmf_mj.studies.certificate_family import load_box
+
+    plants = {"fit": Hexapod("fitted", machine=folder / "machine.toml")}
+    plants["truth"] = Hexapod(truth.cab, truth.oil)
+    templates = {key: _template(plant) for key, plant in plants.items()}
+    slowest: dict[str, list[float]] = {}
+    found: dict[str, Law] = {}
+    for key, template in templates.items():
+        for seed in SEEDS:
+            how: dict[str, Any] = {"seeds": (None,), "evaluations": options.laws, "seed": seed}
+            law = search(template, Requirements(), **how).law
+            (shapes,) = (one for cab, one in law.modes.items() if cab == plants[key].cab)
+            carried = law.model_copy(update={"modes": {plants["truth"].cab: shapes}})
+            performance, _ = judged(carried, templates["truth"], Requirements(), (None,))
+            slowest.setdefault(key, []).append(float(performance.phase_hz.min()))
+            found.setdefault(key, law)
+    box, plant = load_box(folder / "box.toml"), plants["fit"]
+    medians = {f"{key} [Hz]": float(np.median(one)) for key, one in slowest.items()}
+    said = medians | {"ratio": medians["fit [Hz]"] / medians["truth [Hz]"]}
+    said |= {f"spread {key}": float(np.ptp(one) / np.median(one)) for key, one in slowest.items()}
+    for friction in ("none", "stuck"):
+        one = certify(plant, found["fit"], folder / friction, box, friction=friction)
+        said |= {f"proven {friction}": one.proven, f"broken {friction}": one.broken}
+    carried = found["fit"].model_copy(
+        update={"modes": {truth.cab.name: found["fit"].modes["fitted"]}}
+    )
+    said["least damping on the truth"] = least_damping(carried, templates["truth"].frictionless)
+    return said | {"largest off, of the box": _off(plant, plants["truth"], box)}
+
+
+def _template(plant: Hexapod) -> Template:
+    """What a search needs of a machine with this plant's numbers, none of them its file's."""
+    cab = plant.cab_parameters
+    assert cab is not None
+    template = make_template("tuned", "Tuned", [cab], "none")
+    linear, modes = (
+        (linear_cab(plant, "none"),),
+        dict(template.modes) | {plant.cab: nominal_modes(plant)},
+    )
+    return template._replace(
+        modes=modes, cabs=linear, frictionless=linear, actuator=plant.parameters
+    )
+
+
+def _off(fitted: Hexapod, truth: Hexapod, box: Box) -> float:
+    """The largest distance of the truth from the fit, over the box's half width of that number."""
+    found, true = numbers(fitted), numbers(truth)
+    parts = {"valve_gain": ".leg_speed", "cab_place": ".centre_of_mass.", "cab_inertia": ".second_"}
+    most = 0.0
+    for name, one in box.unknowns.items():
+        for path in (
+            path for path in true if parts.get(name, name.replace("cab_", "cab.")) in path
+        ):
+            off = true[path] - found[path]
+            most = max(most, abs(off / (1.0 if name == "cab_place" else found[path])) / one.half)
+    return most
+
+
+def plain(options: argparse.Namespace) -> None:
+    """Fit sweeps of one axis after the other instead, and compare the intervals."""
+    out = Path(options.out)
+    for name, folder in _fits(out).items():
+        if (folder / TIME).exists():
+            shape = name.rstrip("0123456789")
+            swept = out / f"{name}.plain"
+            if not (swept / FILE).exists():
+                _swept(KINDS[shape], out / name, swept)
+                truth = _again(out / f"{name}.truth.json")
+                how: dict[str, Any] = {"machine": KINDS[shape].machine, "cab": truth.cab}
+                how |= {"hydraulics": truth.oil}
+                record_campaign(swept, **how, seed=options.seed, jobs=options.jobs)
+            _fit(swept, out / f"{name}.plain.fit", options.jobs)
+            wide = _widths(out / f"{name}.plain.fit"), _widths(folder)
+            ratios = [wide[1][number] / wide[0][number] for number in wide[0]]
+            mean = float(np.exp(np.mean(np.log(ratios))))
+            print(f"{name}: intervals {mean:.3f} of those of plain sweeps, geometric mean")
+
+
+def _swept(kind: Kind, planned: Path, folder: Path) -> None:
+    """Write a campaign of sweeps, as large as the planned one allows and as long."""
+    said = read_toml(planned / FILE)
+    one = load_scenario(planned / said["recordings"]["axes_large"]["source"])
+    room, span = Room(Hexapod(machine=kind.machine), 0.4), float(one.duration or 0.0) - LEAD
+    tables = {}
+    for i, dof in enumerate(DOFS):
+
+        def sweep(size: float, i: int = i, dof: str = dof) -> list[dict[str, Any]]:
+            about = {"kind": "chirp", "dof": dof, "amplitude": float(size * room.reach[i])}
+            about |= {"start": SWEPT[0], "stop": SWEPT[1], "duration": span, "settle": 0.0}
+            return [{"at": LEAD, "fade": 0.0, "signal": [about | {"fade": 0.05 * span}]}]
+
+        how = one.table() | {"title": f"sweep in {dof}"}
+        how.pop("change", None)
+        run = room.fitted(Planned("sweep", "neutral", sweep), how)
+        source = Path("scenarios") / f"{dof}.toml"
+        text = {key: value for key, value in run.table().items() if value is not None}
+        write_text(folder / source, tomlkit.dumps(text))
+        tables[dof] = {"kind": "sweep", "pose": "neutral", "source": source.as_posix()}
+    head = {key: said[key] for key in said if key != "recordings"}
+    write_text(folder / FILE, tomlkit.dumps(head | {"recordings": tables}))
+
+
+def _widths(folder: Path) -> dict[str, float]:
+    """Widths of the intervals of a fit by number."""
+    with (folder / RESULT).open(encoding="utf-8", newline="") as file:
+        return {
+            row["number"]: float(row["high"]) - float(row["low"]) for row in csv.DictReader(file)
+        }
+
+
 def main() -> None:
     """Run the part that the command line names."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parts = parser.add_subparsers(dest="part", required=True)
-    for part in (draw, fit, score):
+    for part in (draw, fit, score, laws, plain):
         one = parts.add_parser(part.__name__, help=part.__doc__)
         one.set_defaults(run=part)
         one.add_argument("--out", default="out/hidden", help="folder of all machines")
         one.add_argument("--jobs", type=int, default=2, help="threads or processes")
+        one.add_argument("--seed", type=int, default=1, help="of all that is drawn")
+        if part is laws:
+            one.add_argument("--laws", type=int, default=120, help="tried in each search")
         if part is draw:
-            one.add_argument("--seed", type=int, default=1, help="of all that is drawn")
             one.add_argument("--count", type=int, default=6, help="machines")
             one.add_argument("--kinds", default=",".join(KINDS), help="by turns, with commas")
             one.add_argument("--seconds", type=float, default=20.0, help="of each recording")
