@@ -85,16 +85,25 @@ def target(file: Path | None) -> Path | None:
 
 
 def show(*parts: RenderableType, unfolded: bool = False) -> None:
-    """Print tables and text, never narrower than a line, or so wide that no cell is folded."""
+    """Print tables and text, never narrower than a line, or so wide that no cell is folded.
+
+    In a terminal that is narrower than a table, its groups of columns come one below the other.
+    """
     from rich.console import Console
 
     console, width = Console(), TEXT_WIDTH
     if unfolded:
         tables = [part for part in parts if not isinstance(part, str)]
         width = max(Console(width=1000).measure(table).maximum for table in tables)
+    room = console.width if console.is_terminal else width
     if console.width < width:
         console = Console(width=width)
+    apart: list[RenderableType] = []
     for part in parts:
+        split = getattr(part, "parts", None)
+        narrow = split is not None and Console(width=1000).measure(part).maximum > room
+        apart += split() if narrow and split else [part]
+    for part in apart:
         console.print(part, markup=not isinstance(part, str))  # tables escape their own
 
 

@@ -163,7 +163,8 @@ AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 t
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
 _first = partial(_machine, is_eager=True)
-Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", "name or TOML file", make=_first)]
+_BRINGS = "name or TOML file; other defaults below are its own"
+Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", _BRINGS, make=_first)]
 """Motion base whose cab, hydraulics and law the others name; read before them."""
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]

@@ -23,6 +23,9 @@ drawing = options.drawing(command)
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
+_SEARCHED = (
+    "law whose gains to search: modal_plan, modal, velocity, pressure, feed_forward, acceleration"
+)
 _CONFIRMED = "axes whose -90 deg to confirm in the simulation, or `all`"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
@@ -95,7 +98,7 @@ def study_command(
 @command("tune")
 def tune_command(
     name: Annotated[str | None, Option(help="name of the law; default that of its form")] = None,
-    form: Annotated[str, choice(_FORMS, "FORM", "law whose gains to search")] = "modal_plan",
+    form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
     title: Annotated[str | None, Option(help="its title; default its name")] = None,
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
@@ -110,6 +113,7 @@ def tune_command(
     """Search the gains of a form of law over all cabs and axes, and simulate its -90 deg."""
     from cmf_mj.machine.models import CMF
     from cmf_mj.studies.tuning.confirm import confirm
+    from cmf_mj.studies.tuning.evaluation import least_damping
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
@@ -133,7 +137,8 @@ def tune_command(
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "
         f"-90 deg {reached.phase_hz.min():.2f} Hz, peak {reached.peak_db.max():.2f} dB, "
-        f"overshoot {100.0 * reached.overshoot.max():.1f} %; {result.verdict}",
+        f"overshoot {100.0 * reached.overshoot.max():.1f} %, least damping ratio "
+        f"{least_damping(law, template.frictionless):.3f}; {result.verdict}",
         confirm(law, cabs, stated, dofs),
         f"{result.evaluations} laws tried; written to {target}",
     )
@@ -187,8 +192,10 @@ def certify_command(
         for c in rows
         for p in c.proofs
     ]
-    tables: dict[str, Result[Any]] = {"certificates": Result(rows, run.CERTIFICATES)}
-    tables["proofs"] = Result(proofs, run.PROOFS)
+    tables: dict[str, Result[Any]] = {
+        "certificates": Result(rows, run.CERTIFICATES, *run.ABOUT_CERTIFICATES),
+        "proofs": Result(proofs, run.PROOFS, *run.ABOUT_PROOFS),
+    }
     files = {f"{name}.{end}": one for name, one in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(rows)}
     show(*tables.values(), written(save_files(files | figure, out), out))

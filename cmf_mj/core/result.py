@@ -103,6 +103,32 @@ class Table:
             [number(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows
         ]
 
+    def parts(self) -> list["Table"]:
+        """A table a group of columns, the first ones before each, for a terminal that is narrow.
+
+        A group is a title of two lines and those after it whose first line is empty.
+        """
+        heads = self.header
+        begins = [i for i, head in enumerate(heads) if head.find("\n") > 0]
+        if len(begins) < 2:
+            return [self]
+        made = []
+        for start, stop in zip(begins, [*begins[1:], len(heads)], strict=True):
+            taken = [*range(begins[0]), *range(start, stop)]
+            rows = [[row[i] for i in taken] for row in self.rows]
+            title = self.title if start == begins[0] else ""
+            caption = self.caption if stop == len(heads) else ""
+            made.append(
+                replace(
+                    self,
+                    title=title,
+                    caption=caption,
+                    rows=rows,
+                    columns=[self.columns[i] for i in taken],
+                )
+            )
+        return made
+
     def __rich__(self) -> Any:
         """The table for the terminal."""
         import rich.table

@@ -70,10 +70,12 @@ class Settings(BaseModel):
 
 def name_or(*loaded: type) -> PlainValidator:
     """Validator of a field that takes a name or file of settings, or what is `loaded` already."""
+    made = "".join(f", or {one.__name__} as its `load_` function makes it" for one in loaded)
 
     def check(value: Any) -> Any:
         if not isinstance(value, (str, Path, *loaded)):
-            raise InputError("input should be a valid string")
+            kind = type(value).__name__
+            raise InputError(f"a {kind} is refused; allowed: a name, a TOML file{made}")
         return value
 
     return PlainValidator(check, json_schema_input_type=str)

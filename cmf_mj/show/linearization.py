@@ -20,6 +20,7 @@ from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.analysis.linear.poles import Mode, reduced
 from cmf_mj.analysis.measures import are_stable, joined
 from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
+from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
@@ -40,6 +41,7 @@ class LinearizationStudy(NamedTuple):
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
     loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
     stable: bool  #: The verdict on all of these loops.
+    fastest: complex  #: Of their poles that which grows most, or decays least [rad/s].
     margins: NDArray[np.float64]  #: Of these loops: gain [dB], phase [deg], (n, 2).
 
 
@@ -52,9 +54,10 @@ def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> Lin
         for name, plant in plants.items()
     }
     closed = {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()}
-    stable = all(are_stable(loop.poles()) for loop in loops.values())
-    found = linear.modes(), responses, closed, stable, linear.margins(law, signals)
-    return LinearizationStudy(linear, law, *found)
+    poles = np.concatenate([loop.poles() for loop in loops.values()])
+    fastest = complex(np.log(poles[np.abs(poles).argmax()] + 0j) / next(iter(loops.values())).dt)
+    found = linear.modes(), responses, closed, are_stable(poles), fastest
+    return LinearizationStudy(linear, load_law(law).name, *found, linear.margins(law, signals))
 
 
 def save_system(system: control.StateSpace, path: Path, description: Mapping[str, Any]) -> Path:
@@ -132,7 +135,19 @@ def loop_table(study: LinearizationStudy) -> Table:
         ("dof", *widths, *margins),
         rows,
         f"'-': not reached below {FREQUENCIES[-1]:g} Hz; margins: at the valve commands along one "
-        "axis, the others closed; negative: of a falling gain",
+        "axis, the others closed; negative: of a gain that falls, or a phase that leads"
+        + _growth(study),
+    )
+
+
+def _growth(study: LinearizationStudy) -> str:
+    """What grows in loops that are not stable."""
+    if study.stable:
+        return ""
+    hertz, damping = abs(study.fastest) / (2.0 * np.pi), -study.fastest.real / abs(study.fastest)
+    return (
+        f". Unstable: motion at {hertz:.2f} Hz grows, damping ratio {damping:.3f}; `cmf tune` "
+        "finds gains. Poles of the plant itself that lie slightly above 0 are its free drift"
     )
 
 

@@ -196,8 +196,9 @@ def bode_figure(
 ) -> tuple[Figure, Axes, Axes]:
     """A Bode plot of responses by name, and its axes."""
     figure, gain, phase = bode_axes(title, limits=limits)
-    for name, response in curves.items():
-        plot_bode(gain, phase, response, label=name, stable=stable)
+    for i, (name, response) in enumerate(curves.items()):
+        dashes = "--" if i % 2 else "-"  # every other, since neighbours may coincide
+        plot_bode(gain, phase, response, label=name, stable=stable, linestyle=dashes)
     legend(figure)
     return figure, gain, phase
 

@@ -34,10 +34,11 @@ _LINES = {"hexapod": "-", "single_legs": "--"}
 
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz, from the legs' demand to their feedback in the control law, "
-    "-3 dB from absolute 0 dB; peak in dB; at rest: gain; zeta: damping ratio from the step's "
-    "overshoot. -: the sweep, to 10 Hz, does not reach it, or no overshoot. unstable: the legs "
-    "ring on undiminished 12 s after the step; drifts: the law holds no position, so legs move on "
-    "to a stop. Neither has other measures. "
+    "-3 dB from absolute 0 dB (of small motion it may be far higher: `cmf linearize`); peak in dB; "
+    "at rest: gain; zeta: damping ratio from the step's overshoot, 0 where it is more than the "
+    "step. -: the sweep, to 10 Hz, does not reach it, or no overshoot. unstable: legs ring on "
+    "undiminished 12 s after the step; drifts: the law holds no position, so legs move on to a "
+    "stop. Neither has other measures. "
 )
 _MARKS = {
     "~": "~: the phase grazes -90 deg. ",
@@ -164,7 +165,8 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
     response.set(title=_title("Step response", dof, step, results), ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    look.legend(figure)
+    late = any(one.verdict == "unstable" for one in results)
+    look.legend(figure, title="unstable: legs ring on 12 s after the step" if late else None)
     return figure
 
 

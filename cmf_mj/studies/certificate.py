@@ -116,10 +116,19 @@ CERTIFICATES = (
 )
 PROOFS = (
     *map(Field, ("law", "cab", "friction")),
-    Field("ratio", "zeta", ".3f"),
-    Field("proven", "proven box", ".3f"),
-    Field("attacked", "least zeta found", ".3f"),
+    Field("ratio", "zeta kept", ".3f"),
+    Field("proven", "in a box of", ".3f"),
+    Field("attacked", "least zeta found there", ".3f"),
 )
+ABOUT_CERTIFICATES = (
+    "How far machines may be off, all numbers at once; 1 is the whole unit box",
+    "zeta: least damping ratio, in all poses, of the nominal machine. proven: scale of the box "
+    "within which every machine is stable; broken: scale at which one is not, -: none up to "
+    f"{LARGEST:g}. stable, least zeta: of machines drawn from the unit box. beyond, within: swing "
+    f"of the machine that breaks first, 10 s after a step, over the step, at {BEYOND:g} and "
+    f"{WITHIN:g} times that scale.",
+)
+ABOUT_PROOFS = ("Scale of the box within which every machine keeps a damping ratio",)
 
 
 def certify(

@@ -48,6 +48,10 @@ APART = 0.01
 """Distance of the upper gimbals' centroid from the origin, over their radius, that is none."""
 
 
+_MEANT = {"recalled": "recalled from general knowledge, not checked"}
+"""Statuses that need a word more, see `core.quantity`."""
+
+
 class CabCheck(NamedTuple):
     """A machine with one of its cabs, at neutral."""
 
@@ -105,7 +109,10 @@ def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
         f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
         f"condition number {check.conditioning[0]:.2f} at neutral, {check.conditioning[1]:.2f} at "
         "worst over the envelope",
-        *(f"{status}: {', '.join(names)}" for status, names in check.statuses.items()),
+        *(
+            f"{_MEANT.get(status, status)}: {', '.join(names)}"
+            for status, names in check.statuses.items()
+        ),
         *(f"does not fit: {fault}" for fault in check.faults),
         f"verdict: {check.machine.name} "
         + (f"has {len(check.faults)} faults" if check.faults else "fits together"),

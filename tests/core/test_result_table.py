@@ -88,3 +88,17 @@ def test_poses_are_written_in_the_fields_units() -> None:
     assert pose_text(pose) == "surge 1 in, heave -0.05 in, roll 3 deg"
     assert pose_text(pose, ".1f") == "surge 1.0 in, heave -0.1 in, roll 3.0 deg"
     assert pose_text(0.1 * pose, ".1f") == "surge 0.1 in, roll 0.3 deg"
+
+
+def test_a_narrow_terminal_has_groups_of_columns_one_below_the_other() -> None:
+    heads = ("law", "dof", "hexapod\n-90", "\n-3 dB", "published\n-90", "\nof")
+    rows = [("velocity", "surge", 2.5, 4.4, None, "h"), ("velocity", "heave", 2.7, 3.9, 2.9, "h")]
+    table = Table("laws", heads, rows, caption="h: hardware", grouped=True)
+    first, last = table.parts()
+    assert first.header == ["law", "dof", "hexapod\n-90", "\n-3 dB"]
+    assert last.header == ["law", "dof", "published\n-90", "\nof"]
+    assert [[*a, *b[2:]] for a, b in zip(first.rows, last.rows, strict=True)] == [
+        list(row) for row in rows
+    ]
+    assert (first.title, first.caption, last.title, last.caption) == ("laws", "", "", "h: hardware")
+    assert TABLE.parts() == [TABLE]

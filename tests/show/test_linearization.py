@@ -14,7 +14,7 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.cli.common import app, pose_option
 from cmf_mj.core import units
 from cmf_mj.machine.geometry import DOFS, pose_text
-from cmf_mj.show.linearization import linearization_study, mode_names, pole_table
+from cmf_mj.show.linearization import linearization_study, loop_table, mode_names, pole_table
 
 
 def run(*arguments: str) -> str:
@@ -60,3 +60,16 @@ def test_a_mode_is_named_by_what_moves_in_it() -> None:
     mixed[(4, 3), (0, 1)], mixed[5, :2], mixed[4, 5] = 0.2, 0.1, 0.04
     named = mode_names(modes._replace(share=mixed))
     assert named == ["surge with pitch", "sway with roll", *DOFS[2:]]
+
+
+def test_a_loop_that_grows_is_named_with_its_frequency() -> None:
+    """The law flown rings on SIMONA; the poles of its loop say where."""
+    linear = Linear(Hexapod(machine="simona"))
+    study = linearization_study(linear, "velocity", ["surge"])
+    loop = linear.loop("velocity", "surge")
+    grows = np.log(loop.poles()[np.abs(loop.poles()).argmax()]) / loop.dt
+    said = loop_table(study).caption
+    assert grows.real > 0.0 and not study.stable
+    assert f"motion at {abs(grows) / (2.0 * np.pi):.2f} Hz grows" in said
+    stable = linearization_study(Linear(Hexapod("gfd")), "velocity", ["heave"])
+    assert "grows" not in loop_table(stable).caption

@@ -178,6 +178,10 @@ def test_the_simulation_confirms_what_is_predicted_with_friction(friction: Conta
 def test_the_simulation_confirms_what_is_predicted_without_friction() -> None:
     """Within 1 % with the CMF's heaviest cab."""
     (row,) = confirm(load_law("modal_plan"), ["ifd"], None, ["surge"])
+    linear = Linear(Hexapod("ifd"))
+    assert (row.gain_margin, row.phase_margin) == tuple(linear.margins("modal_plan", ["surge"])[0])
+    of_loop = linear.measures("modal_plan")[0].gain_bandwidth_hz
+    assert row.gain_hz == pytest.approx(of_loop, rel=0.01)
     assert row.simulated_hz == pytest.approx(row.predicted_hz, rel=0.01)
     assert row.difference == pytest.approx(row.simulated_hz / row.predicted_hz - 1.0)
     assert np.isnan(row.assumed) and row.remark == ""

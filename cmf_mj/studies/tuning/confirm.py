@@ -44,7 +44,9 @@ _ABOUT = (
     "linear: of small motion on the linearised machine, as `cmf linearize` and, in brackets, `cmf "
     f"compare` have it; simulated: of sines that move legs at {SHARE:.0%} of their largest speed, "
     "or as --friction says. The larger sweeps of `cmf compare` open the valves wider and read "
-    "another -90 deg."
+    "another -90 deg. -3 dB and margins are linear too, as `cmf linearize` has them. All is at "
+    "neutral, of the machine as its file has it: `cmf certify` asks how far it may be off, and in "
+    "other poses."
 )
 _LINES = np.geomspace(0.2, 50.0, 500)  # [Hz]
 _ROUNDS, _FADE, _SETTLED, _CYCLES = 10, 0.5, 2.0, 8
@@ -63,6 +65,9 @@ class Confirmation(NamedTuple):
     """V of the last sine [m/s]."""
     assumed: Annotated[float, Field(form=".3g m/s")] = np.nan
     """V of the prediction [m/s]; NaN without friction."""
+    gain_hz: Annotated[float, Field(title="linear\n-3 dB", form=".2f Hz")] = np.nan
+    gain_margin: Annotated[float, Field(title="gain\nmargin", form=".1f dB")] = np.nan
+    phase_margin: Annotated[float, Field(title="phase\nmargin", form=".0f deg")] = np.nan
     remark: str = ""  #: What keeps the two from being compared.
 
 
@@ -83,7 +88,12 @@ def confirm(
         if are_stable(loop.poles()):
             response = np.einsum("iik->ik", loop(np.exp(2j * np.pi * _LINES * loop.dt)))
         with libraries().limit(limits=1):  # systems are small: threads would only wait
-            rows += on_threads(partial(_confirmed, law, cab, linear, response), list(dofs))
+            found = on_threads(partial(_confirmed, law, cab, linear, response), list(dofs))
+            margins = linear.margins(law, dofs)
+        for one, (gain, phase) in zip(found, margins, strict=True):
+            width = line_bandwidths(_LINES, response[dof_index(one.dof)]).gain_hz
+            more = {"gain_hz": width, "gain_margin": gain, "phase_margin": phase}
+            rows.append(one if one.remark == "unstable" else one._replace(**more))
     title = f"-90 deg of {law.name} in small motion, linear and simulated"
     return Result(rows, fields_of(Confirmation), title, _ABOUT, grouped=True)
 
@@ -121,7 +131,7 @@ def _confirmed(
     }
     numbers = predicted, found, found / predicted - 1.0, speed, assumed
     said = "; ".join(text for text, holds in remarks.items() if holds)
-    return Confirmation(plant.cab, dof, *numbers, said)
+    return Confirmation(plant.cab, dof, *numbers, remark=said)
 
 
 def _amplitude(linear: Linear, dof: str, hertz: float, gain: float) -> tuple[float, float]:
