@@ -16,10 +16,8 @@ from cmf_mj.cli import (  # noqa: F401
     analyse,
     campaign,
     facility,
-    fit,
     flight,
     machine,
-    recording,
     simulate,
     studies,
 )

@@ -95,7 +95,6 @@ def modes_command(
 @drawing("measure")
 def measure_command(
     files: options.Recordings = None,
-    simulate: options.Simulate = False,
     record: Annotated[bool, Option("--record", help="write the rounds of a session")] = False,
     law: options.Law = "velocity",
     dof: options.Dof = "heave",
@@ -108,24 +107,19 @@ def measure_command(
     estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
     out: options.Out = Path("out/measure"),
 ) -> None:
-    """Measure recordings (rounds of one), or a simulated session; or record the rounds of one."""
+    """Measure the response in recordings (rounds of one), or record the rounds of a session."""
     from cmf_mj.show import measurement as report
     from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.measurement import measure, measure_recordings
+    from cmf_mj.studies.measurement import measure_recordings
 
-    if simulate + record + bool(files) != 1:
-        raise InputError("files: name recordings, or use --simulate or --record, one of the three")
+    if record == bool(files):
+        raise InputError("files: name recordings, or use --record, not both and not neither")
     if files:
         measures = measure_recordings(files, dof, estimator)
         paths = report.save_recordings(measures, out)
         return show(report.recordings_table(measures), written(paths))
     how: dict[str, Any] = {"amplitude": in_si(dof, amplitude), "electronics": noise_choice(noise)}
-    case = make_case(law, dof, plant, cab, hydraulics, **how)
-    if record:
-        return _record(case, out)
-    measured = measure(case)
-    paths = report.save_measurement(measured, out)
-    show(report.measurement_table(measured), written(paths))
+    _record(make_case(law, dof, plant, cab, hydraulics, **how), out)
 
 
 def _record(case: Case, out: Path) -> None:
@@ -176,7 +170,7 @@ def identify_command(
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
     from cmf_mj.record.reader import read_recording
-    from cmf_mj.show import measurement as report
+    from cmf_mj.show import fit as report
     from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
 

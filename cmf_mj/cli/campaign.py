@@ -1,16 +1,63 @@
-"""Recordings for a fit: `cmf campaign plan` and `record`."""
+"""Recordings: `cmf recording`, `campaign`, `fit` and `guide`."""
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Argument, Option
+from typer import Argument, Option, echo
 
+import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, progress_bar, show
-from cmf_mj.cli.options import name_or_file
+from cmf_mj.cli.common import app, progress_bar, show, written
+from cmf_mj.cli.options import name_or_file, new_file
+from cmf_mj.core.errors import InputError
+
+recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
+app.add_typer(recordings, name="recording", rich_help_panel="Facility")
+
+_FILE = "CSV, Parquet, HDF5 or MAT"
+_MAP = "TOML file of `cmf recording new`; default the facility's columns"
+_OF = "name or TOML file; default that of the map, else the CMF"
+
+Recording = Annotated[Path, Argument(metavar="FILE", help=_FILE)]
+
+
+@recordings.command("new")
+def recording_new_command(
+    recording: Recording,
+    file: Annotated[Path, new_file(help="TOML file")] = Path("out/columns.toml"),
+) -> None:
+    """Guess from a header which columns are which; the map is to be read and corrected."""
+    from cmf_mj.core.files import write_text
+    from cmf_mj.record.guess import guess_columns
+
+    show(f"written: {write_text(file, guess_columns(recording))}")
+
+
+@recordings.command("check")
+def recording_check_command(
+    recording: Recording,
+    columns: Annotated[Path | None, Option(metavar="MAP", help=_MAP)] = None,
+    machine: Annotated[str | None, options.name_or_file(options.MACHINES, "MACHINE", _OF)] = None,
+    cab: Annotated[str | None, Option(metavar="CAB", help="default the machine's first")] = None,
+) -> None:
+    """Tell whether a recording is what its map says of a machine; status 1 if it is not."""
+    from cmf_mj.core.result import Result, fields_of
+    from cmf_mj.record.columns import load_columns, read_mapped
+    from cmf_mj.studies.recordings import Finding, check_recording, verdict
+
+    known = None if columns is None else load_columns(columns)
+    chosen = cmf_mj.load_machine(machine or (known and known.machine) or "cmf")
+    found = check_recording(read_mapped(recording, known, chosen), chosen, cab)
+    rows = Result(found, fields_of(Finding), f"{recording.name} on {chosen.name}")
+    show(rows, verdict(found))
+    if any(one.status == "fault" for one in found):
+        raise typer.Exit(1)
+
 
 campaigns = typer.Typer(no_args_is_help=True, help="Recordings that tell a machine: plan, record.")
 app.add_typer(campaigns, name="campaign", rich_help_panel="Studies")
@@ -55,3 +102,157 @@ def record_command(
     with progress_bar("recording") as update:
         made = record_campaign(folder, **what, seed=seed, jobs=jobs, progress=update)
     show(f"written: {made}")
+
+
+Campaign = Annotated[
+    Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml, or report, hardware")
+]
+Try = Annotated[bool, Option("--effects/--no-effects", help="try what else the machine may have")]
+
+
+@options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")
+def fit_command(
+    campaign: Campaign,
+    effects: Try = True,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/fit"),
+) -> None:
+    """Find a machine's numbers from recordings of it, and say how far to trust them.
+
+    report, hardware and hardware_lag are campaigns of what the 2014 report prints.
+    """
+    from cmf_mj.core.result import Result, fields_of
+    from cmf_mj.show.fit import figures
+    from cmf_mj.show.look import save_files
+    from cmf_mj.studies.fit import doubt, results
+    from cmf_mj.studies.fit.campaign import load_campaign
+    from cmf_mj.studies.fit.engine import fit
+    from cmf_mj.studies.fit.stated import Stated
+
+    jobs = jobs or os.cpu_count() or 1
+    posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
+    doubts = doubt.doubt(posterior, jobs, effects=effects)
+    posterior = doubts.widened(posterior)
+    results.save(posterior, out)
+    table = results.numbers(posterior)
+    drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
+    if doubts.stated:
+        stated = Result(doubts.stated, fields_of(Stated)).table
+        drawn |= {"stated.csv": stated.save}
+    files = save_files(drawn, out)
+    show(table, *doubts.tables(), doubts.verdict, written(files, out))
+
+
+@campaigns.command("next")
+def next_command(
+    campaign: Campaign,
+    plan: Annotated[Path, Argument(metavar="PLAN", help="folder of `cmf campaign plan`")],
+    number: Annotated[str, Option(help="to be known better, or `damping` of the law")] = "damping",
+    jobs: options.Jobs = None,
+    fitted: Annotated[Path, Option("--fit", metavar="FOLDER", help="of the fit")] = Path("out/fit"),
+) -> None:
+    """Say which planned recording would narrow a number most, after a fit."""
+    from cmf_mj.core.result import Result, fields_of
+    from cmf_mj.studies.fit.campaign import load_campaign
+    from cmf_mj.studies.fit.engine import fit
+    from cmf_mj.studies.fit.worth import Worth, worth
+
+    jobs = jobs or os.cpu_count() or 1
+    posterior = fit(load_campaign(campaign), fitted, jobs=jobs, progress=echo)
+    rows = worth(posterior, plan, number, jobs)
+    show(Result(rows, fields_of(Worth), f"What to record next for {number}").table)
+
+
+guides = typer.Typer(no_args_is_help=True, help="Test guides: make a master, check against it.")
+app.add_typer(guides, name="guide", rich_help_panel="Studies")
+
+SomeGuide = Annotated[
+    str, options.argument("studies.guide:GUIDES", "GUIDE", "or TOML file", free=True)
+]
+Against = Annotated[Path, Option(metavar="FOLDER", help="the master")]
+
+
+def _bench(guide: str, out: Path, **named: Any) -> Any:
+    """A guide on a machine with its head, whose files are named from the folder of results."""
+    from cmf_mj.studies.guide import bench, head_of, load_guide
+
+    on = bench(load_guide(guide), **named)
+    return on, head_of(on, **{key: beside_folder(value, out) for key, value in named.items()})
+
+
+def beside_folder(name: str | None, folder: Path) -> str | None:
+    """A TOML file as it is named from a folder, any other name as it is."""
+    return os.path.relpath(name, folder) if name is not None and ".toml" in name else name
+
+
+@guides.command("plan")
+def guide_plan_command(
+    guide: SomeGuide,
+    machine: options.Machine = "cmf",
+    cab: SomeCab = None,
+    hydraulics: SomeOil = None,
+    law: SomeLaw = None,
+    out: options.Out = Path("out/guide"),
+) -> None:
+    """Write the host files of a guide's tests, their order and the time they take."""
+    from cmf_mj.studies.guide import plan_guide
+
+    on, head = _bench(guide, out, machine=machine, cab=cab, hydraulics=hydraulics, law=law)
+    table = plan_guide(on, head.model_copy(update={"simulated": False}), out)
+    show(table, f"written: {out}")
+
+
+@options.drawing(guides.command)("run")
+def guide_run_command(
+    guide: SomeGuide,
+    machine: options.Machine = "cmf",
+    cab: SomeCab = None,
+    hydraulics: SomeOil = None,
+    law: SomeLaw = None,
+    recordings: Annotated[
+        Path | None, Option(metavar="FOLDER", help="planned and recorded; default simulate")
+    ] = None,
+    repetitions: Annotated[int | None, Option(min=1, help="default the guide's")] = None,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/guide"),
+) -> None:
+    """Make the master of a machine, or what is checked against it: recordings, measures, a page."""
+    from cmf_mj.show.measurement import save_master
+    from cmf_mj.studies.guide import load_guide, run_guide
+    from cmf_mj.studies.guide_check import load_master, seal
+
+    folder = recordings or out
+    if recordings is None:
+        on, head = _bench(guide, out, machine=machine, cab=cab, hydraulics=hydraulics, law=law)
+        how: dict[str, Any] = {"repetitions": repetitions, "seed": seed, "jobs": jobs}
+        with progress_bar("recording") as update:
+            run_guide(on, head, out, **how, progress=update)
+    master = seal(load_master(folder))
+    if master.head.guide != load_guide(guide):
+        raise InputError(f"recordings: {folder} is of another guide than {guide!r}")
+    show(written(save_master(master), folder))
+
+
+@options.drawing(guides.command)("check")
+def guide_check_command(
+    new: Annotated[Path, Argument(metavar="NEW", help="folder of `cmf guide run`")],
+    against: Against,
+    diagnosis: Annotated[bool, Option("--diagnosis/--verdicts", help="ask why")] = True,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/check"),
+) -> None:
+    """Compare with a master: what has changed, and most probably why."""
+    from cmf_mj.show import measurement as report
+    from cmf_mj.studies.diagnosis import diagnose, slopes
+    from cmf_mj.studies.guide_check import compare, load_master
+
+    master, since = load_master(against), load_master(new)
+    rows, causes = compare(master, since), []
+    changed = any(row.verdict in ("changed", "beyond its limit") for row in rows)
+    if changed and diagnosis:
+        with progress_bar("simulating") as update:
+            causes = diagnose(master, since, slopes(master, jobs, update), jobs)
+    paths = report.save_check(master, since, rows, causes, out)
+    tables = [report.causes_table(causes).table] if causes else []
+    show(report.verdict_table(rows), *tables, written(paths, out))

@@ -6,6 +6,7 @@ a column per scalar channel, `leg_position_1` to `_6` for a channel with a leg a
 it. Checksums tell a damaged file from a whole one (`cmf_mj.core.files`).
 """
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -127,6 +128,14 @@ class Record:
         about += [name for name in (self.signal.kind, self.signal.axis) if name]
         size = f"{self.time.size} samples at {self.metadata.get('sample_rate', '?')} Hz"
         return f"<Record: {', '.join([*about, size])}; {', '.join(self.channels)}>"
+
+    @property
+    def digest(self) -> str:
+        """Of its samples."""
+        found = hashlib.sha256(np.ascontiguousarray(self.time).tobytes())
+        for name in sorted(self.channels):
+            found.update(name.encode() + np.ascontiguousarray(self[name]).tobytes())
+        return found.hexdigest()[:8]
 
     @property
     def signal(self) -> Signal:

@@ -1,30 +1,25 @@
-"""Tables, figures and files of measured responses and of identified models."""
+"""Tables, figures and files of measured responses, and of test guides."""
 
+from collections.abc import Sequence
+from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.identification.estimation import Candidate
-from cmf_mj.analysis.identification.model import (
-    PolynomialModel,
-    Residuals,
-    Root,
-    fit_percentage,
-    simulated,
-)
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.measures import joined
-from cmf_mj.core import units
-from cmf_mj.core.result import Field, Result, Table, lines, number
-from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
+from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Field, Result, Table, fields_of, lines
+from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.show import look
-from cmf_mj.studies.case import QUALITIES
-from cmf_mj.studies.identification import Identified
-from cmf_mj.studies.measurement import Measurement, RecordingMeasures
+from cmf_mj.studies.diagnosis import Cause
+from cmf_mj.studies.guide_check import REPEATABLE, Compared, Master, smallest
+from cmf_mj.studies.measurement import RecordingMeasures, accelerations
 
 _FIT = "second-order fit with delay"
 
@@ -49,21 +44,6 @@ RESPONSE = _fields(
     ("second_order.damping_ratio", "damping ratio", ".3f", _FIT),
     ("second_order.residual", "fit residual", ".2f %", "rms misfit over rms response"),
 )
-STEP = _fields(
-    ("measures.overshoot", "overshoot", ".2f %", "of the step, over the final value"),
-    ("measures.damping_ratio", "damping ratio", ".3f", "from the overshoot"),
-    ("measures.steady_state_error", "steady-state error", ".2f %", "demanded minus reached"),
-    ("measures.rise_time", "rise time", ".3f s", "10 to 90 % of the step"),
-    ("measures.settling_time", "settling time", ".3f s", "into 2 % of the final value"),
-    ("transport_delay", "delay", ".4f s", "cross-correlation of the sweep"),
-    ("hysteresis", "hysteresis", ".2f %", "loop width at 0.01 Hz, over peak-to-peak"),
-)
-NOISE = _fields(
-    ("low_harmonics", "  low harmonics", ".2f %", "2 and 3"),
-    ("high_harmonics", "  high harmonics", ".2f %", "4 and up"),
-    ("stochastic", "  stochastic", ".2f %", "no harmonic"),
-    ("peak", "  peak", ".2f %", "largest deviation from the fundamental"),
-)
 
 
 def recordings_table(measures: RecordingMeasures) -> Table:
@@ -78,36 +58,6 @@ def recordings_table(measures: RecordingMeasures) -> Table:
 
 def _sheet(title: str, rows: list[tuple[str, str, str]]) -> Table:
     return Table(title, ("measure", "value", "definition"), rows)
-
-
-def measurement_table(measured: Measurement) -> Table:
-    """Every measure of a session with its definition."""
-    case, dof = measured.case, measured.case.dof
-    unit, (turn, size) = dof_unit(dof), by_kind(dof, ("m/s^2", 1.0), ("deg/s^2", units.DEGREE))
-    found = vars(measured) | {"coherence": measured.response.coherence.min()}
-    stable = str(measured.measures.stable)
-    rows = [
-        ("stable", stable, "legs at rest or decaying 12 s after the step"),
-        *lines(found, (*RESPONSE, *STEP)),
-        *lines(measured.qualities, QUALITIES),
-    ]
-    for at in measured.describing_function:
-        where = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
-        value = f"{number(at.gain_db, '.2f dB')}, {number(at.phase_deg, '.1f deg')}"
-        rows.append((f"describing function, {where}", value, "fundamental over the demand"))
-    for amplitude, noise in measured.half_hertz_noise:
-        name = f"half-hertz noise, {units.from_si(unit, amplitude):.3g} {unit}"
-        total = f"{100.0 * noise.total:.2f} %"
-        rows += [(name, total, "acceleration, all of the below"), *lines(noise, NOISE)]
-    for point in measured.threshold:
-        name = f"dynamic threshold, {point.acceleration / size:.3g} {turn}"
-        rows.append((name, f"{1e3 * point.time:.1f} ms", "to 63 % of the step"))
-    for other, value in zip(DOFS, measured.crosstalk[DOFS.index(dof)], strict=True):
-        if other != dof:
-            text = f"{100.0 * value:.2f} %" if dof_unit(other) == unit else f"{value:.4f} SI"
-            rows.append((f"crosstalk into {other}", text, "acceleration at 1 Hz, rms over rms"))
-    machine = " ".join(filter(None, (case.plant, case.cab_name, case.hydraulics.name)))
-    return _sheet(f"{case.law.name} in {dof}, {machine}", rows)
 
 
 def response_figure(title: str, name: str, response: FrequencyResponse) -> Figure:
@@ -147,184 +97,170 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
     return look.save_files(files | {"summary.json": measures.summary()}, folder)
 
 
-def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
-    """Write `response.csv`, `response.png` and `summary.json`."""
-    case, stable = measured.case, measured.measures.stable
-    title = f"Frequency response in {case.dof}, {case.law.title}" + ("" if stable else ", unstable")
-    figure = response_figure(title, measured.case.plant, measured.response)
-    files = _response_files(measured.response, figure)
-    return look.save_files(files | {"summary.json": measured.summary()}, folder)
+_STYLE = """@page { margin: 15mm } body { font: 10pt sans-serif; max-width: 180mm; margin: auto }
+table { border-collapse: collapse; font-size: 8pt; margin: 1em 0 } figure { margin: 0 }
+td, th { border: 1px solid #bbb; padding: 2px 6px; text-align: left } img { width: 100% }
+section, figure, tr { break-inside: avoid } caption { text-align: left; font-weight: bold }"""
 
 
-CONFIDENCE = 0.95  #: Probability of bands.
-
-_LISTED = 8  # orders
-_WINDOW = 10.0  # length of the fit's figure [s]
-
-
-ORDERS = (
-    *(Field(name, form="d", of=f"orders.{name}") for name in ("na", "nb", "nk")),
-    Field("parameters", form="d"),
-    Field("loss", form=".3g"),
-    Field("aic", "AIC", ".0f"),
-    Field("bic", "BIC", ".0f"),
-    Field("fit", "validation fit", ".2f %"),
-)
-
-
-def orders_table(result: Identified) -> Result[Candidate]:
-    """The best ARX orders of the grid by validation fit, with AIC and BIC."""
-    candidates = []
-    if result.selection is not None:
-        best = sorted(result.selection.candidates, key=lambda c: -c.fit)[:_LISTED]
-        candidates = list(dict.fromkeys([*best, result.selection.best()]))
-    return Result(candidates, ORDERS, "ARX orders")
+def page(title: str, parts: Sequence[Table | str | Path]) -> str:
+    """A page that prints: tables, text, and pictures beside it by their names."""
+    body = []
+    for part in parts:
+        match part:
+            case Table():
+                rows = [f"<caption>{escape(part.title)}</caption>"]
+                for tag, cells in [("th", part.header), *(("td", row) for row in part.cells)]:
+                    row = "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells)
+                    rows.append(f"<tr>{row}</tr>")
+                body.append(f"<table>{''.join(rows)}</table>")
+            case Path():
+                body.append(f'<figure><img src="{escape(part.name)}" alt="{part.stem}"></figure>')
+            case text:
+                body.append(f"<p>{escape(text)}</p>")
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
+    whole = f"<!DOCTYPE html><html lang=en><head>{head}</head><body><h1>{escape(title)}</h1>"
+    return f"{whole}{''.join(body)}</body></html>\n"
 
 
-def _root_cells(root: Root, step: float) -> tuple[str, str, str]:
-    """Frequency [Hz], its standard deviation and the damping ratio of s = ln z / T."""
-    s = np.log(complex(root.value)) / step
-    # ds = dz / (z T); the modulus changes by the part of ds along s.
-    along = np.conj(s) / abs(s) / (root.value * step) if s != 0.0 else complex(np.nan, np.nan)
-    slope = np.array([along.real, -along.imag])
-    spread = np.sqrt(max(float(slope @ root.covariance @ slope), 0.0)) / (2.0 * np.pi)
-    damping = -s.real / abs(s) if s != 0.0 else float("nan")
-    hertz, damped = abs(s) / (2.0 * np.pi), number(damping, ".3f")
-    return f"{hertz:.3f} Hz", f"{spread:.3f} Hz", f"damping ratio {damped}"
+def overplot(master: Master, new: Master | None, name: str) -> Figure:
+    """A test along the axis that moves most: motion, acceleration, and both less the master's mean.
 
-
-def model_table(result: Identified) -> Table:
-    """Model, fits, poles and zeros with standard errors, residuals and closed loop."""
-    model, loop = result.model, result.loop
-    ended = "" if model.converged else "the iteration has not ended; try other orders"
-    rows = [
-        ("fit, estimation", f"{result.estimation_fit:.2f} %", "", ended),
-        ("fit, validation", f"{result.validation_fit:.2f} %", "", "NRMSE, simulated"),
-    ]
-    rows += [
-        (kind, *_root_cells(root, model.step))
-        for kind, roots in (("pole", model.poles()), ("zero", model.zeros()))
-        for root in roots
-        if root.value.imag >= 0.0 and root.value != 0.0
-    ]
-    rows += [
-        (f"pole, {name}", f"{abs(pole):.5f}", "", "modulus in the z plane")
-        for name, poles in (("unstable", model.unstable_poles), ("reflected", model.reflected))
-        for pole in poles
-    ]
-    outside = 100.0 * result.residuals.cross_outside[0]
-    note = "correlation with past commands beyond 99 % bounds"
-    rows.append(("residuals", f"{outside:.0f} % of lags", "", note))
-    misfit = f"{100.0 * result.continuous.misfit:.2f} %"
-    rows.append(("continuous model", misfit, "", "misfit to the discrete"))
-    if loop is not None:
-        for label, name, form, error in (
-            ("-90 deg", "phase_bandwidth_hz", ".3f Hz", loop.phase_error),
-            ("-3 dB", "gain_bandwidth_hz", ".3f Hz", loop.gain_error),
-            ("damping ratio", "damping_ratio", ".3f", None),
-            ("rise time", "rise_time", ".3f s", None),
-        ):
-            mine, theirs = (number(getattr(side, name), form) for side in loop)
-            off = "" if error is None else f", error {number(100.0 * error, '+.1f %')}"
-            off += f", law {result.law}" if off else ""
-            rows.append((f"closed loop, {label}", mine, "", f"measured {theirs}{off}"))
-    title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
-    return Table(title, ("quantity", "value", "standard error", "note"), rows)
-
-
-def fit_figure(result: Identified) -> Figure:
-    """Measured and simulated output of the validation run, and their difference."""
-    run = result.validation
-    unit = run.output_units[0]
-    labels = (f"{run.output_names[0]} [{unit}]", f"difference [{unit}]")
-    figure, (top, bottom) = look.stack(9.0, 5.5, *labels, ratios=(3, 1))
-    time = np.arange(run.samples) * run.step
-    modelled, measured = simulated(result.model, run)[:, 0], run.output[:, 0]
-    middle = max(0.5 * (time[-1] - _WINDOW), 0.0)
-    inside = (time >= middle) & (time <= middle + _WINDOW)
-    fit = float(fit_percentage(measured, modelled)[0])
-    top.plot(time[inside], measured[inside], color=look.DARK, label="measured")
-    top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=f"model, {fit:.1f} %")
-    bottom.plot(time[inside], (measured - modelled)[inside], color=look.BLUE)
-    top.set_title(f"Motion of the validation run, {result.axis}")
-    look.legend(figure)
-    return figure
-
-
-def residual_figure(residuals: Residuals, step: float) -> Figure:
-    """Auto- and cross-correlation of the residuals with their 99 % bounds."""
-    figure, (auto, cross) = look.stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
-    for axis, values, bound, title in (
-        (auto, residuals.auto, residuals.auto_bound, "Correlation of the residual with itself"),
-        (
-            cross,
-            residuals.cross[0],
-            residuals.cross_bound[0],
-            "Correlation of the residual with past command",
-        ),
-    ):
-        axis.axhspan(-bound, bound, color=look.BLUE, alpha=0.15, label="99 % of a right model")
-        axis.vlines(residuals.lags * step, 0.0, values, color=look.DARK, linewidth=1.2)
-        axis.axhline(0.0, color=look.DARK, linewidth=0.8)
-        axis.set_title(title)
-    look.legend(figure)
-    return figure
-
-
-def model_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
-    """Bode plot of the model with its 95 % band, and the measured response."""
-    figure, gain, phase = look.bode_axes(
-        f"Frequency response, {model.input_names[0]} to {model.output_names[0]}"
+    Of translations if any moves; the band is twice the deviation of the master's repetitions.
+    """
+    records = master.records[name]
+    machine, time = master.bench.plant.machine, records[0].time
+    demand = legs_to_pose(records[0]["leg_reference"], machine)
+    reach = np.ptp(demand, axis=0)
+    axis = (
+        int(np.argmax(reach[:3]))
+        if reach[:3].max() > 0.1 * reach[3:].max()
+        else 3 + int(np.argmax(reach[3:]))
     )
-    highest = 0.4 / model.step if response is None else float(response.frequency[-1])
-    frequency = np.geomspace(0.1, min(highest, 0.45 / model.step), 300)
-    g = model.response(frequency)[:, 0, 0]
-    curve = FrequencyResponse(g, 2.0 * np.pi * frequency, np.ones(g.size))
-    covariance = model.response_covariance(frequency)
-    # Along and across the response: gain and phase.
-    unit = g / np.abs(g)
-    along = np.stack([unit.real, unit.imag], axis=1)
-    across = np.stack([-unit.imag, unit.real], axis=1)
-    point = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
-    wide, turn = (
-        point * np.sqrt(np.clip(np.einsum("ki,kij,kj->k", v, covariance, v), 0.0, None)) / np.abs(g)
-        for v in (along, across)
-    )
-    if response is not None:
-        measured, at = response.phase_deg, response.frequency
-        ahead = np.interp(1.0, at, measured) - np.interp(1.0, frequency, curve.phase_deg)
-        style: dict[str, Any] = {"color": look.GREY, "markersize": 3, "label": "measured"}
-        gain.plot(at, response.gain_db, ".", **style)
-        phase.plot(at, measured - 360.0 * np.round(ahead / 360.0), ".", **style)
-    look.plot_bode(gain, phase, curve, color=look.ORANGE, label=model.method)
-    band = np.minimum(turn, np.pi)
-    look.plot_band(gain, phase, curve, wide, band, color=look.ORANGE, label="95 % band")
+    unit = by_kind(DOFS[axis], "m", "rad")
+    labels = (f"{DOFS[axis]} [{unit}]", f"now less master [{unit}]", f"acceleration [{unit}/s^2]")
+    figure, axes = look.stack(8.0, 6.5, *labels)
+
+    def histories(of: Master) -> Any:
+        moved = [legs_to_pose(one["leg_position"], machine)[:, axis] for one in of.records[name]]
+        felt = [accelerations(one)[:, axis] for one in of.records[name]]
+        count = min(len(time), *map(len, moved))
+        return tuple(np.array([one[:count] for one in many]) for many in (moved, felt))
+
+    moved, felt = histories(master)
+    count = moved.shape[1]
+    at, mean = time[:count], moved.mean(axis=0)
+    spread = 2.0 * np.sqrt(((moved - mean) ** 2).sum(axis=0) / max(1, len(moved) - 1))
+    axes[0].plot(at, demand[:count, axis], color=look.GREY, lw=0.8, label="demand")
+    axes[0].plot(at, mean, color=look.DARK, label="master")
+    axes[1].fill_between(at, -spread, spread, color=look.BLUE, alpha=0.3, label="repetitions")
+    axes[2].plot(at, felt.mean(axis=0), color=look.DARK)
+    if new is not None:
+        for one, other in zip(*histories(new), strict=True):
+            n = min(count, len(one))
+            axes[0].plot(at[:n], one[:n], "--", color=look.ORANGE, lw=0.9, label="now")
+            axes[1].plot(at[:n], one[:n] - mean[:n], color=look.ORANGE, lw=0.7)
+            axes[2].plot(at[:n], other[:n], "--", color=look.ORANGE, lw=0.9)
+    said = master.bench.of[name].title.lower()
+    axes[0].set_title(f"Motion in {DOFS[axis]}, {said} ({name.replace('_', ' ')})")
     look.legend(figure)
     return figure
 
 
-def save_identification(result: Identified, folder: Path) -> list[Path]:
-    """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
-    model, rational, loop = result.model, result.continuous.rational, result.loop
-    errors = loop and {"phase_error": loop.phase_error, "gain_error": loop.gain_error}
-    files = {
-        "model.json": {
-            "axis": result.axis,
-            "law": result.law,
-            "estimation_fit": result.estimation_fit,
-            "validation_fit": result.validation_fit,
-            **vars(model),
-            "standard_errors": model.standard_errors(),
-            "unstable_poles": model.unstable_poles,
-            "continuous": {
-                "numerator": rational.num[0][0],
-                "denominator": rational.den[0][0],
-                "misfit": result.continuous.misfit,
-            },
-            "closed_loop": loop and loop._asdict() | (errors or {}),
-        },
-        "fit.png": fit_figure(result),
-        "residuals.png": residual_figure(result.residuals, model.step),
-        "bode.png": model_figure(model, result.response),
-    }
-    return look.save_files(files, folder)
+def _about(master: Master) -> list[Table | str]:
+    """What a guide is, on which machine, and its recordings."""
+    guide, on = master.head.guide, master.bench
+    known = ", ".join(f"{key} {value}" for key, value in on.known.items())
+    made = "simulated with noisy electronics" if master.head.simulated else "recorded"
+    rows = []
+    for name, one in on.of.items():
+        limit = ", ".join(f"{k} up to {v:g}" for k, v in one.limits.items()) or (
+            f"none: {one.no_limit}"
+        )
+        why = master.head.aborted.get(name)
+        done = f"aborted: {why}" if why else str(len(master.records.get(name, ())))
+        rows.append((name, one.source, one.conditions, f"{on.use[name]:.0%}", done, limit))
+    rows += [(name, "", "", "", why, "") for name, why in on.impossible.items()]
+    rows += [
+        (name, "", "", "", f"set aside: {why}", "") for name, why in master.head.set_aside.items()
+    ]
+    columns = ("test", "source", "conditions", "use of limits", "repetitions", "limit")
+    return [
+        f"{guide.source}. {known}; {made} by version {master.head.version}.",
+        Table("Tests", columns, rows),
+    ]
+
+
+def save_master(master: Master, again: int = 2) -> list[Path]:
+    """Write `guide.html`, `measures.csv` and a picture a test; `again` repetitions are checked."""
+    guide, rows, pictures = master.head.guide, [], {}
+    share = guide.false_alarm / (2.0 * len(master.records))
+    for name in master.records:
+        found = master.measured(name, master.mean(name))
+        n = len(found)
+        for measure in found[0]:
+            values = np.array([one[measure] for one in found])
+            spread = float(values.std(ddof=1)) if n > 1 else float("nan")
+            seen = float("nan")
+            if n > 1 and measure != REPEATABLE:
+                seen = spread * smallest(n, again, share / max(1, len(found[0]) - 1))
+            rows.append((name, measure, float(values.mean()), spread, seen))
+        pictures[f"{name}.png"] = overplot(master, None, name)
+    head = f"change found with 90 % by {again} repetitions"
+    columns = ("test", "measure", ("mean", ".4g"), ("deviation", ".2g"), (head, ".2g"))
+    table = Table("Measures of the repetitions", columns, rows)
+    files = Table("Recordings", ("file", "digest"), list(master.head.digests.items()))
+    return _saved(
+        guide.title,
+        master.folder,
+        [*_about(master), table],
+        pictures,
+        {"measures.csv": table},
+        files,
+    )
+
+
+def _saved(
+    title: str, folder: Path, parts: Any, pictures: Any, tables: Any, *last: Any
+) -> list[Path]:
+    whole = [*parts, *map(Path, pictures), *last]
+    printed = partial(write_text, text=page(title, whole))
+    return look.save_files({**pictures, **tables, "guide.html": printed}, folder)
+
+
+def compared_table(rows: Sequence[Compared]) -> Result[Compared]:
+    """Every measure of every test beside the master's."""
+    return Result(rows, fields_of(Compared), "Measures against the master's")
+
+
+def verdict_table(rows: Sequence[Compared]) -> Table:
+    """Each test with the worst that its measures say."""
+    names = list(dict.fromkeys(row.test for row in rows))
+    found = []
+    for name in names:
+        mine = [row for row in rows if row.test == name]
+        odd = [row for row in mine if row.verdict != "as before"]
+        said = "; ".join(dict.fromkeys(row.verdict for row in odd)) or "as before"
+        found.append((name, said, ", ".join(row.measure for row in odd[:4])))
+    return Table("Verdicts", ("test", "verdict", "because of"), found)
+
+
+def causes_table(causes: Sequence[Cause]) -> Result[Cause]:
+    """What most probably changed."""
+    return Result(causes, fields_of(Cause), "What most probably changed")
+
+
+def save_check(
+    master: Master, new: Master, rows: Sequence[Compared], causes: Sequence[Cause], folder: Path
+) -> list[Path]:
+    """Write `guide.html`, `check.csv`, `causes.csv` and an over-plot a test."""
+    both = [name for name in master.records if name in new.records]
+    pictures = {f"{name}.png": overplot(master, new, name) for name in both}
+    compared = compared_table(rows)
+    tables: dict[str, Any] = {"check.csv": compared}
+    parts: list[Any] = [f"{new.folder} against {master.folder}", verdict_table(rows)]
+    if causes:
+        parts.append(causes_table(causes).table)
+        tables["causes.csv"] = causes_table(causes)
+    title = f"{master.head.guide.title}: check"
+    return _saved(title, folder, [*parts, compared.table], pictures, tables)

@@ -330,7 +330,8 @@ _KINDS: tuple[type[Signal], ...] = (
 `ScenarioSignal` of `facility/signal.py`, since some have other defaults there.
 `OrthogonalMultisines` is not in it: it is made by studies that measure all degrees of freedom in
 one run, not by scenario files."""
-_BY_NAME = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in _KINDS}
+KINDS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in _KINDS}
+"""The same by the name of their kind."""
 
 
 def signal_of(description: Mapping[str, Any]) -> Signal:
@@ -339,7 +340,7 @@ def signal_of(description: Mapping[str, Any]) -> Signal:
     `Other` where the kind is not known, or where the description is not whole.
     """
     table = plain({"kind": ""} | dict(description))
-    kind = _BY_NAME.get(table["kind"], Other)
+    kind = KINDS.get(table["kind"], Other)
     known = {name: value for name, value in table.items() if name in kind.model_fields}
     try:
         return validated(kind, known if kind is not Other else table, "command")

@@ -1,123 +1,56 @@
-"""A measuring session on a plant, and recordings, in the field's measures.
+"""What is measured of one record, and of recordings, in the field's measures.
 
-Each measure is one or more runs of the closed loop and one function of `metrics`. Everything is
-taken from DCL leg demand to leg sensors, mapped to the degree of freedom; host and DCU are outside.
-Accelerations are those of the platform centroid, from the leg sensors through the Jacobian.
+`MEASURES` are functions of a record that know its excitation: each is one function of `metrics` at
+what the excitation says. Everything is taken from DCL leg demand to leg sensors, mapped to the
+degree of freedom; host and DCU are outside. Accelerations are those of the platform centroid.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
-from cmf_mj import signals
 from cmf_mj.analysis import metrics
 from cmf_mj.analysis.frequency_response import (
     FrequencyResponse,
     bandwidths,
     frequency_response,
+    matrix_frequency_response,
     rounds_response,
 )
 from cmf_mj.analysis.measurable import CLEAR, EXCITED_SHARE, demand_share, dof_history
-from cmf_mj.analysis.measures import Measures, joined, step_metrics
-from cmf_mj.analysis.metrics import correlation_delay
+from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import legs_to_pose
-from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.machine.machine import Machine, recorded_machine
 from cmf_mj.machine.models import CMF
-from cmf_mj.plant.plant import Plant
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command
-from cmf_mj.studies.case import Case, Qualities, dof_amplitude, qualities
+from cmf_mj.signals.signal import Command, Dwell
+from cmf_mj.studies.case import Case, dof_amplitude
 
-HALF_HERTZ = 0.5  #: Frequency of the half-hertz noise [Hz].
+Array = NDArray[np.float64]
+Lines = NDArray[np.int64]
+Values = dict[str, float]  #: Measures by name, which ends in their unit.
 
-SLOW = 0.01  #: Frequency of the hysteresis run [Hz].
+SIGNED = ("leg_position", "valve_command", "cap_pressure", "rod_pressure")
+"""Channels of a signature, where they are recorded."""
 
-CROSSTALK = 1.0  #: Frequency of the crosstalk runs [Hz].
+_BANDS = np.geomspace(0.03, 30.0, 15)  # of a signature's lines [Hz]
+_DRIVEN = 1e-3  # amplitude of a line over the largest, from which on it is one
 
+CROSSTALK = 1.0  #: Frequency at which crosstalk is read [Hz].
 
-class Described(NamedTuple):
-    """One point of the describing function."""
-
-    frequency_hz: float
-    amplitude: float  #: Of the demand [m or rad].
-    gain_db: float
-    phase_deg: float
-
-
-class Threshold(NamedTuple):
-    """One point of the dynamic threshold."""
-
-    acceleration: float  #: Size of the acceleration step [m/s^2 or rad/s^2].
-    time: float  #: To 63 % of it [s]; NaN if never.
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """All measures of one law on one plant in one degree of freedom."""
-
-    case: Case
-    response: FrequencyResponse
-    measures: Measures  #: Of the sweep and the step; NaN where the step rings on.
-    second_order: metrics.SecondOrder | None
-    """Fitted to the response; None where the step rings on."""
-    transport_delay: float  #: Of the sweep, by cross-correlation [s].
-    describing_function: tuple[Described, ...]
-    half_hertz_noise: tuple[tuple[float, metrics.MotionNoise], ...]
-    """Demand amplitude [m or rad] and its noise."""
-    hysteresis: float  #: Loop width over peak-to-peak, fraction.
-    threshold: tuple[Threshold, ...]
-    crosstalk: NDArray[np.float64]
-    """Accelerations over the driven one at 1 Hz, (6, 6), a row a driven degree of freedom; rad/s^2
-    per m/s^2 or the reverse across kinds."""
-    qualities: Qualities  #: What compares laws.
-
-    def summary(self) -> dict[str, Any]:
-        """Everything but the response curve, by name."""
-        case = self.case
-        return {
-            "plant": case.plant,
-            "cab": case.cab_name,
-            "hydraulics": case.hydraulics.name,
-            "law": case.law.name,
-            "dof": case.dof,
-            "amplitude": case.size,
-            "measures": self.measures,
-            "qualities": self.qualities,
-            "second_order": self.second_order,
-            "transport_delay": self.transport_delay,
-            "describing_function": self.describing_function,
-            "half_hertz_noise": [
-                {"amplitude": size, **noise._asdict()} for size, noise in self.half_hertz_noise
-            ],
-            "hysteresis": self.hysteresis,
-            "dynamic_threshold": self.threshold,
-            "crosstalk": {
-                driven: dict(zip(DOFS, row, strict=True))
-                for driven, row in zip(DOFS, self.crosstalk, strict=True)
-            },
-        }
-
-
-def dof_accelerations(record: Record) -> NDArray[np.float64]:
-    """Acceleration of the platform pose from the leg sensors, (N, 6) [m/s^2, rad/s^2]."""
-    machine = recorded_machine(record.metadata)
-    pose = legs_to_pose(record["leg_position"], machine)
-    legs = (record["leg_velocity"], record["leg_acceleration"])
-    return leg_motion_to_pose(pose, *legs, machine).acceleration
+SMOOTH = 10.0  #: Frequency below which positions are differentiated to accelerations [Hz].
 
 
 def session_commands(
@@ -140,95 +73,193 @@ def facility_session(case: Case) -> list[Record]:
     return on_threads(case.run, session_commands(case.dof, case.size, case.on))
 
 
-def _whole_cycles(record: Record, frequency: float, cycles: int) -> slice:
-    """The last samples before the fade-out that make up whole cycles."""
-    fade = round(1.0 * record.rate)
-    count = round(cycles * record.rate / frequency)
-    end = record.time.size - fade
-    return slice(end - count, end)
-
-
-def _demand_and_position(
-    record: Record, dof: str, part: slice = slice(None)
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def demand_and_position(record: Record, dof: str, part: slice = slice(None)) -> tuple[Array, Array]:
+    """Demand and motion along a degree of freedom, of some samples."""
     demand, position = (
         dof_history(record, name, dof) for name in ("leg_reference", "leg_position")
     )
     return demand[part], position[part]
 
 
-def measure(
-    case: Case,
-    *,
-    frequencies: Sequence[float] = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
-    shares: Sequence[float] = (0.25, 1.0, 4.0),
-) -> Measurement:
-    """Run a whole measuring session.
+def _dwelt(record: Record) -> Iterator[tuple[Dwell, str, slice]]:
+    """Dwells of a record of single sines, what each is called, and its samples."""
+    per_frame, command = record.rate / record.signal.rate, record.excitation
+    many = len({dwell.amplitude for dwell in command.dwells}) > 1
+    for dwell in command.dwells:
+        first = int(np.ceil(dwell.start * per_frame))
+        size = f" {1e3 * dwell.amplitude:.3g} {by_kind(command.axis, 'mm', 'mrad')}" if many else ""
+        part = slice(first, first + round(dwell.cycles * record.rate / dwell.frequency))
+        yield dwell, f"{dwell.frequency:g} Hz{size}", part
 
-    `frequencies` of the describing function are in Hz; `shares` are its amplitudes, and those of
-    the half-hertz noise, over that of the sweep.
+
+def accelerations(record: Record) -> Array:
+    """Acceleration of the platform below `SMOOTH`, (N, 6) [m/s^2, rad/s^2], from leg positions.
+
+    Any recording has them: low-passed without phase, they are differentiated twice.
     """
-    plant = case.build()
-    sizes = [share * case.size for share in shares]
-    sweep, step = case.sweep_and_step(plant)
-    response = frequency_response(sweep)
-    measures = joined(bandwidths(response), step_metrics(step))
-    fitted = metrics.fit_second_order if measures.stable else lambda *_: None
-    points, swept = product(frequencies, sizes), (case.dof, case.size, measures.phase_bandwidth_hz)
-    return Measurement(
-        case=case,
-        response=response,
-        measures=measures,
-        second_order=fitted(response.frequency, response.response),
-        transport_delay=correlation_delay(*_demand_and_position(sweep, case.dof), sweep.rate),
-        describing_function=tuple(_describe(case, plant, *point) for point in points),
-        half_hertz_noise=tuple((size, _half_hertz_noise(case, plant, size)) for size in sizes),
-        hysteresis=_hysteresis(case, plant),
-        threshold=tuple(_thresholds(case, plant)),
-        crosstalk=np.array([_crosstalk(case, plant, driven) for driven in DOFS]),
-        qualities=qualities(plant, case.law, [swept])[0],
-    )
+    machine = recorded_machine(record.metadata)
+    top = min(SMOOTH, 0.4 * record.rate)
+    sections = butter(4, top, fs=record.rate, output="sos")
+    pose = sosfiltfilt(sections, legs_to_pose(record["leg_position"], machine), axis=0)
+    return np.asarray(np.gradient(np.gradient(pose, axis=0), axis=0) * record.rate**2)
 
 
-def _describe(case: Case, plant: Plant, frequency: float, size: float) -> Described:
-    """A point of the describing function, from a sine."""
-    command = signals.sine(case.dof, size, frequency, cycles=4.0 + 4.0 * frequency)
-    record = case.run(command, plant)
-    part = _whole_cycles(record, frequency, max(1, int(2.0 * frequency)))
-    demand, position = _demand_and_position(record, case.dof, part)
-    value = metrics.describing_function(demand, position, record.rate, frequency)
-    gain, phase = 20.0 * np.log10(abs(value)), np.degrees(np.angle(value))
-    return Described(frequency, size, float(gain), float(phase))
+def _responses(record: Record) -> Values:
+    """-90 deg, -3 dB and peak of what is driven; of six at once also the crosstalk at 1 Hz."""
+    command = record.excitation
+    if not isinstance(command, composite.OrthogonalMultisines):
+        return _bandwidths(command.axis, frequency_response(record))
+    found: Values = {}
+    matrix = matrix_frequency_response(record)
+    lines, response = np.asarray(matrix.omega) / (2.0 * np.pi), np.asarray(matrix.frdata)
+    for place, dof in enumerate(DOFS):
+        own = response[place, place]
+        known = np.isfinite(own)
+        found |= _bandwidths(dof, FrequencyResponse(own[known], matrix.omega[known], known[known]))
+        near = int(np.argmin(np.where(known, np.abs(lines - CROSSTALK), np.inf)))
+        row = np.abs(response[:, place, near])
+        alike = [i for i in range(6) if i != place and i // 3 == place // 3]
+        found[f"{dof} crosstalk [%]"] = 100.0 * float(row[alike].max() / row[place])
+    return found
 
 
-def _half_hertz_noise(case: Case, plant: Plant, size: float) -> metrics.MotionNoise:
-    record = case.run(signals.sine(case.dof, size, HALF_HERTZ, cycles=8.0), plant)
-    part = _whole_cycles(record, HALF_HERTZ, 4)
-    moved = dof_accelerations(record)[part, DOFS.index(case.dof)]
-    return metrics.acceleration_noise(moved, record.rate, HALF_HERTZ)
+def _bandwidths(dof: str, response: FrequencyResponse) -> Values:
+    of = bandwidths(response)
+    named = {"-90 deg [Hz]": of.phase_hz, "-3 dB [Hz]": of.gain_hz, "peak [dB]": of.peak_db}
+    return {f"{dof} {name}": value for name, value in named.items()}
 
 
-def _hysteresis(case: Case, plant: Plant) -> float:
-    record = case.run(signals.sine(case.dof, case.size, SLOW, cycles=2.0), plant)
-    part = _whole_cycles(record, SLOW, 1)
-    return metrics.hysteresis(*_demand_and_position(record, case.dof, part), record.rate, SLOW)
+def _steps(record: Record) -> Values:
+    """Overshoot, rise and settling of a step."""
+    step = step_metrics(record)
+    shares = {"overshoot [%]": 100.0 * step.overshoot, "rise [s]": step.rise_time}
+    return {f"{record.signal.axis} {k}": float(v) for k, v in shares.items()}
 
 
-def _thresholds(case: Case, plant: Plant) -> Iterator[Threshold]:
-    unit = by_kind(case.dof, 1.0, units.DEGREE * 5.0)
-    for size in (0.05 * unit, 0.1 * unit, 0.5 * unit):
-        command = composite.acceleration_step(case.dof, size, hold=0.5)
-        record = case.run(command, plant, rate=512)
-        reached = dof_accelerations(record)[:, DOFS.index(case.dof)]
-        yield Threshold(size, metrics.dynamic_threshold(reached, record.rate, size, 1.0))
+def _described(record: Record) -> Values:
+    """Gain and phase of the describing function at each dwell."""
+    found: Values = {}
+    dof = record.signal.axis
+    for dwell, name, part in _dwelt(record):
+        pair = demand_and_position(record, dof, part)
+        value = metrics.describing_function(*pair, record.rate, dwell.frequency)
+        found[f"{dof} {name} gain [dB]"] = 20.0 * float(np.log10(abs(value)))
+        found[f"{dof} {name} phase [deg]"] = float(np.degrees(np.angle(value)))
+    return found
 
 
-def _crosstalk(case: Case, plant: Plant, driven: str) -> NDArray[np.float64]:
-    """Accelerations in all degrees of freedom while one is driven, (6,)."""
-    size = case.size / dof_amplitude(case.dof) * dof_amplitude(driven)
-    record = case.run(signals.sine(driven, size, CROSSTALK, cycles=10.0), plant)
-    moved = dof_accelerations(record)[_whole_cycles(record, CROSSTALK, 6)]
-    return metrics.acceleration_crosstalk(moved, DOFS.index(driven))
+def _balance(record: Record) -> Values:
+    """Largest difference of two legs in phase and gain, at each dwell."""
+    found: Values = {}
+    for dwell, name, part in _dwelt(record):
+        legs = [
+            metrics.describing_function(one, other, record.rate, dwell.frequency)
+            for one, other in zip(
+                record["leg_reference"][part].T, record["leg_position"][part].T, strict=True
+            )
+        ]
+        found[f"{name} phase between legs [deg]"] = float(np.degrees(np.ptp(np.angle(legs))))
+        found[f"{name} gain between legs [dB]"] = float(np.ptp(20.0 * np.log10(np.abs(legs))))
+    return found
+
+
+def _noise(record: Record) -> Values:
+    """Acceleration noise of each dwell in its parts, shares of the fundamental [%]."""
+    found: Values = {}
+    dof = record.signal.axis
+    moved = accelerations(record)[:, DOFS.index(dof)]
+    for dwell, name, part in _dwelt(record):
+        noise = metrics.acceleration_noise(moved[part], record.rate, dwell.frequency)
+        for share in ("low_harmonics", "high_harmonics", "stochastic", "peak"):
+            title = share.replace("_", " ")
+            found[f"{dof} {name} {title} [%]"] = 100.0 * getattr(noise, share)
+    return found
+
+
+def _bump(record: Record) -> Values:
+    """Largest deviation of the acceleration from its fundamental at each dwell [g].
+
+    A turn-around shows as a bump where the velocity changes its sign.
+    """
+    found: Values = {}
+    dof = record.signal.axis
+    moved = accelerations(record)[:, DOFS.index(dof)]
+    for dwell, name, part in _dwelt(record):
+        noise = metrics.acceleration_noise(moved[part], record.rate, dwell.frequency)
+        size = noise.peak * noise.fundamental / units.STANDARD_GRAVITY
+        found[f"{dof} {name} bump [{by_kind(dof, 'g', 'rad/s^2 over g')}]"] = size
+    return found
+
+
+def _loop_width(record: Record) -> Values:
+    """Hysteresis of each dwell [%]."""
+    dof = record.signal.axis
+    return {
+        f"{dof} {name} hysteresis [%]": 100.0
+        * metrics.hysteresis(*demand_and_position(record, dof, part), record.rate, dwell.frequency)
+        for dwell, name, part in _dwelt(record)
+    }
+
+
+def _delay(record: Record) -> Values:
+    """Lag of the motion behind the demand [s], by correlation, of all that is driven."""
+    found: Values = {}
+    for dof in DOFS:
+        demand, position = demand_and_position(record, dof)
+        if np.ptp(demand) > 1e-6:
+            delay = metrics.transient_delay(demand - demand[0], position, record.rate)
+            found[f"{dof} delay [s]"] = delay
+    return found
+
+
+def _threshold(record: Record) -> Values:
+    """Dynamic threshold of an acceleration step [s]."""
+    step = record.signal_as(composite.AccelerationStep)
+    moved = accelerations(record)[:, DOFS.index(step.dof)]
+    size, begin = step.acceleration, step.at
+    time = metrics.dynamic_threshold(moved, record.rate, size, begin)
+    return {f"{step.dof} {size:.3g} threshold [s]": time}
+
+
+MEASURES: dict[str, Callable[[Record], Values]] = {
+    "response": _responses,
+    "step": _steps,
+    "describing_function": _described,
+    "leg_balance": _balance,
+    "acceleration_noise": _noise,
+    "bump": _bump,
+    "hysteresis": _loop_width,
+    "delay": _delay,
+    "dynamic_threshold": _threshold,
+}
+"""What may be measured of one record, each several numbers by name with their unit."""
+
+
+def lines_of(demand: Array, rate: float) -> Lines:
+    """Lines of a demand (N, n) that a signature has, as multiples of rate / N.
+
+    The strongest of each of 14 bands up to 30 Hz, and twice and three times the strongest of all.
+    """
+    size = np.abs(np.fft.rfft(demand - demand.mean(axis=0), axis=0)).sum(axis=1)
+    size[0] = 0.0
+    frequency = np.arange(size.size) * rate / len(demand)
+    found = {int(size.argmax()) * k for k in (1, 2, 3)}
+    for low, high in zip(_BANDS[:-1], _BANDS[1:], strict=True):
+        inside = np.flatnonzero((frequency >= low) & (frequency < high))
+        if inside.size and size[inside].max() > _DRIVEN * size.max():
+            found.add(int(inside[size[inside].argmax()]))
+    return np.array(sorted(k for k in found if k < size.size))
+
+
+def signature(record: Record, lines: Lines) -> dict[str, Array]:
+    """Means, real and imaginary parts at lines by channel, (1 + 2 lines, legs)."""
+    found = {}
+    for name in SIGNED:
+        if name in record.channels:
+            spectrum = np.fft.rfft(record[name], axis=0)[[0, *lines]] / len(record.time)
+            parts = [spectrum[:1].real, 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag]
+            found[name] = np.concatenate(parts)
+    return found
 
 
 class RecordingMeasures(NamedTuple):

@@ -116,7 +116,6 @@ def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:
         ("capacity",),
         ("failure", "pump_lost"),
         ("run", "heave_sine"),
-        ("measure", "--simulate"),
         ("linearize",),
         ("measure", "--record"),
         ("video",),

@@ -1,85 +1,53 @@
-"""A measuring session against what is known of the plant without it."""
-
-import csv
-import io
-import json
-from pathlib import Path
+"""What is measured of one record against what is known of the plant without it."""
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from cmf_mj import SingleLegs, signals, simulate
+from cmf_mj import SingleLegs, frequency_response, signals, simulate
 from cmf_mj.core.units import RATE
-from cmf_mj.machine.kinematics import legs_to_pose
-from cmf_mj.show.look import plain_data
-from cmf_mj.show.measurement import measurement_table, save_measurement
-from cmf_mj.signals.composite import acceleration_step
-from cmf_mj.studies.case import make_case
-from cmf_mj.studies.measurement import Measurement, dof_accelerations, measure
+from cmf_mj.record.record import Record
+from cmf_mj.signals.composite import acceleration_step, stepped_sines
+from cmf_mj.studies.case import AMPLITUDE
+from cmf_mj.studies.measurement import MEASURES, accelerations, lines_of, signature
+
+
+def run(command: signals.Command, every: int = 16) -> Record:
+    return simulate(SingleLegs(), "velocity", command, record_every=every)
 
 
 @pytest.fixture(scope="module")
-def session() -> Measurement:
-    case = make_case("velocity", "heave", "single_legs")
-    return measure(case, frequencies=(0.5, 2.0), shares=(0.25, 1.0))
+def dwells() -> Record:
+    return run(stepped_sines("heave", [0.5, 2.0], [AMPLITUDE], cycles=4))
 
 
-def test_describing_function_at_the_sweep_s_amplitude_is_its_response(
-    session: Measurement,
-) -> None:
-    """Single sines and the chirp measure the same thing: 0.1 dB and 1 deg."""
-    for point in session.describing_function:
-        if point.amplitude == session.case.size:
-            index = int(np.abs(session.response.frequency - point.frequency_hz).argmin())
-            assert point.gain_db == pytest.approx(session.response.gain_db[index], abs=0.1)
-            assert point.phase_deg == pytest.approx(session.response.phase_deg[index], abs=1.0)
+def test_describing_function_at_the_sweep_s_amplitude_is_its_response(dwells: Record) -> None:
+    """Single sines and a multisine measure the same thing: 0.1 dB and 1 deg."""
+    response = frequency_response(run(signals.multisine("heave", AMPLITUDE)))
+    found = MEASURES["describing_function"](dwells)
+    for hertz in (0.5, 2.0):
+        gain = np.interp(hertz, response.frequency, response.gain_db)
+        phase = np.interp(hertz, response.frequency, response.phase_deg)
+        assert found[f"heave {hertz:g} Hz gain [dB]"] == pytest.approx(gain, abs=0.1)
+        assert found[f"heave {hertz:g} Hz phase [deg]"] == pytest.approx(phase, abs=1.0)
 
 
-def test_second_order_fit_and_overshoot_agree_on_the_damping(session: Measurement) -> None:
-    """Two definitions of one thing; the loop is of higher order, so 0.05."""
-    assert session.second_order is not None
-    assert session.second_order.damping_ratio == pytest.approx(
-        session.measures.damping_ratio, abs=0.05
-    )
+def test_six_equal_legs_move_a_heave_alike_and_make_little_noise(dwells: Record) -> None:
+    balance = MEASURES["leg_balance"](dwells)
+    assert all(abs(value) < 1e-5 for value in balance.values())
+    noise = MEASURES["acceleration_noise"](dwells)
+    assert noise["heave 0.5 Hz stochastic [%]"] < 1.0
+    assert MEASURES["bump"](dwells)["heave 0.5 Hz bump [g]"] < 1e-3
 
 
-def test_hysteresis_is_the_lag_of_the_loop(session: Measurement) -> None:
+def test_hysteresis_is_the_lag_of_the_loop(dwells: Record) -> None:
     """No friction is modelled: what opens the loop is the low-frequency delay, from the phase of
     the describing function at 0.5 Hz: sin(2 pi 0.01 d), within a tenth."""
-    phase = next(p.phase_deg for p in session.describing_function if p.frequency_hz == 0.5)
+    phase = MEASURES["describing_function"](dwells)["heave 0.5 Hz phase [deg]"]
     delay = -np.radians(phase) / (2.0 * np.pi * 0.5)
+    slow = run(stepped_sines("heave", [0.01], [AMPLITUDE], cycles=1), every=64)
+    width = MEASURES["hysteresis"](slow)["heave 0.01 Hz hysteresis [%]"]
     gain = 47.0 / 50.48
-    assert session.hysteresis == pytest.approx(gain * np.sin(2e-2 * np.pi * delay), rel=0.1)
-
-
-def test_summary_is_json_with_every_measure(session: Measurement) -> None:
-    summary = json.loads(json.dumps(plain_data(session.summary()), allow_nan=False))
-    assert summary["law"] == "velocity"
-    for driven, row in summary["crosstalk"].items():
-        assert row[driven] == 1.0
-    assert summary["crosstalk"]["heave"]["surge"] < 1e-3  # six equal legs move a pure heave
-    assert summary["crosstalk"]["surge"]["sway"] < 1e-3  # and the machine is symmetric
-    assert [p["amplitude"] for p in summary["half_hertz_noise"]] == sorted(
-        p["amplitude"] for p in summary["half_hertz_noise"]
-    )
-
-
-def test_session_is_written_as_table_figures_and_files(
-    session: Measurement, tmp_path: Path, drawn: dict[str, set[str]]
-) -> None:
-    paths = save_measurement(session, tmp_path / "out")
-    assert [path.name for path in paths] == ["response.csv", "response.png", "summary.json"]
-    with paths[0].open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == session.response.frequency.size
-    assert set(drawn) == {"response.png"}
-    console = Console(width=120, record=True, file=io.StringIO())
-    console.print(measurement_table(session))
-    text = console.export_text()
-    for measure_name in ("-90 deg bandwidth", "half-hertz noise", "hysteresis", "crosstalk"):
-        assert measure_name in text
-    assert text.count("describing function") == len(session.describing_function)
+    assert width == pytest.approx(100.0 * gain * np.sin(2e-2 * np.pi * delay), rel=0.1)
 
 
 def test_acceleration_step_moves_at_constant_acceleration() -> None:
@@ -94,11 +62,40 @@ def test_acceleration_step_moves_at_constant_acceleration() -> None:
         acceleration_step("surge", 0.0, hold=0.5)
 
 
-def test_accelerations_from_the_legs_are_the_second_derivative_of_the_pose() -> None:
-    """Against the recorded legs' second difference, one step late as the sensor is."""
-    record = simulate(SingleLegs(), "velocity", signals.sine("pitch", 0.01, 1.0, cycles=3.0))
-    pose = legs_to_pose(record["leg_position"])
-    second = np.diff(pose, 2, axis=0) * RATE**2
-    measured = dof_accelerations(record)[2:]
-    scale = np.abs(second[:, 4]).max()
-    np.testing.assert_allclose(measured[:, 4], second[:, 4], rtol=0, atol=2e-3 * scale)
+def test_delay_of_a_slow_step_is_that_of_the_phase(dwells: Record) -> None:
+    """An acceleration step of 0.5 s is slow against the loop: its delay is -phase / (360 f) at
+    0.5 Hz within a tenth; 63 % of it are reached within 0.3 s."""
+    record = run(acceleration_step("heave", 0.2, hold=0.5))
+    phase = MEASURES["describing_function"](dwells)["heave 0.5 Hz phase [deg]"]
+    delay = MEASURES["delay"](record)["heave delay [s]"]
+    assert delay == pytest.approx(-phase / 180.0, rel=0.1)
+    assert 0.0 < MEASURES["dynamic_threshold"](record)["heave 0.2 threshold [s]"] < 0.3
+
+
+def test_accelerations_of_a_sine_are_its_second_derivative() -> None:
+    """Of the recorded motion: w^2 times its amplitude within 0.5 %."""
+    record = run(signals.sine("surge", 0.01, 1.0, cycles=8.0))
+    inside = slice(3 * 128, 6 * 128)
+    moved = accelerations(record)[inside, 0]
+    _, pose = (record[name][inside] for name in ("leg_reference", "leg_position"))
+    leg = np.ptp(pose[:, 0] - pose[:, 0].mean())
+    demanded = np.ptp(record["leg_reference"][inside, 0])
+    expected = 0.01 * leg / demanded * (2.0 * np.pi) ** 2
+    assert 0.5 * np.ptp(moved) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_signature_holds_mean_and_amplitudes_of_a_sum_of_sines() -> None:
+    """2 + 0.3 cos(w t) - 0.1 sin(5 w t), of whole periods."""
+    time = np.arange(1000) / 100.0
+    wave = 2.0 + 0.3 * np.cos(2.0 * np.pi * 0.2 * time) - 0.1 * np.sin(2.0 * np.pi * time)
+    channels = {"leg_position": np.repeat(wave[:, None], 6, axis=1)}
+    record = Record(time, channels, {"leg_position": "m"}, {"sample_rate": 100.0})
+    lines = lines_of(channels["leg_position"], 100.0)
+    assert {2, 4, 6, 10} <= set(lines.tolist())
+    found = signature(record, lines)["leg_position"][:, 0]
+    at = {int(line): i for i, line in enumerate(lines)}
+    real, imaginary = found[1 : 1 + lines.size], found[1 + lines.size :]
+    assert found[0] == pytest.approx(2.0)
+    assert real[at[2]] == pytest.approx(0.3)
+    assert imaginary[at[10]] == pytest.approx(0.1)
+    assert abs(real[at[4]]) < 1e-12

@@ -1,0 +1,149 @@
+"""Masters that are read, and the statistics of what has changed."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+from guide_files import SHORT, written
+from scipy import stats
+from typer.testing import CliRunner
+
+from cmf_mj.cli.common import app
+from cmf_mj.core.errors import InputError
+from cmf_mj.record.record import Record
+from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
+from cmf_mj.studies.guide_check import _measure, compare, load_master, seal, smallest
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A master and a check of the laboratory's machine, as they are on disk."""
+    where = tmp_path_factory.mktemp("guides")
+    on = bench(load_guide(written(where, SHORT)), "lab")
+    for name, seed in (("master", 0), ("new", 7)):
+        run_guide(on, head_of(on, machine="lab"), where / name, seed=seed)
+    return where
+
+
+def edited(folder: Path, name: str, target: Path, **changes: object) -> Path:
+    """A copy of a folder with its head changed."""
+    shutil.copytree(folder / name, target)
+    head = tomlkit.parse((target / FILE).read_text()).unwrap() | changes
+    (target / FILE).write_text(tomlkit.dumps({k: v for k, v in head.items() if v is not None}))
+    return target
+
+
+def test_the_smallest_change_is_found_with_its_power() -> None:
+    """Drawn: 20 000 masters and checks; and for many repetitions that of the normal law."""
+    n, m, level = 5, 2, 0.01
+    draw = np.random.default_rng(3)
+    size = smallest(n, m, level)
+    old, new = draw.normal(size=(20000, n)), size + draw.normal(size=(20000, m))
+    spread = old.std(axis=1, ddof=1) * np.sqrt(1.0 / n + 1.0 / m)
+    t = (new.mean(axis=1) - old.mean(axis=1)) / spread
+    found = np.mean(np.abs(t) > stats.t.isf(level / 2.0, n - 1))
+    assert found == pytest.approx(0.9, abs=0.01)
+    normal = (stats.norm.isf(level / 2.0) + stats.norm.isf(0.1)) * np.sqrt(2.0 / 5000)
+    assert smallest(5000, 5000, level) == pytest.approx(normal, rel=0.01)
+
+
+def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
+    draw, level = np.random.default_rng(4), 0.05
+    alarms = sum(
+        _measure("t", "m", *np.split(draw.normal(size=7), [5]), level, np.nan).verdict == "changed"
+        for _ in range(3000)
+    )
+    assert stats.binom.cdf(alarms, 3000, level) > 1e-3
+    assert stats.binom.sf(alarms, 3000, level) > 1e-3
+    row = _measure("t", "m", np.array([1.0, 1.1, 0.9]), np.array([1.0]), level, 0.5)
+    assert row.verdict == "beyond its limit"
+
+
+def test_nothing_has_changed(folder: Path) -> None:
+    rows = compare(load_master(folder / "master"), load_master(folder / "new"))
+    assert {row.verdict for row in rows} == {"as before"}
+    assert {"heave peak [dB]", "repeatability [g]"} <= {row.measure for row in rows}
+
+
+def test_an_older_master_is_read_and_what_was_aborted_or_set_aside_is_said(
+    folder: Path, tmp_path: Path
+) -> None:
+    old = edited(folder, "master", tmp_path / "old", version=None, known=None, digests=None)
+    aside = edited(folder, "new", tmp_path / "aside", set_aside={"all.2": "somebody walked in"})
+    assert len(load_master(aside).records["all"]) == 2
+    assert compare(load_master(old), load_master(aside))
+    again = seal(load_master(old))
+    assert dict(again.head.digests) == dict(load_master(folder / "master").head.digests)
+    cut = edited(folder, "new", tmp_path / "cut", aborted={"all": "pump tripped"})
+    for file in cut.glob("all.*"):
+        file.unlink()
+    (row,) = compare(load_master(folder / "master"), load_master(cut))
+    assert row.verdict == "aborted: pump tripped"
+
+
+def test_a_recording_that_begins_late_is_aligned(folder: Path, tmp_path: Path) -> None:
+    """A recorder that was started 0.5 s early: the same numbers to the bit."""
+    late = edited(folder, "new", tmp_path / "late", simulated=False, digests=None)
+    for file in late.glob("all.*.parquet"):
+        record = Record.load(file)
+        rows = np.concatenate([np.zeros(128, int), np.arange(record.time.size)])
+        channels = {name: value[rows] for name, value in record.channels.items()}
+        time = np.arange(rows.size) / record.rate
+        file.unlink()
+        Record(time, channels, record.units, record.metadata).save(file)
+    one, other = load_master(late), load_master(folder / "new")
+    for mine, theirs in zip(one.measured("all"), other.measured("all"), strict=True):
+        np.testing.assert_array_equal(list(mine.values()), list(theirs.values()))
+
+
+def test_wrong_folders_and_recordings_are_refused_in_a_sentence(
+    folder: Path, tmp_path: Path
+) -> None:
+    master = load_master(folder / "master")
+    with pytest.raises(InputError, match=f"holds no {FILE}; allowed"):
+        load_master(tmp_path)
+    lost = edited(folder, "new", tmp_path / "lost")
+    for file in lost.glob("all.*"):
+        file.unlink()
+    with pytest.raises(InputError, match="all: no recordings; allowed: recordings of every test"):
+        load_master(lost)
+    other = edited(folder, "new", tmp_path / "other", law="original", digests=None)
+    with pytest.raises(InputError, match="law is 'original'; the master's is"):
+        compare(master, load_master(other))
+    guide = SHORT.replace("period = 4.0", "period = 2.0")
+    short = bench(load_guide(written(tmp_path, guide)), "lab")
+    run_guide(short, head_of(short, machine="lab"), tmp_path / "short", repetitions=1)
+    with pytest.raises(InputError, match="its guide has other tests"):
+        compare(master, load_master(tmp_path / "short"))
+    file = (tmp_path / "short" / "all.1.parquet").read_bytes()
+    mixed = edited(folder, "new", tmp_path / "mixed", digests=None)
+    (mixed / "all.1.parquet").write_bytes(file)
+    with pytest.raises(InputError, match=r"all\.1\.parquet: ends after 5\.0 s; the test takes 9"):
+        load_master(mixed)
+    forged = edited(folder, "new", tmp_path / "forged", digests={"all.1.parquet": "00000000"})
+    with pytest.raises(InputError, match=r"digest: \w+ is not the 00000000"):
+        load_master(forged)
+    runner = CliRunner()
+    said = runner.invoke(app, ["guide", "check", str(tmp_path), "--against", str(tmp_path)])
+    assert said.exit_code != 0
+    assert f"holds no {FILE}" in str(said.output) + str(said.exception)
+
+
+def test_a_guide_is_run_checked_and_drawn_from_the_command_line(
+    folder: Path, tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
+    given = ["guide", "run", str(folder / "mine.toml"), "--recordings", str(folder / "master")]
+    made = CliRunner().invoke(app, given)
+    assert made.exit_code == 0, made.output
+    page = (folder / "master" / "guide.html").read_text()
+    assert page.count("<table>") == 3
+    assert 'img src="all.png"' in page
+    out = ["--against", str(folder / "master"), "--out", str(tmp_path / "out")]
+    checked = CliRunner().invoke(app, ["guide", "check", str(folder / "new"), *out])
+    assert checked.exit_code == 0, checked.output
+    assert "as before" in checked.output
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"all.png", "check.csv", "guide.html"}
+    assert "all.png" in drawn
