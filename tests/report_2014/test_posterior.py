@@ -72,7 +72,7 @@ def sampled(
     points, rounds = sampling.first_round(count, size, 1), []
     for i in range(3):
         weights = likelihood(points) + sampling.log_ratio(points, rounds)
-        rounds.append(sampling.Round(points, weights, count, [1, i]))
+        rounds.append(sampling.Round.of(points, weights, count, [1, i]))
         points = np.vstack([points, rounds[-1].draw()])
     return points, sampling.normalised(likelihood(points) + sampling.log_ratio(points, rounds))
 

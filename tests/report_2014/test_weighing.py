@@ -65,6 +65,17 @@ def test_evidence_is_the_density_of_the_report_in_closed_form() -> None:
     assert bank.log_evidence(NONE) == bank.log_evidence(NONE, kinds=())
 
 
+def test_the_guess_is_the_posterior_of_a_linear_machine() -> None:
+    """Mean and deviations of the machines weighed, which a first round of drawing aims at."""
+    bank = linear_bank()
+    mean, spread = bank.guess()
+    points, weights = bank.points[:, : mean.size], bank.weights(NONE)
+    error = 4.0 / np.sqrt(1.0 / (weights**2).sum())
+    np.testing.assert_allclose(mean, weights @ points, atol=error)
+    apart = np.sqrt(weights @ (points - weights @ points) ** 2)
+    np.testing.assert_allclose(np.sqrt(np.diag(spread)), apart, atol=error)
+
+
 def test_the_effect_that_explains_a_number_has_the_evidence() -> None:
     """It moves a number by the three deviations that are missing."""
     bank = linear_bank()
@@ -146,15 +157,15 @@ def test_effects_that_are_none_are_refused(changes: dict[str, Any], message: str
 
 @pytest.mark.slow
 def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: Path) -> None:
-    """Cut off and resumed it has the same bits; a bearing that leaks damps."""
-    leak = {"path": "hydraulics.bearing_leakage", "low": 0.0, "high": 0.001, "unit": "gpm/psi"}
+    """Cut off and resumed it has the same bits; oil that is not displaced softens."""
+    more = {"path": "hydraulics.cap_dead_volume", "low": 0.0, "high": 4.0, "unit": "gal"}
     every = load_effects("effects").settings.model_dump(exclude_none=True)["effects"]
-    own = {"bearing": leak | {"effect": "value", "source": "test"}, "lap": every["lap"]}
+    own = {"dead": more | {"effect": "value", "source": "test"}, "lap": every["lap"]}
     study = load_effects("effects", changes=SMALL | {"effects": own})
     bank = run_effects(study, tmp_path / "one", jobs=1, backend="threading")
-    assert list(bank.shown) == [NONE, "bearing", "lap", "bearing+lap"]
+    assert list(bank.shown) == [NONE, "dead", "lap", "dead+lap"]
     assert all(made.shape == (16, 12) for made in bank.shown.values())
-    assert not np.array_equal(bank.shown["bearing"], bank.shown[NONE], equal_nan=True)
+    assert not np.array_equal(bank.shown["dead"], bank.shown[NONE], equal_nan=True)
     again = tmp_path / "again"
     again.mkdir()
     for name in ("study.json", "journal.jsonl"):
@@ -163,4 +174,4 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
     other = run_effects(study, again, jobs=1, backend="threading")
     assert other.verdicts == bank.verdicts
     assert np.array_equal(other.shown["lap"], bank.shown["lap"], equal_nan=True)
-    assert {row.plant for row in tables.verdicts(bank)} == {NONE, "bearing", "lap", AVERAGE}
+    assert {row.plant for row in tables.verdicts(bank)} == {NONE, "dead", "lap", AVERAGE}

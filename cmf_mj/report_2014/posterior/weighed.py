@@ -15,7 +15,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, fields_of
 from cmf_mj.report_2014.posterior.answers import LEVELS, REFERENCE, interval, percent
 from cmf_mj.report_2014.posterior.evidence import every_number
-from cmf_mj.report_2014.posterior.weighing import AVERAGE, NONE, TEMPER, Bank
+from cmf_mj.report_2014.posterior.weighing import AVERAGE, DISCREPANCIES, NONE, TEMPER, Bank
 from cmf_mj.show.look import save_files
 from cmf_mj.studies.fit.sampling import effective_size, normalised, quantiles, weighted_quantiles
 
@@ -43,6 +43,9 @@ class Weighed(NamedTuple):
     numbers: Annotated[float, Field(title="of numbers alone", form="+.2f")]
     """Without 3 g and flown."""
     laplace: Annotated[float, Field(title="of these by Laplace", form="+.2f")]
+    not_flown: Annotated[float, Field(title="not as flown", form="+.2f")]  #: Without `flown`.
+    wide: Annotated[float, Field(title="10 % wider", form="+.2f")]
+    """With a discrepancy of 0.1."""
     share: Annotated[float | None, Field(form=_share)]
     """Of the plants with no effect or one."""
     size: Annotated[float, Field(title="effective machines", form=".0f")]
@@ -64,11 +67,16 @@ _SEEN = (
 )
 
 
+_UNFLOWN, _WIDE = ("three_g",), 0.1  # evidence without flown; a discrepancy
+
+
 def weighed(bank: Bank) -> Result[Weighed]:
     """All plants, the most evidence first."""
     rows, shares, alone = list[Weighed](), bank.shares(), bank.weights(NONE)
     none, few = bank.log_evidence(NONE), bank.log_evidence(NONE, kinds=())
     close, unknowns = bank.laplace(NONE), bank.study.settings.unknowns
+    unflown = bank.log_evidence(NONE, kinds=_UNFLOWN)
+    wide = bank.log_evidence(NONE, more=_WIDE)
     for plant in bank.shown:
         weights = bank.weights(plant)
         single = plant in shares and plant != NONE
@@ -84,6 +92,8 @@ def weighed(bank: Bank) -> Result[Weighed]:
                 float(np.sqrt(((weights - alone) ** 2).sum())),
                 bank.log_evidence(plant, kinds=()) - few,
                 bank.laplace(plant) - close,
+                bank.log_evidence(plant, kinds=_UNFLOWN) - unflown,
+                bank.log_evidence(plant, more=_WIDE) - wide,
                 shares.get(plant),
                 effective_size(weights),
                 weighted_quantiles(values, weights, LEVELS),
@@ -200,22 +210,20 @@ def verdicts(bank: Bank) -> Result[Verdict]:
         unstable = np.array([not r["stable"] for r in mine])
         moved = np.array([r["pair"] - base[r["plant"], r["machine"]] for r in mine])
         count, flown = (np.array([r[name] for r in mine], float) for name in ("count", "flown"))
+        own = {p: np.array([r["plant"] == p for r in mine]) for p in mixed}
         spans = []
-        for weights in (count * flown, count):
-            total = {
-                p: sum(w for w, r in zip(weights, mine, strict=True) if r["plant"] == p)
-                for p in mixed
-            }
-            known = (
-                np.array([mixed[r["plant"]] / max(total[r["plant"]], 1e-9) for r in mine]) * weights
-            )
-            known = known / known.sum()
+        for weights in (count, count * flown):
+            known = np.zeros(len(mine))
+            for p, share in mixed.items():
+                if weights[own[p]].any():
+                    known += share * weights * own[p] / weights[own[p]].sum()
             most = sum(share * size[p] for p, share in mixed.items())
-            spans.append(_chance(float(known @ unstable), min(effective_size(known), most)))
-            if weights is not count:
-                change = weighted_quantiles(moved, known, LEVELS)
-                same = float(known @ (np.sign(moved) == np.sign(change[1])))
-        rows.append(Verdict(plant, law, cab, spans[0], spans[1], change, same))
+            total = known.sum() or np.nan
+            share = float(known @ unstable) / total
+            spans.append(_chance(share, min(effective_size(known / total), most)))
+        change = weighted_quantiles(moved, known, LEVELS)
+        same = float(known @ (np.sign(moved) == np.sign(change[1]))) / total
+        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, same))
     return Result(rows, fields_of(Verdict))
 
 
@@ -246,6 +254,12 @@ def effects_text(bank: Bank) -> str:
     lines.append(
         f"Nearest to a bound is the median of `{none.at}` with none ({none.edge:.2f} of its "
         f"range), of `{best.at}` with `{best.plant}` ({best.edge:.2f})."
+    )
+    wider = {d: bank.log_evidence(NONE, more=d) - bank.log_evidence(NONE) for d in DISCREPANCIES}
+    lines.append(
+        "A discrepancy of every number changes the evidence of none by "
+        + " and ".join(f"ln {gain:+.2f} (of {100.0 * d:.0f} %)" for d, gain in wider.items())
+        + "."
     )
     if bank.settings.made_up:
         reports = made_up(bank)

@@ -11,6 +11,7 @@ Left out, a printed number y of deviation s has under the other evidence the ran
 
     u = sum w_i Phi((y - m_i) / s),    w_i of all but y, or of all but its own recording.
 
+Pairs are asked of the machines that count in a plant with one effect, those that weigh 1e-4.
 A discrepancy is one more deviation of every number, as a share or an angle. Made-up reports are
 m + s N(0, 1) of machines drawn with L^a; each is weighed as the report is, its machine left out.
 Verdicts are of machines drawn without the evidence `flown`, with it those of them that can be.
@@ -53,10 +54,12 @@ Array = NDArray[np.float64]
 
 NONE, AVERAGE = "none", "average"  #: The plant without effects; the average over plants.
 READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of what is shown.
-DISCREPANCIES = (0.0, 0.05, 0.1)
+DISCREPANCIES = (0.05, 0.1)  #: That are tried, as shares or angles [rad].
 
 TEMPER = 0.25  #: a of made-up machines.
 _REGRESSED = 0.2  # of the machines count in the regression
+_LIGHT = 1e-4  # weight of a machine in a plant from which its pairs are asked
+_NOTHING = dict.fromkeys([one.name for one in evidence.every_number()], np.nan) | {"flown": False}
 _OF = {"rows": "simulated", "fits": "arx"}
 
 
@@ -231,10 +234,10 @@ class Bank:
         column = len(self.study.settings.unknowns) + list(used).index(name)
         return used[name].at(sampling.quantiles(self.points[:, column]))
 
-    def laplace(self, plant: str) -> float:
-        """Ln Z of the numbers alone, as a linear model of the unknowns has it."""
+    def regressed(self, plant: str) -> tuple[Array, Array, Array]:
+        """Numbers linear in the unknowns and the plant's effects: m0, J' and s^2 + <e^2>."""
         known = len(self.study.settings.unknowns)
-        own = [known + list(_settings(self.study).used).index(name) for name in _parts(plant)]
+        own = [known + list(self.settings.used).index(name) for name in _parts(plant)]
         made, stated = self.shown[plant][:, :-1], evidence.every_number()[:-1]
         weights = self.ratio + self.log_likelihood(plant, kinds=())
         weights = sampling.tempered(weights, _REGRESSED * len(self.ratio))
@@ -244,11 +247,30 @@ class Bank:
         made = np.where(weights[:, None] > 0.0, made, 0.0)
         slopes = np.linalg.lstsq(root * inputs, root * made, rcond=None)[0]
         left = ((root * (made - inputs @ slopes)) ** 2).sum(axis=0)
-        s = np.array([one.deviation for one in stated])
-        spread = np.diag(s**2 + left) + slopes[1:].T @ slopes[1:]
-        printed = np.array([one.counted(one.value) for one in stated])
-        density = stats.multivariate_normal(slopes[0], spread).logpdf(printed)
-        return float(density + 0.5 * np.log(2.0 * np.pi * s**2).sum())
+        return slopes[0], slopes[1:], np.array([one.deviation for one in stated]) ** 2 + left
+
+    def laplace(self, plant: str) -> float:
+        """Ln Z of the numbers alone, as a linear model of the unknowns has it."""
+        middle, slopes, spread = self.regressed(plant)
+        printed = np.array([one.counted(one.value) for one in evidence.every_number()[:-1]])
+        s = np.array([one.deviation for one in evidence.every_number()[:-1]])
+        density = stats.multivariate_normal(middle, np.diag(spread) + slopes.T @ slopes)
+        return float(density.logpdf(printed) + 0.5 * np.log(2.0 * np.pi * s**2).sum())
+
+    def guess(self) -> tuple[Array, Array]:
+        """Mean and covariance of the unknowns without effects, by the same linear model.
+
+        Its prior is the Gaussian of machines that can be flown and swing at 3 g.
+        """
+        weights = self.ratio + np.where(self.flown[NONE], self.three_g, -np.inf)
+        size = len(self.study.settings.unknowns)
+        one, points = np.eye(size), self.points[:, :size]
+        mean, spread = sampling.moments(points, sampling.normalised(weights))
+        before = np.linalg.inv(0.8 * spread + 0.2 * one)
+        middle, slopes, error = self.regressed(NONE)
+        printed = np.array([one.counted(one.value) for one in evidence.every_number()[:-1]])
+        after: Array = np.asarray(np.linalg.inv(before + slopes @ (slopes / error).T))
+        return after @ (before @ mean + slopes @ ((printed - middle) / error)), after
 
     def shares(self) -> dict[str, float]:
         """Of the plants with no effect or one, all as probable before."""
@@ -291,8 +313,12 @@ def run_effects(
         total = [part.log_likelihood(plant)[first:] for plant in part.shown]
         return np.asarray(logsumexp(total, axis=0))
 
-    size = len(settings.unknowns)
-    drawn = sampling.importance(likelihoods, size, settings.draws, settings.rounds, settings.seed)
+    def guess(points: Array, ratio: Array) -> tuple[Array, Array]:
+        made = _made(study, rows, machines, moved)
+        return Bank(study, points, ratio, np.array(known), *made, []).guess()
+
+    how_many = len(settings.unknowns), settings.draws, settings.rounds, settings.seed
+    drawn = sampling.importance(likelihoods, *how_many, guess)
     shares = effect_points(settings, 0, count)
     points = np.hstack([drawn.points, stats.norm.ppf(shares)])
     made = _made(study, rows, machines, moved)
@@ -300,10 +326,13 @@ def run_effects(
     best = sorted(bank.alone[1:], key=lambda one: -bank.log_evidence(one))[: settings.pairs]
     pairs = ["+".join(two) for two in combinations([n for n in used if n in best], 2)]
     asked = [p for p in pairs if not set(_parts(p)) & reading.keys()]
-    if asked:
-        cases = [(m, i, ";".join(asked)) for i, m in enumerate(machines)]
-        for row in (row for answer in ask("bank", cases) for row in answer):
-            rows.setdefault(row["plant"], []).append(row)
+    most = np.max([bank.weights(plant) for plant in bank.alone], axis=0)
+    worth = np.flatnonzero((most > _LIGHT) & bool(asked)).tolist()
+    ask.every += len(worth) - count
+    answers = ask("bank", [(machines[i], i, ";".join(asked)) for i in worth])
+    said = dict(zip(worth, answers, strict=True))
+    for k, pair in enumerate(asked):
+        rows[pair] = [said[i][k] if i in said else _NOTHING for i in range(count)]
     made = _made(study, rows, machines, moved, pairs)
     bank = Bank(study, points, drawn.ratio, np.array(known), *made, [])
     return replace(bank, verdicts=_asked_verdicts(bank, ask, machines))

@@ -49,13 +49,17 @@ def quantiles(points: Array) -> Array:
 class Round:
     """What a later round is drawn from."""
 
-    def __init__(self, points: Array, log_weights: Array, count: int, seed: list[int]) -> None:
-        """From the points so far (n, k) and their weights (n,); it draws `count`."""
-        weights = tempered(log_weights, _TEMPERED * count)
-        self._mean, self._count, self._seed = weights @ points, count, seed
-        apart, one = points - self._mean, np.eye(points.shape[1])
-        near = apart.T @ (apart * weights[:, None]) + _WIDER * one
+    def __init__(self, mean: Array, spread: Array, count: int, seed: list[int]) -> None:
+        """About a mean (k,) with a covariance (k, k); it draws `count`."""
+        one = np.eye(mean.size)
+        near = spread + _WIDER * one
+        self._mean, self._count, self._seed = mean, count, seed
         self._spreads = near, 0.5 * (near + one)
+
+    @classmethod
+    def of(cls, points: Array, log_weights: Array, count: int, seed: list[int]) -> "Round":
+        """From the points so far (n, k) and their weights (n,)."""
+        return cls(*moments(points, tempered(log_weights, _TEMPERED * count)), count, seed)
 
     def draw(self) -> Array:
         """Its points, (count, k)."""
@@ -81,6 +85,13 @@ class Round:
         return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
+def moments(points: Array, weights: Array) -> tuple[Array, Array]:
+    """Mean and covariance of points (n, k) with weights (n,) of sum 1."""
+    mean = weights @ points
+    apart = points - mean
+    return mean, apart.T @ (apart * weights[:, None])
+
+
 def log_ratio(points: Array, rounds: Sequence[Round]) -> Array:
     """Ln p / mean(q1, q2, ...) at points, q1 being the prior p and the others `rounds`."""
     prior = stats.norm.logpdf(points).sum(axis=1)
@@ -103,11 +114,17 @@ class Draws(NamedTuple):
 
 
 def importance(
-    likelihoods: Callable[[int, Array], Array], size: int, count: int, rounds: int, seed: int
+    likelihoods: Callable[[int, Array], Array],
+    size: int,
+    count: int,
+    rounds: int,
+    seed: int,
+    guess: Callable[[Array, Array], tuple[Array, Array]] | None = None,
 ) -> Draws:
     """So many rounds of `count` points in `size` dimensions.
 
-    `likelihoods` gives ln L of the points of a round by its number, (count,).
+    `likelihoods` gives ln L of the points of a round by its number, (count,); `guess` mean and
+    covariance of the posterior from all points and their `ratio`, default those of the weights.
     """
     points, known = first_round(count, size, seed), np.empty(0)
     drawn: list[Round] = []
@@ -116,7 +133,11 @@ def importance(
         ratio = log_ratio(points, drawn)
         if len(drawn) == rounds - 1:
             return Draws(points, known, ratio)
-        drawn.append(Round(points, known + ratio, count, [seed, 2, len(drawn)]))
+        key = [seed, 2, len(drawn)]
+        if guess is None:
+            drawn.append(Round.of(points, known + ratio, count, key))
+        else:
+            drawn.append(Round(*guess(points, ratio), count, key))
         points = np.vstack([points, drawn[-1].draw()])
 
 
