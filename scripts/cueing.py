@@ -1,81 +1,51 @@
-"""Families of washouts side by side: `python scripts/cueing.py [--tune N]`.
+"""Washouts judged side by side, and predictive cueing under load: `python scripts/cueing.py`.
 
-Writes `cueing.csv`: a row for each manoeuvre and family, with the measures of `judge` and the
-largest share of any limit. Manoeuvres are the shipped flights and drives; the classical washout is
-tuned on those of `TUNED` only, by covariance matrix adaptation of gains and corners, within the
-limits; the others are held out. Without `--tune` it is `cueing_tuned.toml`, of 900 evaluations.
+Writes `cueing.csv`: means over the held-out drives, drawn by `SEEDS`, which nobody saw before the
+settings were chosen, one row a family; and `all.csv`, a row for each manoeuvre and family. `--flood
+SECONDS` writes `flood.csv`: ten times what the machine can do, live. `--record FILE`
+keeps programmes, and `--solvers FILE` writes `solvers.csv`: times and failures on them of five
+solvers, in an environment that has them. `softened` gives each the same programme, soft rows
+written out; DAQP and OSQP begin at the solution before.
+
+The classical and the optimal washout and the predictive one are those of `cmf cue tune --workspace
+0.22` (`cueing_*.toml`).
 """
 
 import argparse
 import csv
-from collections.abc import Mapping
+import gc
+import pickle
+import time
+from collections.abc import Callable, Mapping
+from importlib import import_module, metadata
 from pathlib import Path
+from typing import Any
 
-import cma
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-from cmf_mj.core.settings import validated
-from cmf_mj.pilot.cueing import DRIVES, Cue, cue, drive, judge
-from cmf_mj.pilot.flight import flight_names, load_flight
-from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.washout_settings import (
-    ClassicalSettings,
-    PredictiveSettings,
-    WashoutSettings,
-    load_washout,
-    save_washout,
-)
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.pilot.cueing import cue, excursion
+from cmf_mj.pilot.judgement import DRIVES, judge, manoeuvre
+from cmf_mj.pilot.motion import MOST_RATE
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
 
-TUNED = ("turn", "gusts", "approach", "lane_change", "braking")
-"""Manoeuvres on which the classical washout is tuned."""
+SEEDS = (101, 102, 103, 104)
+"""Of the drives held out: fixed after the settings."""
 
-_CORNERS = (
-    *((dof, "gain") for dof in ("surge", "sway", "heave", "roll", "pitch", "yaw")),
-    *((dof, "natural_frequency") for dof in ("surge", "sway", "heave", "roll", "pitch", "yaw")),
-    *((dof, "low_pass_frequency") for dof in ("surge", "sway")),
-    ("heave", "break_frequency"),
-)
+HELD_OUT = tuple(f"{name}:{seed}" for name in DRIVES for seed in SEEDS)
+
+FLOWN = ("approach", "doublets", "engine_failure", "gusts", "take_off", "turbulence", "turn")
+
+_HERE = Path(__file__).parent
+
+Matrix = NDArray[np.float64]
 
 
-def manoeuvre(name: str) -> PilotMotion:
-    """A flight or a drive by name."""
-    return drive(name) if name in DRIVES else load_flight(name).motion
-
-
-def changed(base: ClassicalSettings, factors: NDArray[np.float64]) -> ClassicalSettings:
-    """A classical set with gains and corners times some factors, (15,)."""
-    tables = base.model_dump()
-    for (table, key), factor in zip(_CORNERS, factors, strict=True):
-        entry = tables[table][key]
-        entry |= {"value": entry["value"] * float(factor), "status": "derived"}
-        entry["source"] = "scripts/cueing.py: least error sensed within the limits"
-    return validated(ClassicalSettings, tables, base.name)
-
-
-def cost(cued: Cue) -> float:
-    """Error sensed over its thresholds, root mean square; beyond the limits five times the rest."""
-    error = cued.error.error / cued.error.threshold
-    beyond = max(0.0, cued.excursion.largest - 1.0)
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) * (1.0 + 5.0 * beyond)
-
-
-def tuned(evaluations: int) -> ClassicalSettings:
-    """The classical washout with the least cost on `TUNED`."""
-    base = load_washout("simona")
-    assert isinstance(base, ClassicalSettings)
-    flights = [manoeuvre(name) for name in TUNED]
-
-    def mean(logs: NDArray[np.float64]) -> float:
-        settings = changed(base, np.exp(logs))
-        return float(np.mean([cost(cue(flight, settings, rate=40.0)) for flight in flights]))
-
-    options = {"maxfevals": evaluations, "seed": 5, "verbose": -9, "popsize": 12}
-    best, _ = cma.fmin2(mean, np.zeros(len(_CORNERS)), 0.4, options)
-    return changed(base, np.exp(best))
-
-
-def families(classical: WashoutSettings) -> Mapping[str, WashoutSettings]:
+def families() -> Mapping[str, WashoutSettings]:
     """The washouts to compare, by name."""
     base = load_washout("predictive")
     assert isinstance(base, PredictiveSettings)
@@ -85,34 +55,295 @@ def families(classical: WashoutSettings) -> Mapping[str, WashoutSettings]:
         )
         for reference in ("constant", "guess", "known")
     }
-    optimal = load_washout("optimal").with_gains(np.ones(6))
-    return {"classical": load_washout("simona"), "tuned": classical, "optimal": optimal, **ahead}
+    tuned = {name: load_washout(_HERE / f"cueing_{name}.toml") for name in ("classical", "optimal")}
+    return {"simona": load_washout("simona"), **tuned, **ahead}
 
 
-def main() -> None:
-    """Compare, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--tune", type=int, help="evaluations of the search")
-    parser.add_argument("--rate", type=float, default=80.0, help="frames a second")
-    parser.add_argument("--out", type=Path, default=Path("out/cueing"))
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    found = Path(__file__).with_name("cueing_tuned.toml")
-    if options.tune is not None:
-        found = save_washout(tuned(options.tune), options.out / "tuned.toml")
-    rows = []
-    for name in (*TUNED, *sorted({*flight_names(), *DRIVES} - {*TUNED})):
-        for family, settings in families(load_washout(found)).items():
-            cued = cue(manoeuvre(name), settings, rate=options.rate)
-            measures = judge(cued)._asdict()
-            row = {"manoeuvre": name, "set": "tuned" if name in TUNED else "held out"}
-            row |= {"family": family, "largest_share": f"{cued.excursion.largest:.6g}"}
-            rows.append(row | {key: f"{value:.6g}" for key, value in measures.items()})
-            print(", ".join(rows[-1].values()), flush=True)
-    with (options.out / "cueing.csv").open("w", newline="") as file:
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write rows as CSV."""
+    with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def compare(out: Path, names: tuple[str, ...], rate: float) -> None:
+    """Judge all families on all manoeuvres; means over those held out."""
+    every: list[dict[str, Any]] = []
+    means: list[dict[str, Any]] = []
+    for family, settings in families().items():
+        rows = []
+        for name in names:
+            cued = cue(manoeuvre(name), settings, rate=rate)
+            row = judge(cued)._asdict() | {"largest_share": cued.excursion.largest}
+            rows.append((name, row))
+            given = {key: f"{value:.6g}" for key, value in row.items()}
+            every.append({"manoeuvre": name, "family": family, **given})
+            print(", ".join(every[-1].values()), flush=True)
+        kept = [row for name, row in rows if name in HELD_OUT] or [row for _, row in rows]
+        of = {key: np.array([row[key] for row in kept]) for key in kept[0]}
+        worst = {"travel", "largest_share"}
+        summed = {"false_cues", "false_size", "lasting", "limited"}
+        joined = {
+            key: v.max() if key in worst else v.sum() if key in summed else v.mean()
+            for key, v in of.items()
+        }
+        means.append({"family": family, **{key: float(value) for key, value in joined.items()}})
+    first = next(row for row in means if row["family"] == "classical")
+    for row in means:
+        for key in ("force_error", "false_cues", "lasting", "workspace"):
+            row[f"{key}_change"] = 100.0 * (row[key] / first[key] - 1.0)
+    write(out / "all.csv", every)
+    write(
+        out / "cueing.csv",
+        [{k: v if isinstance(v, str) else f"{v:.4g}" for k, v in row.items()} for row in means],
+    )
+
+
+def flood(out: Path, seconds: float) -> None:
+    """Ten times what the machine can do, live, for some seconds of simulation."""
+    rows = []
+    for machine in ("cmf", "simona", "lab"):
+        draw, count = np.random.default_rng(7), round(seconds * MOST_RATE)
+        washout = Washout("predictive", machine=machine)
+        motions = np.empty((count, 3, 6))
+        gc.disable()
+        cpu = np.empty(count)
+        for row in range(count):
+            if row % 40 == 0:
+                push = 30.0 * draw.normal(size=3) - [0.0, 0.0, STANDARD_GRAVITY]
+                turn = 2.0 * draw.normal(size=3)
+            begun = time.process_time()
+            motions[row] = washout.frame(push, turn)[2:]
+            cpu[row] = time.process_time() - begun
+        gc.enable()
+        assert washout.predictive is not None
+        solves = washout.predictive.solves
+        taken = 1e3 * np.array(solves.seconds)
+        stream = make_stream(np.arange(count) / MOST_RATE, *motions.swapaxes(0, 1))
+        rows.append(
+            {
+                "machine": machine,
+                "frames": count,
+                "largest_share": f"{excursion(stream, None, machine).largest:.4f}",
+                "not_finite": int((~np.isfinite(motions)).sum()),
+                "bridged": sum(solves.bridged),
+                "late": int((taken > 1e3 / MOST_RATE).sum()),
+                "late_percent": f"{100 * np.mean(taken > 1e3 / MOST_RATE):.3g}",
+                "median_ms": f"{np.median(taken):.3g}",
+                "p95_ms": f"{np.quantile(taken, 0.95):.3g}",
+                "p999_ms": f"{np.quantile(taken, 0.999):.3g}",
+                "worst_ms": f"{taken.max():.3g}",
+                "cpu_p999_ms": f"{1e3 * np.quantile(cpu, 0.999):.3g}",
+                "cpu_worst_ms": f"{1e3 * cpu.max():.3g}",
+            }
+        )
+        print(rows[-1], flush=True)
+        write(out / "flood.csv", rows)
+
+
+RECORDED = ("braking", "urban", "slalom")
+"""Drives whose programmes solvers are timed on, one frame in eight."""
+
+
+def record(path: Path) -> None:
+    """Programmes that the predictive washout solves on some drives."""
+    kept: list[dict[str, Matrix]] = []
+    for name in RECORDED:
+        washout = Washout("predictive")
+        own, count = washout.predictive, 0
+        assert own is not None
+        solve, prices = own._solve, {"price": own._prices, "ease": own._ease}
+
+        def solving(programme: dict[str, Matrix]) -> Any:
+            nonlocal count
+            count += 1
+            if count % 8 == 0:
+                kept.append({**programme, **prices})  # noqa: B023
+            return solve(programme)  # noqa: B023
+
+        own._solve = solving  # type: ignore[method-assign]
+        washout.run(manoeuvre(name))
+    with path.open("wb") as file:
+        pickle.dump(kept, file)
+
+
+def softened(programme: dict[str, Matrix]) -> tuple[Any, Matrix, Any, Matrix, Matrix]:
+    """P, q, G, l, h of min x^T P x / 2 + q^T x, l <= G x <= h; x = (z, by what rows are passed)."""
+    a, price, many = programme["A"], programme["price"], len(programme["A"])
+    unit, none = sparse.eye(many), np.full(many, np.inf)
+    weight = sparse.diags(
+        np.concatenate([np.ones(a.shape[1]), 1.0 / programme["ease"]]), format="csc"
+    )
+    rows = sparse.bmat(
+        [[sparse.csc_matrix(a), -unit], [sparse.csc_matrix(a), unit], [None, unit]], format="csc"
+    )
+    lows = np.concatenate([-none, programme["blower"], np.zeros(many)])
+    highs = np.concatenate([programme["bupper"], none, none])
+    return weight, np.concatenate([programme["f"], price]), rows, lows, highs
+
+
+def by_daqp() -> Callable[[dict[str, Matrix]], Matrix | None]:
+    """As the project solves them: soft rows, warm."""
+    daqp = import_module("daqp")
+
+    solver, ready = daqp.Model(), False
+
+    def solve(p: dict[str, Matrix]) -> Matrix | None:
+        nonlocal ready
+        given = {key: p[key] for key in ("f", "A", "bupper", "blower")}
+        if ready:
+            solver.update(**given)
+        else:
+            soft = np.full(len(p["A"]), 8, dtype=np.int32)
+            solver.setup(np.eye(len(p["f"])), sense=soft, **given)
+            price, ease = p["price"], p["ease"]
+            solver.soft_weights(w_l=price, w_u=price, rho_l=ease, rho_u=ease)
+            ready = True
+        z, _, flag, _ = solver.solve()
+        return z if flag in (1, 2) else None
+
+    return solve
+
+
+def by_osqp() -> Callable[[dict[str, Matrix]], Matrix | None]:
+    """Warm from the programme before."""
+    osqp = import_module("osqp")
+
+    before: list[Any] = []
+
+    def solve(p: dict[str, Matrix]) -> Matrix | None:
+        weight, q, rows, low, high = softened(p)
+        solver = osqp.OSQP()
+        how = {"verbose": False, "eps_abs": 1e-5, "eps_rel": 1e-5, "max_iter": 20000}
+        solver.setup(sparse.triu(weight, format="csc"), q, rows, low, high, **how)
+        if before:
+            solver.warm_start(x=before[0].x, y=before[0].y)
+        found = solver.solve()
+        before[:] = [found]
+        return np.asarray(found.x) if found.info.status == "solved" else None
+
+    return solve
+
+
+def by_piqp() -> Callable[[dict[str, Matrix]], Matrix | None]:
+    """Interior point, cold."""
+    piqp = import_module("piqp")
+
+    def solve(p: dict[str, Matrix]) -> Matrix | None:
+        weight, q, rows, low, high = softened(p)
+        solver = piqp.SparseSolver()
+        free = np.full(len(q), np.inf)
+        solver.setup(weight, q, None, None, rows, low, high, -free, free)
+        return np.asarray(solver.result.x) if solver.solve() == piqp.PIQP_SOLVED else None
+
+    return solve
+
+
+def by_proxqp() -> Callable[[dict[str, Matrix]], Matrix | None]:
+    """Augmented Lagrangian, cold."""
+    proxsuite = import_module("proxsuite")
+
+    def solve(p: dict[str, Matrix]) -> Matrix | None:
+        weight, q, rows, low, high = softened(p)
+        solver = proxsuite.proxqp.sparse.QP(len(q), 0, rows.shape[0])
+        solver.settings.eps_abs, solver.settings.max_iter = 1e-5, 1000
+        solver.init(weight, q, None, None, rows, low, high)
+        solver.solve()
+        good = solver.results.info.status == proxsuite.proxqp.PROXQP_SOLVED
+        return np.asarray(solver.results.x) if good else None
+
+    return solve
+
+
+def by_clarabel() -> Callable[[dict[str, Matrix]], Matrix | None]:
+    """Interior point, cold."""
+    clarabel = import_module("clarabel")
+
+    def solve(p: dict[str, Matrix]) -> Matrix | None:
+        weight, q, rows, low, high = softened(p)
+        up, down = np.isfinite(high), np.isfinite(low)
+        whole = sparse.vstack([rows[up], -rows[down]], format="csc")
+        bound, how = np.concatenate([high[up], -low[down]]), clarabel.DefaultSettings()
+        how.verbose = False
+        cone = [clarabel.NonnegativeConeT(len(bound))]
+        found = clarabel.DefaultSolver(
+            sparse.triu(weight, format="csc"), q, whole, bound, cone, how
+        ).solve()
+        return np.array(found.x) if str(found.status) == "Solved" else None
+
+    return solve
+
+
+SOLVERS = {
+    "DAQP": by_daqp,
+    "OSQP": by_osqp,
+    "PIQP": by_piqp,
+    "ProxQP": by_proxqp,
+    "Clarabel": by_clarabel,
+}
+
+
+def price_of(p: dict[str, Matrix], z: Matrix) -> float:
+    """Cost of a programme at z."""
+    reached = p["A"] @ z
+    passed = np.maximum(np.maximum(reached - p["bupper"], p["blower"] - reached), 0.0)
+    return float(0.5 * z @ z + p["f"] @ z + p["price"] @ passed + np.sum(passed**2 / p["ease"]) / 2)
+
+
+def time_solvers(path: Path, out: Path) -> None:
+    """Times and failures of the solvers that can be imported, on recorded programmes."""
+    with path.open("rb") as file:
+        programmes = pickle.load(file)
+    best, rows = None, []
+    for name, make_solver in SOLVERS.items():
+        solve, taken, costs, failed = make_solver(), [], [], 0
+        for p in programmes:
+            begun = time.process_time()
+            z = solve(p)
+            taken.append(1e3 * (time.process_time() - begun))
+            failed += z is None
+            costs.append(np.inf if z is None else price_of(p, z[: len(p["f"])]))
+        costs_here = np.array(costs)
+        best = costs_here if best is None else best
+        off = (costs_here - best) / np.maximum(np.abs(best), 1.0)
+        shares = (f"{np.quantile(taken, q):.3g}" for q in (0.5, 0.95, 1.0))
+        rows.append(
+            {
+                "solver": name,
+                "version": metadata.version(name.lower().replace("proxqp", "proxsuite")),
+                "programmes": len(programmes),
+                **dict(zip(("median_ms", "p95_ms", "worst_ms"), shares, strict=True)),
+                "beyond_frame": int((np.array(taken) > 1e3 / MOST_RATE).sum()),
+                "failed": failed,
+                "dearer": int((off[np.isfinite(off)] > 1e-3).sum()),
+            }
+        )
+        print(rows[-1], flush=True)
+        write(out / "solvers.csv", rows)
+
+
+def main() -> None:
+    """Compare, flood or time solvers."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rate", type=float, default=MOST_RATE, help="frames a second")
+    parser.add_argument("--only", nargs="*", help="manoeuvres, in place of those held out")
+    parser.add_argument("--flown", action="store_true", help="the shipped flights and drives too")
+    parser.add_argument("--flood", type=float, metavar="SECONDS")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="programmes of some drives")
+    parser.add_argument("--solvers", type=Path, metavar="FILE", help="time solvers on that file")
+    parser.add_argument("--out", type=Path, default=Path("out/cueing"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.flood:
+        flood(options.out, options.flood)
+    elif options.record:
+        record(options.record)
+    elif options.solvers:
+        time_solvers(options.solvers, options.out)
+    else:
+        seen = (*FLOWN, *DRIVES) if options.flown else ()
+        compare(options.out, tuple(options.only or (*HELD_OUT, *seen)), options.rate)
 
 
 if __name__ == "__main__":

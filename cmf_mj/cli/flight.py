@@ -95,7 +95,8 @@ def fly_command(
             f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their "
             f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.limited.sum())} "
             f"host frames held back; host to legs "
-            f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
+            f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms",
+            *([] if ride.plans is None else [f"{ride.law}: {ride.plans}"]),
         )
     show(f"written to {out}: {len(paths)} files")
 
@@ -207,9 +208,12 @@ Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")
 LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
 
 
+Cued = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file, or `tune`", free=True)]
+
+
 @drawing("cue")
 def cue_command(
-    flight: ShippedFlight,
+    flight: Cued,
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
@@ -219,19 +223,40 @@ def cue_command(
     rate: Rate = 80.0,
     limits: LimitsFile = None,
     senses: Annotated[Path | None, file(help="TOML changes to canals, otoliths")] = None,
+    evaluations: Annotated[int, Option(min=1, help="tune: settings to try")] = 300,
+    workspace: Annotated[float, Option(help="tune: rms of legs over working travel")] = 1.0,
+    seed: options.Seed = 5,
     out: options.Out = Path("out/cue"),
 ) -> None:
-    """Turn a flight into host frames and what the pilot senses; first find gains for --share."""
+    """Turn a flight into host frames and what the pilot senses; first find gains for --share.
+
+    With `tune` for a flight: tune the washout, of any family, on the drives and flights of
+    `cmf_mj.pilot.judgement.TUNED`.
+    """
     from cmf_mj.machine.motion_limits import load_motion_limits
     from cmf_mj.pilot.cueing import cue, tune
     from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.washout_settings import load_washout, save_washout
     from cmf_mj.show import cueing as report
 
-    settings, motion = load_washout(washout), load_flight(flight).motion
-    bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
+    settings, bounds = (
+        load_washout(washout),
+        load_motion_limits(limits, cmf_mj.load_cab(cab).machine),
+    )
     how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
     thresholds, paths = None if senses is None else str(senses), []
+    if flight == "tune":
+        from cmf_mj.pilot.judgement import search
+
+        how |= {"evaluations": evaluations, "workspace": workspace, "seed": seed}
+        with progress_bar(f"tuning {settings.name}") as update:
+            found = search(settings, progress=update, senses=thresholds, **how)
+        show(
+            f"cost {found.cost:.4g} in place of {found.start:.4g} after {found.tried} settings",
+            written([save_washout(found.settings, out / "washout.toml")]),
+        )
+        return
+    motion = load_flight(flight).motion
     if share is not None:
         aim: dict[str, Any] = {"dofs": tuple(dofs), "share": share, "largest_gain": largest_gain}
         tuned = tune(motion, settings, **aim, **how)
@@ -241,7 +266,8 @@ def cue_command(
     flown = cue(motion, settings, senses=thresholds, **how)
     paths += report.save_cue(flown, out)
     excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
-    show(report.error_table(flown), excursion, written(paths))
+    plans = [] if flown.plans is None else [flown.plans]
+    show(report.error_table(flown), excursion, *plans, written(paths))
 
 
 @drawing("omct")

@@ -8,14 +8,13 @@ pass its limit by a little. What keeps the limits passes to the bit.
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
@@ -35,9 +34,6 @@ LIMITS = (
     *("leg_displacement", "leg_velocity", "leg_acceleration"),
 )
 """What a motion may use up: of the degrees of freedom, and of the legs."""
-
-DRIVES = ("lane_change", "slalom", "braking", "s_curve", "urban")
-"""Names of the drives of `drive`."""
 
 _HALVINGS = 20  #: Bisections for the factor on the gains, which resolve it to 1e-6.
 
@@ -124,12 +120,18 @@ class Cue(NamedTuple):
     simulator: PilotMotion  #: At the pilot's station, if the machine follows exactly.
     error: CueingError  #: Sensed in flight less sensed in the simulator.
     machine: Machine  #: That it is given with.
+    plans: str | None  #: See `Washout.plans`.
 
 
 def _algorithm(
-    washout: str | WashoutSettings, cab: Cab, rate: float, limits: MotionLimits | None
+    washout: str | WashoutSettings,
+    cab: Cab,
+    rate: float,
+    limits: MotionLimits | None,
+    lead: float = 0.0,
 ) -> Washout:
-    return Washout(washout, station=cab.station, rate=rate, machine=cab.machine, limits=limits)
+    how = {"station": cab.station, "rate": rate, "machine": cab.machine, "limits": limits}
+    return Washout(washout, **how, lead=lead)  # type: ignore[arg-type]
 
 
 def cue(
@@ -140,13 +142,15 @@ def cue(
     limits: MotionLimits | None = None,
     senses: Senses | str | None = None,
     rate: float = MOST_RATE,
+    lead: float = 0.0,
 ) -> Cue:
     """Fly a motion at a pilot's station in the simulator, the machine taken as ideal.
 
-    Takes a washout by name, TOML file or loaded parameters, and the frames a second `rate` [Hz].
+    Takes a washout by name, TOML file or loaded parameters, the frames a second `rate` [Hz] and the
+    delay `lead` [s] that a predictive one makes up for.
     """
     carried = load_cab(cab)
-    algorithm = _algorithm(washout, carried, rate, limits)
+    algorithm = _algorithm(washout, carried, rate, limits, lead)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
     stream, limited = within_limits(demanded, limits, carried.machine)
@@ -160,6 +164,7 @@ def cue(
         simulator,
         cueing_error(flown, simulator, senses),
         carried.machine,
+        algorithm.plans,
     )
 
 
@@ -222,101 +227,3 @@ def tune(
         else:
             high = middle.factor
     return best
-
-
-def _between(time: NDArray[np.float64], begin: float, end: float, rise: float) -> NDArray[Any]:
-    """1 from `begin` + `rise` to `end`, 0 before `begin` and after `end` + `rise`, smooth, (N,)."""
-    up, down = (np.clip((time - at) / rise, 0.0, 1.0) for at in (begin, end))
-    return 0.5 * (np.cos(np.pi * down) - np.cos(np.pi * up))
-
-
-def drive(name: str) -> PilotMotion:
-    """The motion of a road vehicle's driver at 80 Hz, level, by name of `DRIVES`.
-
-    The forward force is dv/dt, the side force v r with r the yaw rate; all corners are cosines.
-    """
-    check_name("name", name, DRIVES)
-    time = np.arange(round(40.0 * MOST_RATE)) / MOST_RATE
-    forward, side, start = np.zeros(time.size), np.zeros(time.size), 20.0
-    if name == "lane_change":  # out and back again, each one sine of 4 s
-        for begin, sign in ((5.0, 1.0), (20.0, -1.0)):
-            sine = np.sin(0.5 * np.pi * (time - begin))
-            side += sign * 2.5 * sine * ((time >= begin) & (time < begin + 4.0))
-    elif name == "slalom":
-        side = 2.5 * np.sin(0.5 * np.pi * (time - 5.0)) * _between(time, 5.0, 29.0, 2.0)
-    elif name == "braking":  # to rest from 20 m/s, with a jolt at the end
-        forward = -4.0 * _between(time, 8.0, 13.0, 0.4) + 1.5 * _between(time, 22.0, 32.0, 1.5)
-    elif name == "s_curve":
-        side = 2.0 * (_between(time, 5.0, 13.0, 2.0) - _between(time, 15.0, 23.0, 2.0))
-    else:  # start, corner, brake, start, two corners, brake
-        start = 0.0
-        for begin, end, size in ((3.0, 8.0, 2.0), (12.0, 14.0, -2.5), (20.0, 25.0, 1.8)):
-            forward += size * _between(time, begin, end, 1.0)
-        forward -= 3.0 * _between(time, 32.0, 36.0, 0.7)
-        for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
-            side += size * _between(time, begin, end, 0.8)
-    speed = np.maximum(start + np.cumsum(forward) / MOST_RATE, 0.0)
-    yaw_rate = side / np.maximum(speed, 5.0)
-    zero = np.zeros(time.size)
-    return PilotMotion(
-        time,
-        np.column_stack([forward, side, zero - STANDARD_GRAVITY]),
-        np.column_stack([zero, zero, yaw_rate]),
-        np.column_stack([zero, zero, np.cumsum(yaw_rate) / MOST_RATE]),
-    )
-
-
-class Judgement(NamedTuple):
-    """Objective measures of a cueing; forces and rates as sensed, less those of the start."""
-
-    force_error: float  #: Root mean square of the specific force's error vector [m/s^2].
-    rate_error: float  #: Likewise of the angular rate [rad/s].
-    force_shape: float  #: Correlation of the specific forces, the three axes as one vector.
-    rate_shape: float  #: Likewise of the angular rate.
-    false_cues: int  #: Number.
-    false_size: float  #: Sum of their peaks over their thresholds.
-    tilting: float  #: Share of the time with a roll or pitch rate error above its threshold.
-    workspace: float  #: Root mean square of the legs over their working travel.
-    travel: float  #: Largest share of the travel of legs and pose.
-    limited: int  #: Frames that the limits held back.
-
-
-def judge(cued: Cue) -> Judgement:
-    """Measure a cueing.
-
-    A false cue is a time in which the simulator's force along an axis is sensed beyond its
-    threshold while the aircraft's is not, or points the other way. A correlation is that of all
-    three axes as one vector, 0 of what does not move.
-    """
-    error, legs = cued.error, pose_to_legs(cued.stream.pose, cued.machine)
-    shapes, sensed = [], []
-    for name in ("specific_force", "angular_rate"):
-        pair = [getattr(motion, name) for motion in (error.aircraft, error.simulator)]
-        pair = [values - values[0] for values in pair]
-        size = float(np.linalg.norm(pair[0]) * np.linalg.norm(pair[1]))
-        shapes.append(float(np.sum(pair[0] * pair[1])) / size if size > 0.0 else 0.0)
-        sensed.append(pair)
-    flown, felt = (values / error.threshold[:3] for values in sensed[0])
-    false = (np.abs(felt) > 1.0) & ((np.abs(flown) < 1.0) | (felt * flown < 0.0))
-    begun = np.diff(false.astype(int), axis=0, prepend=0) > 0
-    number = np.cumsum(begun, axis=0) * false
-    peaks = [
-        float(np.abs(felt[number[:, axis] == cue, axis]).max())
-        for axis in range(3)
-        for cue in range(1, number[:, axis].max() + 1)
-    ]
-    total = np.sqrt(np.mean(error.error**2, axis=0))
-    turning = np.abs(error.error[:, 3:5]) > error.threshold[3:5]
-    working = cued.machine.working_stroke
-    return Judgement(
-        float(np.linalg.norm(total[:3])),
-        float(np.linalg.norm(total[3:])),
-        shapes[0],
-        shapes[1],
-        len(peaks),
-        float(np.sum(peaks)),
-        float(turning.any(axis=1).mean()),
-        float(np.sqrt(np.mean(legs**2)) / working),
-        float(cued.excursion.share[[0, 3]].max()),
-        int(cued.limited.sum()),
-    )

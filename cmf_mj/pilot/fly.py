@@ -28,9 +28,10 @@ from scipy import signal
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.metrics import phase_delay, transient_delay
 from cmf_mj.control.dcu.state import load_dcu
-from cmf_mj.control.law import Law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
@@ -44,7 +45,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
-from cmf_mj.pilot.washout_settings import WashoutSettings
+from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
@@ -90,6 +91,7 @@ class FlightResult(NamedTuple):
     """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
     loop_delay: float  #: From there to the legs, likewise [s]: a mean over the flight's band.
     operation: Operation  #: Record and account of the run.
+    plans: str | None = None  #: See `Washout.plans`.
 
     @property
     def washout_error(self) -> CueingError | None:
@@ -126,10 +128,11 @@ def fly(
     carried = load_cab(cab)
     machine = carried.machine
     limits = load_motion_limits(options.get("limits"), machine)
-    aircraft = None
+    aircraft, plans, plant = None, None, Hexapod(carried, hydraulics)
     if isinstance(host, PilotMotion):
-        cued = cue(host, washout, cab=carried, limits=limits, senses=senses)
-        aircraft, stream, limited = cued.aircraft, cued.stream, cued.limited
+        lead = law_delay(plant, law, washout)
+        cued = cue(host, washout, cab=carried, limits=limits, senses=senses, lead=lead)
+        aircraft, stream, limited, plans = cued.aircraft, cued.stream, cued.limited, cued.plans
     else:
         step = np.diff(host.time)
         if step.size and 1.0 / step.mean() > MOST_RATE * (1.0 + 1e-6):
@@ -138,9 +141,21 @@ def fly(
         if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
             host = resample(host, MOST_RATE)
         stream, limited = within_limits(host, limits, machine)
-    plant = Hexapod(carried, hydraulics)
     operation = operate(plant, law, stream, record_every=RECORD_EVERY, **options)
-    return flight_result(plant, aircraft, stream, operation, limits, limited, senses)
+    ride = flight_result(plant, aircraft, stream, operation, limits, limited, senses)
+    return ride._replace(plans=plans)
+
+
+def law_delay(plant: Hexapod, law: str | Path | Law, washout: str | WashoutSettings) -> float:
+    """What a predictive washout leads by [s]: the delay of the linear loop; 0 for others.
+
+    The mean over the degrees of freedom of -phase / omega at 0.5 Hz.
+    """
+    if not isinstance(load_washout(washout), PredictiveSettings):
+        return 0.0
+    loop, omega = Linear(plant).loop(load_law(law)), np.pi
+    phases = np.angle(np.diag(loop(np.exp(1j * omega * loop.dt))))
+    return float(-phases.mean() / omega)
 
 
 def flight_result(

@@ -22,12 +22,14 @@ filter from v_A to u, whose states hold the simulator's position and angle. Size
 the settings (Bryson's rule). The canals are taken without their lead of 0.06 s, to be proper.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.optimize import brentq
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import hold
@@ -49,6 +51,7 @@ class WashoutMode(NamedTuple):
     feedback: Matrix  #: F of u = -F x.
     filter: Matrices
     """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
+    sensed: Matrix  #: e of x, less what u adds at once, (rate and force, n).
 
     @property
     def residual(self) -> float:
@@ -116,7 +119,8 @@ def _solve(
     )
     rows, efforts_in = motion
     c = np.hstack([np.zeros((len(rows), nv)), rows]) - efforts_in @ kept
-    return WashoutMode((a, b), (q, n, r), p, feedback, (*closed, c, -efforts_in @ aircraft))
+    filtering = (*closed, c, -efforts_in @ aircraft)
+    return WashoutMode((a, b), (q, n, r), p, feedback, filtering, sensed)
 
 
 def _pick(count: int, *places: int | None) -> Matrix:
@@ -213,6 +217,86 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
             d[rate + 3, inputs] = mode_c[row] @ mode_b
             d[rate + 3, inputs + 6] = mode_d[row]
     return Optimal(at_work(hold(a, b, c, d, interval)), interval)
+
+
+class Condensed(NamedTuple):
+    """One mode over the horizon; given s = (x_0, u_0, v_0 .. v_N) and free U = (u_1 .. u_N)."""
+
+    hessian: Matrix  #: H, (mN, mN).
+    gradient: Matrix  #: G, (mN, s).
+    states: Matrix  #: x at each knot of (s, U), (N + 1, n, s + mN).
+    inputs: Matrix  #: u at each knot of (s, U), (N + 1, m, s + mN).
+
+
+def knots(count: int, first: float, horizon: float) -> Matrix:
+    """Times t_0 .. t_N [s], (N + 1,): the first span given, later ones longer by one ratio."""
+    if horizon <= count * first * (1.0 + 1e-9):
+        return np.asarray(first * np.arange(count + 1))
+    sums = np.arange(count)
+    ratio = brentq(lambda r: first * np.sum(r**sums) - horizon, 1.0, horizon / first + 1.0)
+    return np.concatenate([[0.0], np.cumsum(first * ratio**sums)])
+
+
+def span_cost(dynamics: tuple[Matrix, Matrix], weight: Matrix, span: float) -> Matrix:
+    """Cost matrix of (x_0, w_0, w_1) over a span [s], inputs w straight between; exact.
+
+    int e^(M^T t) Q e^(M t) dt by Van Loan's exponential for a small part, then doubled.
+    """
+    a, b = dynamics
+    n, m = b.shape
+    chain = np.zeros((n + 2 * m, n + 2 * m))
+    chain[:n, :n], chain[:n, n : n + m] = a, b
+    chain[n : n + m, n + m :] = np.eye(m)
+    cost = linalg.block_diag(weight, np.zeros((m, m)))
+    doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(chain, 1) * span))) + 1)
+    part = span / 2**doublings
+    joined = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
+    over = joined[len(chain) :, len(chain) :]
+    total = over.T @ joined[: len(chain), len(chain) :]
+    for _ in range(doublings):
+        total, over = total + over.T @ total @ over, over @ over
+    slope = np.eye(n + 2 * m)
+    slope[n + m :, n : n + m], slope[n + m :, n + m :] = -np.eye(m) / span, np.eye(m) / span
+    total = slope.T @ total @ slope
+    return np.asarray(0.5 * (total + total.T))
+
+
+def parts(mode: WashoutMode) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, (B, E), the weight of (x, u, v) and P of (x, v) of a mode."""
+    n, m = len(mode.filter[0]), mode.plant[1].shape[1]
+    (a, b), (q, cross, r) = mode.plant, mode.cost
+    order = np.r_[:n, len(a) : len(a) + m, n : len(a)]
+    weight = np.block([[q, cross], [cross.T, r]])[np.ix_(order, order)]
+    return a[:n, :n], np.hstack([b[:n], a[:n, n:]]), weight, mode.riccati
+
+
+def condense(mode: WashoutMode, times: Matrix, smooth: Iterable[float] = ()) -> Condensed:
+    """Condense a mode over knots at some times [s]; slopes of u cost int (u' / smooth)^2 dt."""
+    a, b, weight, terminal = parts(mode)
+    n, m, both = len(a), mode.plant[1].shape[1], b.shape[1]
+    count, p = len(times) - 1, both - m
+    given = n + m + p * (count + 1)
+    size = given + m * count
+    states, inputs = np.zeros((count + 1, n, size)), np.zeros((count + 1, both, size))
+    states[0, :, :n] = np.eye(n)
+    for k in range(count + 1):
+        own = n if k == 0 else given + m * (k - 1)
+        inputs[k, :m, own : own + m] = np.eye(m)
+        ahead = n + m + p * k
+        inputs[k, m:, ahead : ahead + p] = np.eye(p)
+    total = np.zeros((size, size))
+    for k, span in enumerate(np.diff(times)):
+        held = hold(a, b, np.zeros((0, n)), np.zeros((0, both)), float(span))
+        states[k + 1] = held.transition @ states[k]
+        states[k + 1] += held.earlier @ inputs[k] + held.later @ inputs[k + 1]
+        stage = np.vstack([states[k], inputs[k], inputs[k + 1]])
+        total += stage.T @ span_cost((a, b), weight, float(span)) @ stage
+        for row, size in enumerate(smooth):
+            change = (inputs[k + 1, row] - inputs[k, row]) / size
+            total += np.outer(change, change) / span
+    last = np.vstack([states[-1], inputs[-1, m:]])
+    total += last.T @ terminal @ last
+    return Condensed(total[given:, given:], total[given:, :given], states, inputs[:, :m])
 
 
 @allocating

@@ -15,27 +15,33 @@ With U = (u_1 .. u_N) and what is given, s = (x_0, u_0, v_0 .. v_N), the states 
 subject, at each knot, with q head displacement and attitude, L(q) legs and pose, J = dL/dq,
 
     |L(q*) + J (q - q*)| <= share of travel,   |J q'| <= share of speed,
-    |J q'' + J'* q'*| <= share of acceleration, q*: the plan of the frame before, moved on
+    |J q'' + J'* (2 q' - q'*)| <= share of acceleration,   q*: the plan of the frame before
+    with q + 2 T_k q' + T_k^2 q'' for q and q' + T_k q'' for q': no limit is run into
     min(0, w) - R <= rate of roll, pitch <= max(0, w) + R
+    min(0, s) - S <= specific force sensed <= max(0, s) + S
 
-w the aircraft's Euler rate, R the largest tilt rate: the platform may turn less than the aircraft,
-but against it or beyond it only unnoticed. Each row may be passed at a price, linear and steep, so
-that a solution always exists and keeps all rows that can be kept. If the solver does not end within
-its iterations, the last plan goes on; after its end the linear washout u = -F (x, 0) takes over.
+w the aircraft's Euler rate, R the largest tilt rate, s the specific force sensed in the aircraft, S
+the size of a false cue: the platform may turn and push less than the aircraft, but against it or
+beyond it only unnoticed. Each row may be passed at a price, so that a solution always exists: a
+linear and steep one keeps all rows of legs and pose that can be kept, that of a false cue counts
+with the time. If the solver does not end within its iterations, or live within its share of the
+frame, the last plan goes on; after its end the linear washout u = -F (x, 0) takes over.
 
 v ahead is `constant`; a `guess`, (v + m T (1 - exp(-t / T))) exp(-t / T_f) with the slope m
-low-passed; or `known` from the flight. The specific force that the small angles of the model miss
+low-passed; or `known` from the flight. What is sent is the plan of the machine that follows it the
+law's delay later, for v of that time: a guess and what is known lead by it, constant cannot. The
+specific force that the small angles of the model miss
 is taken off v.
 """
 
 from time import perf_counter
 from typing import NamedTuple
 
+import control
 import daqp
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.optimize import brentq
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import hold
@@ -45,7 +51,8 @@ from cmf_mj.machine.kinematics import about, rotation, write_legs, write_pose_ja
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.pilot.motion import turn_to_body
-from cmf_mj.pilot.optimal import PLACES, WashoutMode, washout_modes
+from cmf_mj.pilot.optimal import PLACES, condense, knots, parts, washout_modes
+from cmf_mj.pilot.perception import load_senses, otolith_response, state_space
 from cmf_mj.pilot.washout_settings import PredictiveSettings
 
 Matrix = NDArray[np.float64]
@@ -59,89 +66,18 @@ _SOLVED = (1, 2)  #: Exit flags of DAQP at an optimum, and at one that passes so
 
 _SOFT = 8  #: How DAQP marks a row that may be passed at a price.
 
+_STEEP = 1e-6  #: Reciprocal of the quadratic price of rows whose price is linear.
+
+_TWICE = 20.0  #: Thresholds by which a false cue is passed where the next costs twice the first.
+
 _GO_ON = 0.5  #: Time for which the last plan goes on alone, and then fades to a washout [s].
 
 INPUTS = {name: list(inputs) for name, (inputs, _) in PLACES.items()}
 """Inputs of each mode among Euler rates and specific force."""
 
+_EFFORTS = ("rate", "acceleration")  #: Names of the sizes of u.
+
 _TILTING = ("pitch_surge", "roll_sway")
-
-
-class Condensed(NamedTuple):
-    """One mode over the horizon; given s = (x_0, u_0, v_0 .. v_N) and free U = (u_1 .. u_N)."""
-
-    hessian: Matrix  #: H, (mN, mN).
-    gradient: Matrix  #: G, (mN, s).
-    states: Matrix  #: x at each knot of (s, U), (N + 1, n, s + mN).
-    inputs: Matrix  #: u at each knot of (s, U), (N + 1, m, s + mN).
-
-
-def knots(count: int, first: float, horizon: float) -> Matrix:
-    """Times t_0 .. t_N [s], (N + 1,): the first span given, later ones longer by one ratio."""
-    if horizon <= count * first * (1.0 + 1e-9):
-        return np.asarray(first * np.arange(count + 1))
-    sums = np.arange(count)
-    ratio = brentq(lambda r: first * np.sum(r**sums) - horizon, 1.0, horizon / first + 1.0)
-    return np.concatenate([[0.0], np.cumsum(first * ratio**sums)])
-
-
-def span_cost(dynamics: tuple[Matrix, Matrix], weight: Matrix, span: float) -> Matrix:
-    """Cost matrix of (x_0, w_0, w_1) over a span [s], inputs w straight between; exact.
-
-    int e^(M^T t) Q e^(M t) dt by Van Loan's exponential for a small part, then doubled.
-    """
-    a, b = dynamics
-    n, m = b.shape
-    chain = np.zeros((n + 2 * m, n + 2 * m))
-    chain[:n, :n], chain[:n, n : n + m] = a, b
-    chain[n : n + m, n + m :] = np.eye(m)
-    cost = linalg.block_diag(weight, np.zeros((m, m)))
-    doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(chain, 1) * span))) + 1)
-    part = span / 2**doublings
-    joined = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
-    over = joined[len(chain) :, len(chain) :]
-    total = over.T @ joined[: len(chain), len(chain) :]
-    for _ in range(doublings):
-        total, over = total + over.T @ total @ over, over @ over
-    slope = np.eye(n + 2 * m)
-    slope[n + m :, n : n + m], slope[n + m :, n + m :] = -np.eye(m) / span, np.eye(m) / span
-    total = slope.T @ total @ slope
-    return np.asarray(0.5 * (total + total.T))
-
-
-def parts(mode: WashoutMode) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """A, (B, E), the weight of (x, u, v) and P of (x, v) of a mode."""
-    n, m = len(mode.filter[0]), mode.plant[1].shape[1]
-    (a, b), (q, cross, r) = mode.plant, mode.cost
-    order = np.r_[:n, len(a) : len(a) + m, n : len(a)]
-    weight = np.block([[q, cross], [cross.T, r]])[np.ix_(order, order)]
-    return a[:n, :n], np.hstack([b[:n], a[:n, n:]]), weight, mode.riccati
-
-
-def condense(mode: WashoutMode, times: Matrix) -> Condensed:
-    """Condense a mode over knots at some times [s]."""
-    a, b, weight, terminal = parts(mode)
-    n, m, both = len(a), mode.plant[1].shape[1], b.shape[1]
-    count, p = len(times) - 1, both - m
-    given = n + m + p * (count + 1)
-    size = given + m * count
-    states, inputs = np.zeros((count + 1, n, size)), np.zeros((count + 1, both, size))
-    states[0, :, :n] = np.eye(n)
-    for k in range(count + 1):
-        own = n if k == 0 else given + m * (k - 1)
-        inputs[k, :m, own : own + m] = np.eye(m)
-        ahead = n + m + p * k
-        inputs[k, m:, ahead : ahead + p] = np.eye(p)
-    total = np.zeros((size, size))
-    for k, span in enumerate(np.diff(times)):
-        held = hold(a, b, np.zeros((0, n)), np.zeros((0, both)), float(span))
-        states[k + 1] = held.transition @ states[k]
-        states[k + 1] += held.earlier @ inputs[k] + held.later @ inputs[k + 1]
-        stage = np.vstack([states[k], inputs[k], inputs[k + 1]])
-        total += stage.T @ span_cost((a, b), weight, float(span)) @ stage
-    last = np.vstack([states[-1], inputs[-1, m:]])
-    total += last.T @ terminal @ last
-    return Condensed(total[given:, given:], total[given:, :given], states, inputs[:, :m])
 
 
 @allocating
@@ -160,7 +96,7 @@ def _reach(geometry, station, q, jacobian):  # type: ignore[no-untyped-def]
 
 @allocating
 def along(geometry, station, q, q1, reached, jacobian, turning):  # type: ignore[no-untyped-def]
-    """Write legs and pose (N, 12), their Jacobians (N, 12, 6) and J' q' (N, 12) of (N, 6)."""
+    """Write legs and pose (N, 12), their Jacobians and J' (N, 12, 6) of q and q' (N, 6)."""
     ahead = np.empty((12, 6))
     for k in range(q.shape[0]):
         write_legs(geometry, q[k], reached[k, :6])
@@ -169,7 +105,22 @@ def along(geometry, station, q, q1, reached, jacobian, turning):  # type: ignore
         reached[k, 6:9] -= turn @ station - station
         _reach(geometry, station, q[k], jacobian[k])
         _reach(geometry, station, q[k] + _STEP * q1[k], ahead)
-        turning[k] = (ahead - jacobian[k]) @ q1[k] / _STEP
+        turning[k] = (ahead - jacobian[k]) / _STEP
+
+
+def otoliths_ahead(times: Matrix) -> tuple[Matrix, Matrix]:
+    """What otoliths with states x_0 (2,) sense at t_1 .. t_N of a force f straight between times.
+
+    Returns the rows S of s = S (x_0, f_0 .. f_N), (N, N + 3), and those of x_1, (2, N + 3).
+    """
+    a, b, c, d = control.ssdata(state_space(otolith_response(load_senses().otoliths)))
+    states = np.zeros((len(times), 2, len(times) + 2))
+    states[0, :, :2] = np.eye(2)
+    for k, span in enumerate(np.diff(times)):
+        held = hold(a, b, c, d, float(span))
+        states[k + 1] = held.transition @ states[k]
+        states[k + 1, :, 2 + k : 4 + k] += np.hstack([held.earlier, held.later])
+    return np.asarray(c @ states[1:])[:, 0], states[1]
 
 
 class Solves(NamedTuple):
@@ -178,6 +129,18 @@ class Solves(NamedTuple):
     seconds: list[float]  #: Of the whole frame, model and solver.
     iterations: list[int]
     bridged: list[bool]  #: Whether the last plan went on instead.
+
+    def report(self, interval: float) -> str:
+        """Times of frames `interval` [s] apart, and each that was late or bridged."""
+        taken = np.array(self.seconds or [0.0])
+        shares = " / ".join(f"{1e3 * np.quantile(taken, q):.2g}" for q in (0.95, 0.999, 1.0))
+        late = taken > interval
+        missed = interval * (1.0 + np.flatnonzero(late | np.array(self.bridged or [False])))
+        return (
+            f"plans made in {shares} ms (95, 99.9 %, worst) of {1e3 * interval:.3g} ms: "
+            f"{late.sum()} late, {sum(self.bridged)} of {len(self.bridged)} bridged by the last "
+            f"plan{', at ' * bool(missed.size)}{', '.join(f'{at:.2f} s' for at in missed)}"
+        )
 
 
 class Predictive:
@@ -190,13 +153,22 @@ class Predictive:
         station: Matrix,
         machine: Machine,
         limits: MotionLimits,
+        lead: float = 0.0,
     ) -> None:
-        """Condense all modes of a set at frames `interval` [s] apart, for a machine and limits."""
-        own = settings.prediction
+        """Condense all modes of a set at frames `interval` [s] apart, for a machine and limits.
+
+        A plan is of what the machine will do after its law's delay `lead` [s].
+        """
+        own, self.lead = settings.prediction, lead
         self.reference, self.times = own.reference, knots(own.knots, interval, own.horizon.si)
         self.solves = Solves([], [], [])
         self._by_name = washout_modes(settings)
-        self._modes = {name: condense(mode, self.times) for name, mode in self._by_name.items()}
+        self._modes = {}
+        for name, mode in self._by_name.items():
+            sizes = getattr(settings, name)
+            efforts = [getattr(sizes, key).si for key in _EFFORTS if hasattr(sizes, key)]
+            smooth = np.array(efforts) / own.smoothing.si
+            self._modes[name] = condense(mode, self.times, smooth)
         self._geometry: Geometry = about(station, machine)
         leg, (low, high) = limits.leg, limits.operational.T
         legs = [leg.position.si, leg.velocity.si, leg.acceleration.si]
@@ -204,23 +176,36 @@ class Predictive:
         most = own.share.si * np.hstack([np.repeat(np.array(legs)[:, None], 6, axis=1), dofs])
         self._bounds, self._station = (-most, most), station
         self._bounds[0][0, 6:] = own.share.si * low
-        self._tilt, self._guess = (
-            own.tilt_rate.si,
-            (own.guess_time.si, own.guess_lag.si, own.guess_fade.si),
-        )
+        self._tilt, self._false = own.tilt_rate.si, own.false_cue.si
+        self._guess = (own.guess_time.si, own.guess_lag.si, own.guess_fade.si)
+        self._otoliths, self._otoliths_on = otoliths_ahead(self.times)
+        self._noticed = load_senses().thresholds.si[:3]
+        near = own.approach.si + own.foresight.si * self.times[1:]
+        one, nil = np.ones_like(near), np.zeros_like(near)
+        self._approach = np.array([[one, 2.0 * near, near**2], [nil, one, near], [nil, nil, one]])
         moved = self.times + interval
         self._shift = np.array([np.interp(moved, self.times, row) for row in np.eye(own.knots + 1)])
         self._assemble()
         self._program, self._ready = daqp.Model(), False
         self._program.settings = {"iter_limit": own.iterations}
-        self._price, self._tilt_price = own.price.si, own.tilt_price.si
+        spans = np.convolve(np.diff(self.times), [0.5, 0.5])[1:]
+        self._prices = np.concatenate(
+            [
+                np.full(36 * own.knots, own.price.si),
+                np.full(2 * own.knots, own.tilt_price.si),
+                np.repeat(own.false_price.si * spans, 3),
+            ]
+        )
+        cues = _TWICE / np.maximum(self._prices[38 * own.knots :], 1e-9)
+        steep = np.full(36 * own.knots, _STEEP), np.full(2 * own.knots, 1e3 * _STEEP)
+        self._ease = np.concatenate([*steep, cues])
 
     def _assemble(self) -> None:
         """Motion and cost of all modes at the knots 1 .. N, of s and of z = R U."""
         count, modes = len(self.times) - 1, self._modes.values()
         given = sum(mode.gradient.shape[1] for mode in modes)
         free = sum(len(mode.hessian) for mode in modes)
-        motion = np.zeros((3, count, 6, given + free))
+        motion, error = np.zeros((3, count, 6, given + free)), np.zeros((count, 3, given + free))
         spans = np.diff(self.times)[:, None]
         s_begin, u_begin = 0, given
         for name, mode in self._modes.items():
@@ -228,7 +213,9 @@ class Predictive:
             columns = np.r_[s_begin : s_begin + s_count, u_begin : u_begin + u_count]
             s_begin, u_begin = s_begin + s_count, u_begin + u_count
             place, angle = _MOVES[name]
-            states = mode.states[1:]
+            states, sensed = mode.states[1:], self._by_name[name].sensed[-1]
+            if name != "yaw":
+                error[:, INPUTS[name][-1] - 3, columns] = sensed[: states.shape[1]] @ states
             if place is not None:
                 begin = -3 if angle is not None else -2
                 moved = (states[:, begin], states[:, begin + 1], mode.inputs[1:, -1])
@@ -242,12 +229,27 @@ class Predictive:
         self._pull = unscale.T @ linalg.block_diag(*(mode.gradient for mode in modes))
         self._unscale, self._given = unscale, motion[..., :given]
         self._free = motion[..., given:] @ unscale
-        self._turns = self._free[1, :, 3:5].reshape(2 * count, free) / self._tilt
+        self._near = np.einsum("ijk,jk...->ik...", self._approach, self._free)
+        noticed = self._noticed[:, None]
+        self._error = error[..., :given] / noticed
+        self._soft = np.vstack(
+            [
+                self._free[1, :, 3:5].reshape(2 * count, free) / self._tilt,
+                (error[..., given:] / noticed).reshape(3 * count, free) @ unscale,
+            ]
+        )
+
+    def bound(self, seconds: float) -> None:
+        """Let the solver take so long and no longer [s]; 0 counts its iterations alone."""
+        self._program.settings = {"time_limit": seconds}
 
     def settle(self, euler_rates: Matrix, force: Matrix) -> None:
         """As `Classical.settle`: at rest, tilted by what costs least for a sustained force."""
         self._v = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
+        self._now = self._v
         self._slope, self._offset, self._lost = np.zeros(6), np.zeros(6), 0
+        a, b, _, _ = control.ssdata(state_space(otolith_response(load_senses().otoliths)))
+        self._sensed = -np.linalg.solve(a, b) @ self._v[None, 3:]
         self._state, self._plan, self._turn = {}, {}, {}
         for name, mode in self._by_name.items():
             a, both, weight, _ = parts(mode)
@@ -282,13 +284,16 @@ class Predictive:
         """
         begun, times = perf_counter(), self.times
         now = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
-        inputs = self._inputs_ahead(now, ahead) - self._offset
+        inputs = self._inputs_ahead(now, ahead)
+        forces = np.vstack([self._sensed, inputs[:, 3:]])
+        sensed, self._sensed = self._otoliths @ forces, self._otoliths_on @ forces
+        inputs = inputs - self._offset
         given = [
             np.concatenate([self._state[name], self._plan[name][0], inputs[:, places].ravel()])
             for name, places in INPUTS.items()
         ]
         start = self._factor @ np.concatenate([plan[1:].ravel() for plan in self._plan.values()])
-        z, iterations = self._solve(self.programme(np.concatenate(given), start, inputs))
+        z, iterations = self._solve(self.programme(np.concatenate(given), start, inputs, sensed))
         self._lost = self._lost + 1 if z is None else 0
         plans = np.split(self._unscale @ (start if z is None else z), self._ends)
         for (name, mode), own, u in zip(self._modes.items(), given, plans, strict=True):
@@ -306,7 +311,6 @@ class Predictive:
             plan = np.vstack([before, u.reshape(len(times) - 1, -1)])
             self._plan[name] = self._shift.T @ plan
             self._turn[name] = (plan[1] - plan[0]) / times[1]
-        self._v = now
         self.read(angular, linear)
         felt = np.empty(3)
         turn_to_body(angular[0], linear[2] - [0.0, 0.0, STANDARD_GRAVITY], felt)
@@ -331,40 +335,53 @@ class Predictive:
     def _inputs_ahead(self, now: Matrix, ahead: Matrix | None) -> Matrix:
         """Euler rates and specific force less that of level rest at all knots, (N + 1, 6)."""
         time, lag, fade = self._guess
-        self._slope += ((now - self._v) / self.times[1] - self._slope) * self.times[1] / lag
+        self._slope += ((now - self._now) / self.times[1] - self._slope) * self.times[1] / lag
         rows = np.vstack([self._v, np.broadcast_to(now, (len(self.times) - 1, 6))])
         if ahead is not None:
             rows[2:] = ahead
         elif self.reference == "guess":
-            since = self.times[2:, None] - self.times[1]
-            rows[2:] += self._slope * time * (1.0 - np.exp(-since / time))
-            rows[2:] *= np.exp(-since / fade)
+            since = self.times[1:, None] - self.times[1]
+            rows[1:] += self._slope * time * (1.0 - np.exp(-(self.lead + since) / time))
+            rows[1:] *= np.exp(-since / fade)
+        self._now, self._v = now, rows[1]
         return rows
 
-    def programme(self, given: Matrix, start: Matrix, inputs: Matrix) -> dict[str, Matrix]:
+    def programme(
+        self, given: Matrix, start: Matrix, inputs: Matrix, sensed: Matrix
+    ) -> dict[str, Matrix]:
         """f, A and bounds of min z^T z / 2 + f^T z, linearised along the plan z = `start`.
 
-        `given` is s of all modes, `inputs` the aircraft's at all knots, (N + 1, 6).
+        `given` is s of all modes, `inputs` the aircraft's at all knots, (N + 1, 6), `sensed` the
+        specific force sensed in it at the knots 1 .. N, (N, 3).
         """
         count, size = self._free.shape[1], len(start)
         held = self._given @ given
         q, q1, _ = held + self._free @ start
-        reached, turning = np.empty((count, 12)), np.empty((count, 12))
-        jacobian = np.empty((count, 12, 6))
+        reached, jacobian = np.empty((count, 12)), np.empty((count, 12, 6))
+        turning = np.empty_like(jacobian)
         along(self._geometry, self._station, q, q1, reached, jacobian, turning)
         rest = (jacobian @ held[..., None])[..., 0]
         rest[0] += reached - (jacobian @ q[..., None])[..., 0]
-        rest[2] += turning
+        rest[2] += (turning @ (2.0 * held[1] - q1)[..., None])[..., 0]
+        rest = np.einsum("ijk,jkl->ikl", self._approach, rest)
         turned, aircraft = held[1, :, 3:5] / self._tilt, inputs[1:, :2] / self._tilt
         scale = self._bounds[1][:, None]
-        rows = jacobian @ self._free / scale[..., None]
+        curved = 2.0 * turning @ self._free[1]
+        rows = (jacobian @ self._near + self._approach[:, 2, :, None, None] * curved) / scale[
+            ..., None
+        ]
         low, high = ((bound[:, None] - rest) / scale for bound in self._bounds)
         low_turn, high_turn = np.minimum(aircraft, 0.0) - 1.0, np.maximum(aircraft, 0.0) + 1.0
+        # The row bounds the error: what the simulator's pilot senses less what the aircraft's does.
+        missed, pushed = self._error @ given, sensed / self._noticed
+        low_push, high_push = -np.maximum(pushed, 0.0), -np.minimum(pushed, 0.0)
+        lows = (low, low_turn - turned, low_push - self._false - missed)
+        highs = (high, high_turn - turned, high_push + self._false - missed)
         return {
             "f": self._pull @ given,
-            "A": np.vstack([rows.reshape(-1, size), self._turns]),
-            "blower": np.concatenate([low.ravel(), (low_turn - turned).ravel()]),
-            "bupper": np.concatenate([high.ravel(), (high_turn - turned).ravel()]),
+            "A": np.vstack([rows.reshape(-1, size), self._soft]),
+            "blower": np.concatenate([values.ravel() for values in lows]),
+            "bupper": np.concatenate([values.ravel() for values in highs]),
         }
 
     def _solve(self, programme: dict[str, Matrix]) -> tuple[Matrix | None, int]:
@@ -376,9 +393,8 @@ class Predictive:
             unit = np.eye(len(programme["f"]))
             flag, _ = self._program.setup(unit, sense=soft, **programme)
             self._ready = flag >= 0
-            prices = np.full(len(programme["A"]), self._price)
-            prices[-len(self._turns) :] = self._tilt_price
-            self._program.soft_weights(w_l=prices, w_u=prices)
+            both = {"w_l": self._prices, "w_u": self._prices}
+            self._program.soft_weights(**both, rho_l=self._ease, rho_u=self._ease)
         if flag < 0:
             return None, 0
         z, _, flag, said = self._program.solve()

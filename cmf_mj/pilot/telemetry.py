@@ -34,7 +34,7 @@ from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.flight import Flight, Origin, read_columns
-from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result
+from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result, law_delay
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.telemetry_check import Telemetry, check
 from cmf_mj.pilot.washout import Washout
@@ -246,10 +246,10 @@ def fly_live(
     if errors := check(telemetry).errors:
         raise InputError(f"{form} at port {port}: {'; '.join(errors)}")
     carried = load_cab(cab)
-    host = _Host(
-        form, port, bind, Washout(washout, station=carried.station, machine=carried.machine)
-    )
     plant = Hexapod(carried, hydraulics)
+    where = {"station": carried.station, "machine": carried.machine}
+    algorithm = Washout(washout, **where, lead=law_delay(plant, law, washout))  # type: ignore[arg-type]
+    host = _Host(form, port, bind, algorithm)
     options |= {"attend": host.attend, "record_every": RECORD_EVERY}
     with host.socket:
         operation = serve(plant, law, host.ring, seconds, **options)
@@ -260,4 +260,5 @@ def fly_live(
     table = np.array(host.rows)
     angles = np.unwrap(table[:, 7:10], axis=0)
     aircraft = PilotMotion(times, table[:, 1:4], table[:, 4:7], angles)
-    return flight_result(plant, aircraft, make_stream(times, *motion), operation, limits)
+    ride = flight_result(plant, aircraft, make_stream(times, *motion), operation, limits)
+    return ride._replace(plans=algorithm.plans)

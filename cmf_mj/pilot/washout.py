@@ -42,13 +42,17 @@ from cmf_mj.pilot.motion import (
     vector,
 )
 from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
-from cmf_mj.pilot.predictive import Predictive
+from cmf_mj.pilot.predictive import Predictive, Solves
 from cmf_mj.pilot.washout_settings import (
     ClassicalSettings,
     PredictiveSettings,
     WashoutSettings,
     load_washout,
 )
+
+_SOLVING = 0.5  #: Share of a live frame that the solver may take.
+
+_WARM = 3  #: Frames before the first.
 
 
 class RunningWashout(NamedTuple):
@@ -177,12 +181,14 @@ class Washout:
         rate: float = MOST_RATE,
         machine: str | Path | Machine = models.CMF,
         limits: MotionLimits | None = None,
+        lead: float = 0.0,
     ) -> None:
         """Discretise the filters of a set by name, TOML file or loaded parameters.
 
         The pilot's station counts from the platform's centroid [m], (3,), and is that of the `gfd`
         cab by default; `rate` is in frames a second [Hz]. A predictive washout knows the legs of
-        the `machine` and their limits, by default the machine's.
+        the `machine` and their limits, by default the machine's, and is ahead of it by the delay
+        `lead` of its law [s], see `law_delay`.
         """
         self.settings = load_washout(settings)
         self.station = vector("station", pilot_station() if station is None else station, " [m]")
@@ -193,8 +199,8 @@ class Washout:
         self.predictive: Predictive | None = None
         if isinstance(self.settings, PredictiveSettings):
             base = load_machine(machine)
-            bounds = load_motion_limits(limits, base)
-            self.predictive = Predictive(self.settings, 1.0 / rate, self.station, base, bounds)
+            bounds, where = load_motion_limits(limits, base), self.station
+            self.predictive = Predictive(self.settings, 1.0 / rate, where, base, bounds, lead)
         elif isinstance(self.settings, ClassicalSettings):
             algorithm = make_classical(self.settings, 1.0 / rate)
         else:
@@ -211,6 +217,15 @@ class Washout:
             np.empty(3),
         )
         self._sequence: int | None = None
+        self.solving = _SOLVING
+        """Share of a live frame that the solver may take; 0 counts its iterations alone."""
+        if self.predictive is not None:  # the first frames compile and allocate: now, not in flight
+            rest = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+            self.start(rest, np.zeros(3))
+            for _ in range(_WARM):
+                self._predict(rest, np.zeros(3), np.empty((3, 6)))
+            self.predictive.solves = Solves([], [], [])
+            self._sequence = None
 
     def run(self, motion: PilotMotion) -> HostStream:
         """The host's frames of a flight, one a sample; `motion` is resampled to the rate.
@@ -218,18 +233,22 @@ class Washout:
         The algorithm's frames: `within_limits` brings them within the machine's limits.
         """
         flown = self.flown(motion)
+        if self.predictive is not None:
+            self.predictive.bound(0.0)
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
         if self.predictive is None:
             _run(self._running, flown.specific_force, flown.angular_rate, out)
         else:
             place_platform(self._running, out[0])
-            felt = np.hstack([flown.specific_force, flown.angular_rate])
+            felt, ahead = np.hstack([flown.specific_force, flown.angular_rate]), None
+            since, whole = flown.time + self.predictive.lead, felt
+            if self.predictive.reference == "known":
+                felt = interpolated(since, flown.time, whole)
             for row in range(1, len(out)):
-                ahead = None
                 if self.predictive.reference == "known":
-                    at = flown.time[row - 1] + self.predictive.times[2:]
-                    ahead = interpolated(at, flown.time, felt)
+                    at = since[row - 1] + self.predictive.times[2:]
+                    ahead = interpolated(at, flown.time, whole)
                 self._predict(felt[row, :3], felt[row, 3:], out[row], ahead)
         return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
 
@@ -251,6 +270,12 @@ class Washout:
         arguments = running.euler_rates, now, running.angular, running.linear, ahead
         predictive.move(*arguments)  # type: ignore[union-attr]
         place_platform(running, motion)
+
+    @property
+    def plans(self) -> str | None:
+        """For the operator: how a predictive washout kept its frames; None of others."""
+        own = self.predictive
+        return None if own is None else own.solves.report(1.0 / self.rate)
 
     def flown(self, motion: PilotMotion) -> PilotMotion:
         """A motion at the frames of the host, from time 0."""
@@ -290,6 +315,8 @@ class Washout:
                 "prediction.reference: 'known' needs a flight; allowed: constant, guess"
             )
         if self._sequence is None:
+            if self.predictive is not None:
+                self.predictive.bound(self.solving / self.rate)
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))
         felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)

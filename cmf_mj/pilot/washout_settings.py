@@ -35,6 +35,7 @@ DistanceIntegral = Annotated[Quantity, positive_in("m s")]
 Speed = Annotated[Quantity, positive_in("m/s", "in/s")]
 Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
 Time = Annotated[Quantity, positive_in("s")]
+Price = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
 
 
 class Inputs(Settings):
@@ -192,6 +193,11 @@ class Prediction(Settings):
     tilt_rate: Rate  #: Largest rate against or beyond the aircraft's, in roll and pitch.
     price: Ratio  #: Of passing a limit of legs or pose by all of itself, in units of the cost.
     tilt_price: Ratio  #: Likewise of passing the tilt rate.
+    approach: Time  #: T_n, with which legs and pose come near to limits of travel and speed.
+    foresight: Gain  #: What is added to it for each second ahead.
+    smoothing: Time  #: In which a rate or acceleration of its size may build up: no plan rings.
+    false_cue: Ratio  #: Specific force sensed against or beyond the aircraft's, over its threshold.
+    false_price: Price  #: Of passing it by a threshold for a second.
 
 
 class PredictiveSettings(OptimalSettings):

@@ -1,0 +1,272 @@
+"""Washouts judged by numbers, on drives and flights, and tuned on them.
+
+`drive` makes road manoeuvres, as they are or drawn under a seed; `judge` measures a cueing;
+`search` tunes any family by covariance matrix adaptation of gains, corners or sizes, with the cost
+
+    J = mean over manoeuvres of rms e / theta (1 + 5 beyond),    times (1 + 5 too much)
+
+e the error sensed, theta its thresholds, `beyond` the largest share of any limit above 1, `too
+much` the mean workspace above the one allowed, over it.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.settings import validated
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.pilot.cueing import Cue, cue
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
+from cmf_mj.pilot.washout_settings import WashoutSettings
+
+DRIVES = ("lane_change", "slalom", "braking", "s_curve", "urban")
+"""Names of the drives of `drive`."""
+
+TUNED = (*DRIVES, "turn")
+"""Drives and flights to tune on."""
+
+_SHORTEST = 0.1  #: Of what counts as a false cue, and of the gap between two [s].
+
+
+def manoeuvre(name: str) -> PilotMotion:
+    """A drive by name, `name:seed` if drawn, or a flight by name or file."""
+    kind, _, seed = name.partition(":")
+    if kind in DRIVES:
+        return drive(kind, int(seed) if seed else None)
+    return load_flight(name).motion
+
+
+def _between(time: NDArray[np.float64], begin: float, end: float, rise: float) -> NDArray[Any]:
+    """1 from `begin` + `rise` to `end`, 0 before `begin` and after `end` + `rise`, smooth, (N,)."""
+    up, down = (np.clip((time - at) / rise, 0.0, 1.0) for at in (begin, end))
+    return 0.5 * (np.cos(np.pi * down) - np.cos(np.pi * up))
+
+
+def drive(name: str, seed: int | None = None) -> PilotMotion:
+    """The motion of a road vehicle's driver at 80 Hz, level, by name of `DRIVES`.
+
+    The forward force is dv/dt, the side force v r with r the yaw rate; all corners are cosines. A
+    seed draws the size of each force, 0.7 to 1.3 times, the pace, 0.8 to 1.25 times, and the side.
+    """
+    check_name("name", name, DRIVES)
+    draw = np.random.default_rng(seed)
+    pace, way = 1.0, 1.0
+    if seed is not None:
+        pace, way = draw.uniform(0.8, 1.25), draw.choice([-1.0, 1.0])
+
+    def of(size: float) -> float:
+        return size if seed is None else size * draw.uniform(0.7, 1.3)
+
+    time = np.arange(round(40.0 * MOST_RATE)) / MOST_RATE
+    at = time * pace
+    forward, side, start = np.zeros(time.size), np.zeros(time.size), 20.0
+    if name == "lane_change":  # out and back again, each one sine of 4 s
+        for begin, sign in ((5.0, 1.0), (20.0, -1.0)):
+            sine = np.sin(0.5 * np.pi * (at - begin))
+            side += of(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
+    elif name == "slalom":
+        side = of(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
+    elif name == "braking":  # to rest from 20 m/s, with a jolt at the end
+        forward = of(-4.0) * _between(at, 8.0, 13.0, 0.4) + of(1.5) * _between(at, 22.0, 32.0, 1.5)
+    elif name == "s_curve":
+        side = of(2.0) * _between(at, 5.0, 13.0, 2.0) - of(2.0) * _between(at, 15.0, 23.0, 2.0)
+    else:  # start, corner, brake, start, two corners, brake
+        start = 0.0
+        for begin, end, size in ((3.0, 8.0, 2.0), (12.0, 14.0, -2.5), (20.0, 25.0, 1.8)):
+            forward += of(size) * _between(at, begin, end, 1.0)
+        forward -= of(3.0) * _between(at, 32.0, 36.0, 0.7)
+        for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
+            side += of(size) * _between(at, begin, end, 0.8)
+    side *= way
+    speed = np.maximum(start + np.cumsum(forward) / MOST_RATE, 0.0)
+    yaw_rate = side / np.maximum(speed, 5.0)
+    zero = np.zeros(time.size)
+    return PilotMotion(
+        time,
+        np.column_stack([forward, side, zero - STANDARD_GRAVITY]),
+        np.column_stack([zero, zero, yaw_rate]),
+        np.column_stack([zero, zero, np.cumsum(yaw_rate) / MOST_RATE]),
+    )
+
+
+class Judgement(NamedTuple):
+    """Objective measures of a cueing; forces and rates as sensed, less those of the start."""
+
+    force_error: float  #: Root mean square of the specific force's error vector [m/s^2].
+    rate_error: float  #: Likewise of the angular rate [rad/s].
+    force_shape: float  #: Correlation of the specific forces, the three axes as one vector.
+    rate_shape: float  #: Likewise of the angular rate.
+    force_scale: float  #: Least-squares factor from the aircraft's specific force.
+    false_cues: int  #: Number, however short.
+    false_size: float  #: Sum of their peaks over their thresholds.
+    lasting: int  #: Number of those of at least 0.1 s, where a gap of less ends none.
+    false_rms: float  #: Root mean square of false cues over their thresholds.
+    mismatch: float
+    """Mean of 0.66 lateral and 0.34 longitudinal specific force missed, unsensed [m/s^2]: what the
+    continuous rating of Kolff and others low-passes, which leaves the mean as it is."""
+    tilting: float  #: Share of the time with a roll or pitch rate error above its threshold.
+    workspace: float  #: Root mean square of the legs over their working travel.
+    travel: float  #: Largest share of the travel of legs and pose.
+    limited: int  #: Frames that the limits held back.
+
+
+def _stretches(false: NDArray[np.bool_], gap: int = 1) -> NDArray[np.int_]:
+    """Begin and end of each run of true values, gaps below `gap` samples closed, (K, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], false.astype(int), [0]]))).reshape(-1, 2)
+    apart = edges[1:, 0] - edges[:-1, 1] >= gap
+    first = np.ones(len(edges), dtype=bool)
+    last = first.copy()
+    first[1:] = last[:-1] = apart
+    return np.column_stack([edges[first, 0], edges[last, 1]])
+
+
+def judge(cued: Cue) -> Judgement:
+    """Measure a cueing.
+
+    A false cue is a time in which the simulator's force along an axis is sensed beyond its
+    threshold while the aircraft's is not, or points the other way. A correlation is that of all
+    three axes as one vector, 0 of what does not move.
+    """
+    error, legs = cued.error, pose_to_legs(cued.stream.pose, cued.machine)
+    shapes, sensed = [], []
+    for name in ("specific_force", "angular_rate"):
+        pair = [getattr(motion, name) for motion in (error.aircraft, error.simulator)]
+        pair = [values - values[0] for values in pair]
+        size = float(np.linalg.norm(pair[0]) * np.linalg.norm(pair[1]))
+        shapes.append(float(np.sum(pair[0] * pair[1])) / size if size > 0.0 else 0.0)
+        sensed.append(pair)
+    power = float(np.sum(sensed[0][0] ** 2))
+    scale = float(np.sum(sensed[0][0] * sensed[0][1])) / power if power > 0.0 else 0.0
+    flown, felt = (values / error.threshold[:3] for values in sensed[0])
+    false = (np.abs(felt) > 1.0) & ((np.abs(flown) < 1.0) | (felt * flown < 0.0))
+    short = round(_SHORTEST * cued.aircraft.rate)
+    found = [(axis, *pair) for axis in range(3) for pair in _stretches(false[:, axis])]
+    lasting = [_stretches(false[:, axis], short) for axis in range(3)]
+    total = np.sqrt(np.mean(error.error**2, axis=0))
+    missed = np.abs(cued.aircraft.specific_force - cued.simulator.specific_force).mean(axis=0)
+    turning = np.abs(error.error[:, 3:5]) > error.threshold[3:5]
+    return Judgement(
+        force_error=float(np.linalg.norm(total[:3])),
+        rate_error=float(np.linalg.norm(total[3:])),
+        force_shape=shapes[0],
+        rate_shape=shapes[1],
+        force_scale=scale,
+        false_cues=len(found),
+        false_size=float(sum(np.abs(felt[begin:end, axis]).max() for axis, begin, end in found)),
+        lasting=sum(int((np.diff(pairs) >= short).sum()) for pairs in lasting),
+        false_rms=float(np.sqrt(np.mean(np.sum((felt * false) ** 2, axis=1)))),
+        mismatch=float(missed @ [0.34, 0.66, 0.0]),
+        tilting=float(turning.any(axis=1).mean()),
+        workspace=float(np.sqrt(np.mean(legs**2)) / cued.machine.working_stroke),
+        travel=float(cued.excursion.share[[0, 3]].max()),
+        limited=int(cued.limited.sum()),
+    )
+
+
+_AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+_TILTING, _EVERY = ("pitch_surge", "roll_sway"), ("pitch_surge", "roll_sway", "heave")
+_SIZES = (
+    *([(mode, key) for mode in _TILTING] for key in ("rate_error", "angle", "rate")),
+    *([(mode, key) for mode in _EVERY] for key in ("position_integral", "velocity")),
+    *([(mode, key)] for mode in _EVERY for key in ("position", "acceleration")),
+)
+FREE = {
+    "classical": (
+        *([(dof, key)] for dof in _AXES for key in ("gain", "natural_frequency")),
+        *([(dof, "low_pass_frequency")] for dof in ("surge", "sway")),
+        [("heave", "break_frequency")],
+    ),
+    "optimal": (
+        *([(mode, "gain")] for mode in (*_EVERY, "yaw")),
+        *([(mode, "rate_gain")] for mode in _TILTING),
+        *_SIZES,
+    ),
+    "predictive": (
+        *_SIZES,
+        [("prediction", "smoothing")],
+    ),
+}
+"""What is tuned of each family: entries with one factor each."""
+
+
+def changed(base: WashoutSettings, factors: NDArray[np.float64], source: str) -> WashoutSettings:
+    """A set with the entries of `FREE` times some factors, each of which says its source."""
+    tables = base.model_dump()
+    for entries, factor in zip(FREE[base.kind], factors, strict=True):
+        for table, key in entries:
+            entry = tables[table][key]
+            entry |= {"value": float(f"{entry['value'] * factor:.4g}")}
+            entry |= {"status": "derived", "source": source}
+    return validated(type(base), tables, base.name)
+
+
+def cost(cues: Sequence[Cue], workspace: float = 1.0) -> float:
+    """J of this module for the cues of some manoeuvres and the workspace allowed."""
+    total, used = [], []
+    for cued in cues:
+        error = cued.error.error / cued.error.threshold
+        sensed = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        total.append(sensed * (1.0 + 5.0 * max(0.0, cued.excursion.largest - 1.0)))
+        used.append(judge(cued).workspace)
+    return float(np.mean(total)) * (1.0 + 5.0 * max(0.0, float(np.mean(used)) / workspace - 1.0))
+
+
+class Search(NamedTuple):
+    """What a search found."""
+
+    settings: WashoutSettings
+    cost: float
+    start: float  #: Cost of the settings it began with.
+    tried: int  #: Settings that were tried, the first included.
+
+
+def search(
+    base: WashoutSettings,
+    names: Sequence[str] = TUNED,
+    *,
+    evaluations: int = 300,
+    workspace: float = 1.0,
+    rate: float = 40.0,
+    seed: int = 5,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> Search:
+    """Tune a set on manoeuvres by name; the best of about `evaluations`.
+
+    `workspace` is the root mean square of the legs over their working travel that the mean over all
+    manoeuvres may use, `rate` that of the frames [Hz]; `options` are those of `cue`.
+    """
+    if evaluations < 1:
+        raise InputError(f"evaluations: {evaluations} must be at least 1")
+    motions = [manoeuvre(name) for name in names]
+    source = f"cmf cue tune: {evaluations} evaluations on {', '.join(names)}"
+
+    def tried_at(logs: NDArray[np.float64]) -> tuple[float, WashoutSettings]:
+        settings = changed(base, np.exp(np.clip(logs, -4.0, 4.0)), source)
+        return cost(
+            [cue(one, settings, rate=rate, **options) for one in motions], workspace
+        ), settings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import cma
+
+        given = {"seed": seed, "verbose": -9, "popsize": 10}
+        strategy = cma.CMAEvolutionStrategy(np.zeros(len(FREE[base.kind])), 0.3, given)
+    first = tried_at(np.zeros(len(FREE[base.kind])))[0]
+    least, best, tried = first, base, 1
+    while tried < evaluations and not strategy.stop():
+        points = strategy.ask()
+        found = [tried_at(point) for point in points]
+        strategy.tell(points, [one[0] for one in found])
+        tried += len(points)
+        least, best = min([(least, best), *found], key=lambda one: one[0])
+        if progress is not None:
+            progress(min(tried, evaluations), evaluations)
+    return Search(best, least, first, tried)
