@@ -1,5 +1,6 @@
-"""Fits a machine to a campaign: slow motions first, then all, by Gauss-Newton through simulation.
+"""Fits a machine to a campaign: at rest, in slow motions, then all, by Gauss and Newton.
 
+    rest    static pressures in poses give what is carried, without simulation (`Model.weighed`)
     slow    the first `SLOW` seconds of each recording, up to `SLOW_TOP` Hz
     whole   all of them, up to the campaign's highest frequency
 
@@ -247,7 +248,7 @@ def fit(
         folder: of the journal of steps.
         jobs: threads that simulate.
         progress: called with a line after each step.
-        start: coordinates (n,) to begin at, by default those of the data sheet, 0.
+        start: coordinates (n,) to begin at, by default as weighed at rest.
 
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
@@ -286,8 +287,7 @@ def fit(
     names = names_of(campaign.unknowns)
     pieces = len(campaign.of(held_back=False))
     x = np.zeros(len(names) + (2 * pieces if campaign.settings.clocks else 0))
-    if start is not None:
-        x[: len(names)] = start
+    x[: len(names)] = Model(campaign).weighed() if start is None else start
     number, width = 0, np.full(x.size, 0.03)
     if campaign.settings.simulated:
         say("the data sheet's machine, simulated")

@@ -7,6 +7,12 @@ likelihood explains. The machine begins at rest at the first demand, `LEAD` befo
 What moved before is not known, and chambers of cylinders at rest forget it slowly, so that
 `SETTLING` of a recording is left out.
 
+Where the demand stands still, the legs bear what is carried, and cap and rod pressures weigh it:
+
+    A_cap p_cap - A_rod p_rod = F(pose; mass, centre of mass)
+
+which needs no simulation. Friction and sensors are off by about `FORCE` of it.
+
 The residual, measured less simulated, is low-passed below `top` without phase and taken at about
 2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
 """
@@ -19,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.facility.run import Run
@@ -35,7 +42,13 @@ LEAD = 0.5  #: Rest before a recording [s].
 SETTLING = (3.0, 0.3)
 """What is left out of a recording's beginning: so long [s], but at most this share of it."""
 
+REST = 0.25  #: Length of a rest that is weighed [s], as long again after the motion.
+STILL = 1e-4  #: Part of the stroke that the demand moves at most in it.
+FORCE = 0.02  #: Deviation of a leg's force at rest, of the mean force of all.
+
 _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
+
+_WEIGHED = 3  #: Steps of Gauss and Newton to what is nearly linear.
 
 Residuals = Mapping[str, Mapping[str, Array]]
 """By recording and channel, (samples, legs), in SI; e of what is stated as `EVIDENCE`, (n, 1)."""
@@ -110,6 +123,28 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
     return Piece(recording.name, how, since, measured, given, record.rate, first)
 
 
+class Rest(NamedTuple):
+    """What a machine bore at rest."""
+
+    pose: Array  #: (6,), z down [m, rad].
+    force: Array  #: Of the legs, positive extending [N], (legs,).
+
+
+def rests(one: Piece, plant: Plant) -> list[Rest]:
+    """Where the demand of a recording with all pressures stood still for two times `REST`."""
+    length, cylinders = round(REST * one.rate), plant.hydraulics.cylinder
+    if one.how["law"] is None or not set(MEASURED) <= set(one.measured):
+        return []
+    still = STILL * plant.machine.half_stroke
+    found = []
+    for at in range(length, one.demand.shape[0] - length + 1, length):
+        if np.ptp(one.demand[at - length : at + length], axis=0).max() < still:
+            way, cap, rod = (one.measured[c][at : at + length].mean(axis=0) for c in MEASURED)
+            force = cylinders.cap_area * cap - cylinders.rod_area * rod
+            found.append(Rest(legs_to_pose(way, plant.machine), force))
+    return found
+
+
 def without_noise(chosen: ElectronicsSettings | None, machine: Machine) -> Any:
     """Electronics with neither noise nor steps of sensors, ADC and DAC."""
     if chosen is None:
@@ -175,6 +210,32 @@ class Model:
         if (stated := self.evidence.excess(values, plant, held_back=self.held_back)).size:
             found[EVIDENCE] = {STATED: stated[:, None]}
         return found
+
+    def weighed(self) -> Array:
+        """Coordinates (n,) of the numbers as the rests of all recordings weigh them, else 0."""
+        held = [rest for one in self.pieces for rest in rests(one, self.plant)]
+        z = np.zeros(sum(int(np.prod(shape)) for shape in self.unknowns.shapes().values()))
+        if not held:
+            return z
+        size = FORCE * float(np.mean([rest.force for rest in held]))
+
+        def forces(z: Array) -> Array:
+            machine, found = self.machine(z), []
+            for rest in held:
+                machine.place(rest.pose)
+                found.append(machine.static_load() / size)
+            return np.ravel(found)
+
+        measured, width = np.ravel([rest.force for rest in held]) / size, 0.1
+        for _ in range(_WEIGHED):
+            try:
+                here, moves = forces(z), width * np.eye(z.size)
+                slopes = np.stack([forces(z + move) - here for move in moves]) / width
+            except InputError:  # no machine weighs so: pressures of another one
+                break
+            matrix = slopes @ slopes.T + np.eye(z.size)
+            z = z + np.linalg.solve(matrix, slopes @ (measured - here) - z)
+        return z
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
         """Residuals of one recording by channel, low-passed and thinned."""
