@@ -144,7 +144,7 @@ def _master(out: Path, machine: str, guide: Any, options: argparse.Namespace) ->
     head, folder = head_of(on, machine=machine), out / machine
     if not (folder / FILE).exists():
         run_guide(on, head, folder, seed=options.seed, jobs=options.jobs, plant=plant)
-    master = load_master(folder)
+    master = load_master(folder, on=on)
     return plant, on, head, master, slopes(master, options.jobs)
 
 
@@ -159,7 +159,7 @@ def _check(
     seed = int(draw.integers(1, 2**31))
     again = {"repetitions": options.repetitions, "seed": seed, "jobs": options.jobs}
     run_guide(on, head, folder, **again, **machine)
-    since = load_master(folder)
+    since = load_master(folder, on=on)
     found = any(row.verdict in ("changed", "beyond its limit") for row in compare(master, since))
     causes = diagnose(master, since, slope, options.jobs) if found else []
     shutil.rmtree(folder)
@@ -178,7 +178,7 @@ def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", default="out/guides", help="folder of all")
-    parser.add_argument("--guide", default="part60", help="name or file")
+    parser.add_argument("--guide", default=str(Path(__file__).with_suffix(".toml")), help="or name")
     parser.add_argument("--machines", default=",".join(MACHINES), help="by turns, with commas")
     parser.add_argument("--changes", type=int, default=10, help="of each machine")
     parser.add_argument("--nothings", type=int, default=20, help="of each machine")

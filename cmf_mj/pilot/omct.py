@@ -20,11 +20,11 @@ ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, 
 units of the cross tests are this project's. No boundary of acceptance is known, and none is given.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,15 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
+from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body, pilot_station
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.signals.signal import check_positive
+from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import Command, Other, check_positive
 
 TESTS = (
     *(("pitch", "pitch"), ("pitch", "surge"), ("roll", "roll"), ("roll", "sway"), ("yaw", "yaw")),
@@ -198,6 +201,41 @@ def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[s
     demand = make_stream(np.arange(frames)[::_EVERY] / RATE, *np.swapaxes(played[::_EVERY], 0, 1))
     motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
     return dict(zip(STAGES, motions, strict=True))
+
+
+def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
+    """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
+    dof, frequency = str(table["dof"]), float(table["frequency"])
+    flown, _ = aircraft_motion(dof, frequency, amplitude(dof, frequency))
+    machine, station = plant.machine, pilot_station(plant.cab_parameters)
+    settings = load_washout(str(table.get("washout", "simona")))
+    stream = Washout(settings, station=station, machine=machine).run(flown)
+    unit = make_dcu(load_dcu())
+    frames = int(stream.time[-1] * RATE)
+    played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)[:, 0]
+    rows = np.arange(int(frames * machine.rate / RATE)) * RATE // machine.rate
+    return Command(played[rows], Other(**{**table, "rate": machine.rate}))
+
+
+def cueing(record: Record) -> dict[str, float]:
+    """Modulus and phase of what an input drives, of a record of a guide: legs to pilot's station.
+
+    The station is that of the cab that the metadata name.
+    """
+    said = record.metadata["command"]
+    dof, frequency = str(said["dof"]), float(said["frequency"])
+    size, machine = amplitude(dof, frequency), recorded_machine(record.metadata)
+    _, begin = aircraft_motion(dof, frequency, size)
+    stream = make_stream(record.time, legs_to_pose(record["leg_position"], machine))
+    station = pilot_station(load_cab(record.metadata["cab"], machine))
+    motion, found = PilotMotion.from_platform(stream, station), {}
+    for output in (TESTS[place][1] for place in outputs_of(dof)):
+        values = by_kind(output, motion.specific_force, motion.attitude)[:, dof_index(output) % 3]
+        response, _ = _fundamental(motion.time, values, frequency, size, begin)
+        name = f"{dof} > {output} {frequency:g} rad/s"
+        found[f"{name} modulus"] = abs(response)
+        found[f"{name} phase [deg]"] = float(np.degrees(np.angle(response)))
+    return found
 
 
 def _fundamental(

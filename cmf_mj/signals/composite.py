@@ -284,7 +284,8 @@ class AccelerationStep(OneAxis):
         time = np.arange(1, round(self.hold * self.rate) + 1) / self.rate
         rise = 0.5 * self.acceleration * time**2
         end = self.acceleration * self.hold**2
-        return np.concatenate([np.zeros(rest), rise, end - rise[::-1], np.full(rest, end)])
+        fall = np.append(end - rise[-2::-1], end)
+        return np.concatenate([np.zeros(rest), rise, fall, np.full(rest, end)])
 
 
 class Waypoints(Signal):

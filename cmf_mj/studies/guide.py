@@ -23,7 +23,6 @@ import copy
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -167,8 +166,8 @@ class Bench(NamedTuple):
         return pose_to_legs(pose, machine)
 
 
-Maker = Callable[[Mapping[str, Any], Hexapod], Command]
-"""Makes the command of a signal that is none of `composite.KINDS`."""
+MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}
+"""What makes the command of a signal that is none of `composite.KINDS`, by its kind."""
 
 
 def bench(
@@ -177,8 +176,6 @@ def bench(
     cab: Any = None,
     hydraulics: Any = None,
     law: str | Path | None = None,
-    *,
-    makers: Mapping[str, Maker] = MappingProxyType({}),
 ) -> Bench:
     """Put a machine to the tests of a guide; sizes are found within its limits.
 
@@ -192,7 +189,7 @@ def bench(
             each = f"{name}_{dof}" if dof else name
             table = dict(one.signal) | ({"dof": dof} if dof else {})
             with within(f"tests.{name}.signal"):
-                command, share = _command(table, one.share, room, plant, makers)
+                command, share = _command(table, one.share, room, plant)
             if share > 1.0:
                 impossible[each] = f"asks for {share:.2f} times what the machine can"
             else:
@@ -205,15 +202,14 @@ def _command(
     share: float | None,
     room: Room,
     plant: Hexapod,
-    makers: Mapping[str, Maker],
 ) -> tuple[Command, float]:
     """The command of a signal within its share of the machine's limits, and what it uses."""
     kind, rate = str(table.get("kind")), plant.machine.rate
-    corner = STEP_CORNER if kind in ("step", "pulse") else None
-    if kind in makers:
-        command = makers[kind](table, plant)
+    corner = STEP_CORNER if kind in ("step", "pulse", "chirp") else None
+    if kind in MAKERS:
+        command = MAKERS[kind](table, plant)
         return command, room.use(command.pose)
-    chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *makers])]
+    chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
 
     def made(size: float | None) -> tuple[Command, float]:
         sized = table if size is None else _sized(table, size, room)
@@ -322,7 +318,8 @@ def simulated(
 
 def named(record: Record, on: Bench, name: str) -> Record:
     """A record that knows its excitation."""
-    said = {**record.metadata, "command": on.commands[name].signal.described()}
+    signal, cab = on.commands[name].signal, on.plant.cab
+    said = {**record.metadata, "command": signal.described(), "cab": cab}
     return Record(record.time, record.channels, record.units, said)
 
 

@@ -11,7 +11,6 @@ probability alpha. Of a signature s is that of all legs together, so that few re
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from cmf_mj.core.settings import beside, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
-from cmf_mj.studies.guide import FILE, Bench, Maker, MasterSettings, bench, named, write_head
+from cmf_mj.studies.guide import FILE, Bench, MasterSettings, bench, named, write_head
 from cmf_mj.studies.measurement import MEASURES, Lines, accelerations, lines_of, signature
 
 Array = NDArray[np.float64]
@@ -70,9 +69,10 @@ class Master(NamedTuple):
 
 
 def load_master(
-    folder: str | Path, *, makers: Mapping[str, Maker] = MappingProxyType({})
+    folder: str | Path,
+    on: Bench | None = None,
 ) -> Master:
-    """Read a master, or what was recorded since.
+    """Read a master, or what was recorded since; `on` is that of a folder of the same head.
 
     Raises `InputError` that names the folder and the test that is missing, cut short or another's.
     """
@@ -80,9 +80,10 @@ def load_master(
     if not (where / FILE).is_file():
         raise InputError(f"{where}: holds no {FILE}; allowed: a folder of cmf guide run or plan")
     head = validated(MasterSettings, read_toml(where / FILE), str(where / FILE))
-    with within(where / FILE):
-        named = (beside(where, one) for one in (head.machine, head.cab, head.hydraulics, head.law))
-        on = bench(head.guide, *named, makers=makers)
+    if on is None or (on.guide, on.known) != (head.guide, head.known):
+        with within(where / FILE):
+            parts = (head.machine, head.cab, head.hydraulics, head.law)
+            on = bench(head.guide, *(beside(where, one) for one in parts))
     missing = [name for name in on.commands if not _files(where, name, head)]
     lost = [name for name in missing if name not in head.aborted]
     if lost:

@@ -58,6 +58,7 @@ def test_acceleration_step_moves_at_constant_acceleration() -> None:
     np.testing.assert_allclose(second[inside], 0.2, rtol=1e-6)
     assert history[-1] == pytest.approx(0.2 * 0.25, rel=1e-12)
     assert history[-1] == history[-2]
+    assert np.abs(second).max() < 0.2001  # also where it turns round, and at its ends
     with pytest.raises(ValueError, match="acceleration: 0.0 over 0.5 s is no step"):
         acceleration_step("surge", 0.0, hold=0.5)
 
