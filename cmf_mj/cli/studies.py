@@ -73,8 +73,9 @@ def study_command(
             if "effects" in asked:
                 effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
                 bank = run_effects(effects, out, progress=update, **how)
-                parts = (weighed.effects_text(bank), weighed.weighed(bank))
-                paths = weighed.save_effects(bank, out)
+                tables = weighed.effect_tables(bank)
+                parts = (weighed.effects_text(bank, tables), tables["effects"])
+                paths = weighed.save_effects(tables, str(parts[0]), out)
             elif "unknowns" in asked:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)

@@ -93,6 +93,30 @@ def test_what_a_verdict_depends_on_is_that_of_its_data(printed: Any) -> None:
     assert begins(made(TABLES, "fragile")) == begins(posterior.fragile_text(printed))
 
 
+def test_the_plant_agrees_as_far_as_the_page_says() -> None:
+    """Most numbers left out within 90 %, none beyond 99.5 %, no median at a bound, one sign."""
+
+    def of(name: str) -> list[dict[str, str]]:
+        with (ROOT / "docs" / "data" / f"effects{name}.csv").open(encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+
+    left = {r["number"]: float(r["rank"]) for r in of("_left_out") if r["plant"] == "none"}
+    ranks = list(left.values())
+    assert 0.8 <= np.mean([0.05 <= rank <= 0.95 for rank in ranks]) <= 0.97
+    assert all(0.0025 <= rank <= 0.9975 for rank in ranks)
+    least = sorted(left, key=lambda name: -abs(left[name] - 0.5))[:2]
+    assert least == ["pair_damping", "velocity_phase_bandwidth_hz"]
+    (none,) = (row for row in of("") if row["plant"] == "none")
+    assert float(none["nearest to a bound"]) > 0.05
+    signs: dict[str, set[float]] = {}
+    for row in of("_verdicts"):
+        change = span(row["pair against position_error_rate"])
+        signs.setdefault(row["law"], set()).add(float(np.sign(change[1])))
+    assert signs["acceleration"] == signs["acceleration_eq_3_6"] == {-1.0}
+    assert signs["acceleration_opposing"] == {1.0}
+    assert "It does, within" in read("docs/explanation/acceleration_in_rotation.md")
+
+
 def test_every_printed_interval_has_the_signs_of_its_quantiles() -> None:
     """Each change is one of the data, character by character, its ends in order."""
     every = {row[key] for row in rows("changes") for key in ("prior", "all evidence")}

@@ -175,3 +175,8 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
     assert other.verdicts == bank.verdicts
     assert np.array_equal(other.shown["lap"], bank.shown["lap"], equal_nan=True)
     assert {row.plant for row in tables.verdicts(bank)} == {NONE, "dead", "lap", AVERAGE}
+    every = tables.effect_tables(bank)
+    text = tables.effects_text(bank, every)
+    assert "`none`: of 12 printed numbers" in text
+    paths = tables.save_effects(every, text, tmp_path / "out")
+    assert {path.name for path in paths} >= {"text.md", "effects.csv", "verdicts.md"}

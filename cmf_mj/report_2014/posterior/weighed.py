@@ -1,6 +1,6 @@
 """What plants with effects say: their evidence, numbers left out, reports made up, verdicts."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -38,7 +38,7 @@ class Weighed(NamedTuple):
     """A plant with effects: its evidence, and what it shows where others miss."""
 
     plant: str
-    evidence: Annotated[float, Field(title="ln(Z / Z none)", form="+.2f")]
+    evidence: Annotated[float, Field(title="ln Z over none", form="+.2f")]
     error: Annotated[float, Field(title="+-", form=".2f")]  #: Standard error of the sampling.
     numbers: Annotated[float, Field(title="of numbers alone", form="+.2f")]
     """Without 3 g and flown."""
@@ -149,16 +149,20 @@ def left_out(bank: Bank) -> Result[LeftOut]:
     return Result(rows, fields_of(LeftOut))
 
 
+_THIRD, _MUCH = "of the first three", "as much as the report"
+
+
 def made_up(bank: Bank) -> Result[dict[str, Any]]:
     """How often reports made up of each plant make it, or another, the likeliest."""
     stated, rows = every_number(), list[dict[str, Any]]()
     s = np.array([one.deviation for one in stated])
     generator = np.random.default_rng([bank.study.settings.seed, 7])
+    most = max(map(bank.log_evidence, bank.alone)) - bank.log_evidence(NONE)
     for plant in bank.alone:
         weights = bank.ratio + TEMPER * bank.log_likelihood(plant)
         weights[~np.isfinite(bank.shown[plant]).all(axis=1)] = -np.inf
         chances, found = normalised(weights), dict.fromkeys(bank.alone, 0)
-        ranks, gains = list[int](), list[float]()
+        ranks, gains, much = list[int](), list[float](), list[bool]()
         for _ in range(bank.settings.made_up):
             machine = int(generator.choice(chances.size, p=chances))
             report = bank.shown[plant][machine] + s * generator.normal(size=s.size)
@@ -170,13 +174,15 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
             found[order[0]] += 1
             ranks.append(order.index(plant))
             gains.append(every[plant] - every[NONE])
+            much.append(every[order[0]] - every[NONE] >= most)
         rows.append(
             {"plant": plant, "right": np.mean(np.array(ranks) == 0)}
-            | {"of the first three": np.mean(np.array(ranks) < 3), "gain": np.median(gains)}
+            | {_THIRD: np.mean(np.array(ranks) < 3), _MUCH: np.mean(much)}
+            | {"gain": np.median(gains)}
             | {f"found {p}": n for p, n in found.items()}
         )
-    shown = Field("plant"), Field("right", form=percent), Field("of the first three", form=percent)
-    gain = Field("gain", "median ln(Z / Z none)", "+.2f")
+    shown = Field("plant"), *(Field(name, form=percent) for name in ("right", _THIRD, _MUCH))
+    gain = Field("gain", "median ln Z over none", "+.2f")
     return Result(rows, (*shown, gain, *(Field(f"found {p}") for p in bank.alone)))
 
 
@@ -193,7 +199,7 @@ class Verdict(NamedTuple):
         Array, Field(title="pair against " + REFERENCE, form=partial(interval, form="+.3f"))
     ]
     """Of the damping ratio, at `LEVELS`."""
-    same_sign: Annotated[float, Field(form=percent)]  #: Probability of its median's sign.
+    same_sign: Annotated[Array, Field(form=_shares)]  #: Probability of its median's sign.
 
 
 def verdicts(bank: Bank) -> Result[Verdict]:
@@ -219,11 +225,11 @@ def verdicts(bank: Bank) -> Result[Verdict]:
                     known += share * weights * own[p] / weights[own[p]].sum()
             most = sum(share * size[p] for p, share in mixed.items())
             total = known.sum() or np.nan
-            share = float(known @ unstable) / total
-            spans.append(_chance(share, min(effective_size(known / total), most)))
+            machines = min(effective_size(known / total), most)
+            spans.append(_chance(float(known @ unstable) / total, machines))
         change = weighted_quantiles(moved, known, LEVELS)
         same = float(known @ (np.sign(moved) == np.sign(change[1]))) / total
-        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, same))
+        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, _chance(same, machines)))
     return Result(rows, fields_of(Verdict))
 
 
@@ -233,9 +239,15 @@ def _chance(share: float, count: float) -> Array:
     return np.array([min(low, share), share, max(high, share)])
 
 
-def effects_text(bank: Bank) -> str:
+def effect_tables(bank: Bank) -> dict[str, Result[Any]]:
+    """All tables by the name of their file."""
+    tables: dict[str, Result[Any]] = {"effects": weighed(bank), "left_out": left_out(bank)}
+    return tables | {"verdicts": verdicts(bank), "made_up": made_up(bank)}
+
+
+def effects_text(bank: Bank, tables: Mapping[str, Result[Any]]) -> str:
     """What the weighing says, as a Markdown list."""
-    plants, stated, said = weighed(bank), left_out(bank), verdicts(bank)
+    plants, stated, said, reports = tables.values()
     best, alone = plants[0], [one for one in plants if one.share is not None]
     (none,) = (one for one in plants if one.plant == NONE)
     lines = [
@@ -262,20 +274,30 @@ def effects_text(bank: Bank) -> str:
         + "."
     )
     if bank.settings.made_up:
-        reports = made_up(bank)
-        right, three = (np.mean([r[name] for r in reports]) for name in ("right", _THIRD))
+        right, three = (float(np.mean([r[name] for r in reports])) for name in ("right", _THIRD))
+        (idle,) = (r[_MUCH] for r in reports if r["plant"] == NONE)
         lines.append(
             f"Of {bank.settings.made_up * len(reports)} reports made up with one effect or none "
-            f"the right one wins in {percent(float(right))} and is among the first three in "
-            f"{percent(float(three))}; by chance {percent(1.0 / len(reports))} and "
-            f"{percent(3.0 / len(reports))}."
+            f"the right one wins in {percent(right)} and is among the first three in "
+            f"{percent(three)}, by chance in {percent(1.0 / len(reports))} and "
+            f"{percent(3.0 / len(reports))}. Of those of none {percent(float(idle))} give "
+            f"some effect as much evidence as the report gives `{alone[0].plant}`."
         )
     by = {(one.plant, one.law, one.cab): one for one in said}
+    signs = {
+        law: {float(np.sign(one.change[1])) for (_, other, _), one in by.items() if other == law}
+        for law in dict.fromkeys(one.law for one in said if one.law != REFERENCE)
+    }
+    turned = ", ".join(f"`{law}`" for law, found in signs.items() if len(found - {np.nan}) > 1)
+    lines.append(
+        "What a law changes in the pair's damping has one sign on all plants with all cabs"
+        + (f", but for {turned}." if turned else ".")
+    )
     for (plant, law, cab), one in by.items():
         other = by[NONE, law, cab]
-        turned = (one.unstable[1] - 0.5) * (other.unstable[1] - 0.5) < 0.0
+        flipped = (one.unstable[1] - 0.5) * (other.unstable[1] - 0.5) < 0.0
         sure = one.unstable[0] > 0.5 or one.unstable[2] < 0.5
-        if law != REFERENCE and turned and sure:
+        if law != REFERENCE and flipped and sure:
             lines.append(
                 f"`{plant}` turns `{law}` with the {cab.upper()}: unstable on "
                 f"{_shares(one.unstable)}, with none on {_shares(other.unstable)}."
@@ -283,17 +305,11 @@ def effects_text(bank: Bank) -> str:
     return "".join(f"- {line}\n" for line in lines)
 
 
-_THIRD = "of the first three"
-
-
-def save_effects(bank: Bank, folder: Path) -> list[Path]:
+def save_effects(tables: Mapping[str, Result[Any]], text: str, folder: Path) -> list[Path]:
     """Write tables and sentences of a study of effects."""
-    parts: dict[str, Callable[[Bank], Result[Any]]]
-    parts = {"effects": weighed, "left_out": left_out, "verdicts": verdicts, "made_up": made_up}
     files = {
-        f"{name}.{kind}": part(bank).table.save if kind == "md" else part(bank).save
-        for name, part in parts.items()
+        f"{name}.{kind}": result.table.save
+        for name, result in tables.items()
         for kind in ("md", "csv")
     }
-    files["text.md"] = lambda path: write_text(path, effects_text(bank))
-    return save_files(files, folder, 90)
+    return save_files(files | {"text.md": lambda path: write_text(path, text)}, folder, 90)
