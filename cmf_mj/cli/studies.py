@@ -74,8 +74,8 @@ def study_command(
                 effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
                 bank = run_effects(effects, out, progress=update, **how)
                 tables = weighed.effect_tables(bank)
-                parts = (weighed.effects_text(bank, tables), tables["effects"])
-                paths = weighed.save_effects(tables, str(parts[0]), out)
+                parts = weighed.summary(weighed.effects_text(bank, tables), tables)
+                paths = weighed.save_effects(tables, parts[0], out)
             elif "unknowns" in asked:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)

@@ -254,7 +254,8 @@ def effects_text(bank: Bank, tables: Mapping[str, Result[Any]]) -> str:
         f"Of {len(plants) - 1} plants with one effect or two, `{best.plant}` has the most "
         f"evidence: {np.exp(best.evidence):.1f} times that of none (ln {best.evidence:+.2f} +- "
         f"{best.error:.2f}); of single ones `{alone[0].plant}` with a share of "
-        f"{percent(alone[0].share or 0.0)}, none {percent(none.share or 0.0)}."
+        f"{percent(alone[0].share or 0.0)}, none {percent(none.share or 0.0)}. It is sampled by "
+        f"{none.size:.0f} effective machines with none."
     ]
     for plant in dict.fromkeys(one.plant for one in stated):
         mine = [one for one in stated if one.plant == plant]
@@ -285,10 +286,10 @@ def effects_text(bank: Bank, tables: Mapping[str, Result[Any]]) -> str:
         )
     by = {(one.plant, one.law, one.cab): one for one in said}
     signs = {
-        law: {float(np.sign(one.change[1])) for (_, other, _), one in by.items() if other == law}
+        law: {one.change[1] > 0.0 for one in said if one.law == law and np.isfinite(one.change[1])}
         for law in dict.fromkeys(one.law for one in said if one.law != REFERENCE)
     }
-    turned = ", ".join(f"`{law}`" for law, found in signs.items() if len(found - {np.nan}) > 1)
+    turned = ", ".join(f"`{law}`" for law, found in signs.items() if len(found) > 1)
     lines.append(
         "What a law changes in the pair's damping has one sign on all plants with all cabs"
         + (f", but for {turned}." if turned else ".")
@@ -303,6 +304,15 @@ def effects_text(bank: Bank, tables: Mapping[str, Result[Any]]) -> str:
                 f"{_shares(one.unstable)}, with none on {_shares(other.unstable)}."
             )
     return "".join(f"- {line}\n" for line in lines)
+
+
+def summary(text: str, tables: Mapping[str, Result[Any]]) -> tuple[Any, ...]:
+    """What the command prints: sentences, and the columns of the first table that fit."""
+    fields = [one for one in fields_of(Weighed) if one.name in _PRINTED]
+    return text, Result(list(tables["effects"]), fields)
+
+
+_PRINTED = ("plant", "evidence", "error", "share", "size")
 
 
 def save_effects(tables: Mapping[str, Result[Any]], text: str, folder: Path) -> list[Path]:
