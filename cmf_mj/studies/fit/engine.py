@@ -74,16 +74,22 @@ class Posterior(NamedTuple):
         """Standard deviations of the coordinates, before the recordings 1."""
         return np.sqrt(np.diag(self.covariance))
 
-    def bounds(self, share: float = 0.9) -> Array:
-        """Coordinates (2, n) between which a share of each number lies."""
+    def bounds(self, share: float = 0.9, *, exchange: bool = True) -> Array:
+        """Coordinates (2, n) between which a share of each number lies.
+
+        Without `exchange` twins keep their order: exchanged they make the same loop.
+        """
         if self.weights.size:
             ends = np.array([0.5 - 0.5 * share, 0.5 + 0.5 * share])
             columns = [sampling.weighted_quantiles(z, self.weights, ends) for z in self.drawn.T]
             return np.stack(columns, axis=-1)
         half = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
-        other = half[self._order()]
-        low = np.minimum(self.z - half, self.exchanged - other) + self._elsewhere.min(axis=0)
-        high = np.maximum(self.z + half, self.exchanged + other) + self._elsewhere.max(axis=0)
+        low, high = self.z - half, self.z + half
+        if exchange:
+            other = half[self._order()]
+            low = np.minimum(low, self.exchanged - other)
+            high = np.maximum(high, self.exchanged + other)
+        low, high = low + self._elsewhere.min(axis=0), high + self._elsewhere.max(axis=0)
         return np.clip([low, high], *stats.norm.ppf([1e-6, 1.0 - 1e-6]))
 
     @property

@@ -209,10 +209,12 @@ _OF_BOX = {
 def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     """A box that holds all numbers together with a probability, as `cmf certify --box` takes it.
 
-    Of n numbers each has the share 1 - (1 - share) / n. The larger half width counts, in %.
+    Of n numbers each has the share 1 - (1 - share) / n. The larger half width counts, in %. Lags
+    keep their order, since a loop is the same with two of them exchanged.
     """
     each = 1.0 - (1.0 - share) / len(posterior.names)
-    bounds, best = physical(posterior, posterior.bounds(each)), physical(posterior, posterior.z)
+    ends = posterior.bounds(each, exchange=False)
+    bounds, best = physical(posterior, ends), physical(posterior, posterior.z)
     off = np.abs(bounds - best).max(axis=0)
     ratio = np.minimum(off / np.maximum(np.abs(best), 1e-12), WIDEST)
     listed, unit = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)

@@ -99,6 +99,9 @@ def test_the_machine_is_found_and_twins_are_said(found: tuple[Posterior, Path]) 
     low, high = posterior.bounds()
     assert np.all((low < posterior.exchanged) & (posterior.exchanged < high))
     assert abs(posterior.exchanged - posterior.z).max() > 0.1
+    low, high = posterior.bounds(exchange=False)
+    assert np.all((low < posterior.z) & (posterior.z < high))
+    assert np.any((posterior.exchanged < low) | (high < posterior.exchanged))
 
 
 def test_a_held_back_recording_is_predicted(found: tuple[Posterior, Path]) -> None:
