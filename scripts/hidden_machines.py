@@ -33,6 +33,7 @@ from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.certificate_family import Box
@@ -282,7 +283,8 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
     said = medians | {"ratio": medians["fit [Hz]"] / medians["truth [Hz]"]}
     said |= {f"spread {key}": float(np.ptp(one) / np.median(one)) for key, one in slowest.items()}
     recorded = load_law(folder / "law.toml")
-    for law, friction in product((recorded, found["fit"]), ("none", "stuck")):
+    contacts: tuple[Contact, ...] = "none", "stuck"
+    for law, friction in product((recorded, found["fit"]), contacts):
         one = certify(plant, law, folder / friction, box, friction=friction)
         what = f"{'recorded' if law is recorded else 'tuned'}, {friction}"
         said |= {f"{what}: proven": one.proven, f"{what}: broken": one.broken}
