@@ -285,7 +285,7 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
     recorded = load_law(folder / "law.toml")
     contacts: tuple[Contact, ...] = "none", "stuck"
     for law, friction in product((recorded, found["fit"]), contacts):
-        one = certify(plant, law, folder / friction, box, friction=friction)
+        one = certify(plant, law, folder / str(friction), box, friction=friction)
         what = f"{'recorded' if law is recorded else 'tuned'}, {friction}"
         said |= {f"{what}: proven": one.proven, f"{what}: broken": one.broken}
     carried = _carried(found["fit"], plants)
