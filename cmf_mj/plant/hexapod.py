@@ -31,8 +31,15 @@ from cmf_mj.plant.single_legs import SingleLegs
 
 _LEGS = range(1, 7)
 
-FLOOR_DAMPING = 0.03  #: Damping ratio of a floor that yields.
 _SOFT, _PIN_LOSS = 1e-3, 1e-4  #: Impedance of pins that yield, and damping over stiffness [s].
+
+
+class Floor(NamedTuple):
+    """What the legs stand on where it yields: a mass on equal springs in x, y and z."""
+
+    mass: float  #: [kg].
+    stiffness: float  #: In each direction [N/m].
+    damping_ratio: float = 0.03  #: With the machine on it, its legs rigid.
 
 
 class HydraulicModes(NamedTuple):
@@ -223,40 +230,35 @@ def hexapod_spec(
     cab: str | Path | Cab | None = None,
     machine: str | Path | Machine | None = None,
     *,
-    floor_stiffness: float | None = None,
+    floor: Floor | None = None,
 ) -> mujoco.MjSpec:
     """The editable MuJoCo model of a machine in its hall with a cab, for users who extend it.
 
-    By default the legs stand on rigid ground. A floor of `floor_stiffness` [N/m] is a mass as large
-    as the machine's on equal springs in x, y and z, damped to `FLOOR_DAMPING`, not tilting: the
-    machine with shut valves and stiff oil swings on it at sqrt(k / 2 M). The springs bear the
-    weight where the floor is without one.
+    By default the legs stand on rigid ground. A `floor` does not tilt; its springs bear the weight
+    of all where it is without one.
     """
     chosen = load_cab(cab, machine)
     scene, files = model_texts(load_cab(chosen.base, chosen.machine))
-    if floor_stiffness is not None:
+    if floor is not None:
         files[MACHINE_FILE] = with_floor(files[MACHINE_FILE])
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
         edit.apply(spec.body(edit.body))
-    if floor_stiffness is not None:
-        mass = sum(body.mass for body in spec.bodies)
-        body = spec.body("floor")
-        body.mass, body.inertia, body.explicitinertial = mass, [mass] * 3, True
+    if floor is not None:
+        whole, body = sum(body.mass for body in spec.bodies) + floor.mass, spec.body("floor")
+        body.mass, body.inertia, body.explicitinertial = floor.mass, [floor.mass] * 3, True
         for axis in "xyz":
             joint = spec.joint(f"floor_{axis}")
-            joint.stiffness[0] = floor_stiffness
-            joint.damping[0] = 2.0 * FLOOR_DAMPING * np.sqrt(floor_stiffness * 2.0 * mass)
-        joint.springref = 2.0 * mass * -spec.option.gravity[2] / floor_stiffness
+            joint.stiffness[0] = floor.stiffness
+            joint.damping[0] = 2.0 * floor.damping_ratio * np.sqrt(floor.stiffness * whole)
+        joint.springref = whole * -spec.option.gravity[2] / floor.stiffness
     return spec
 
 
-def on_floor(plant: Plant, stiffness: float) -> Hexapod:
-    """A motion base on a floor of that stiffness [N/m], as `hexapod_spec` says."""
+def on_floor(plant: Plant, floor: Floor) -> Hexapod:
+    """A motion base on a floor."""
     cab, step = plant.cab_parameters, plant.model.opt.timestep
-    return Hexapod(
-        cab, plant.parameters, spec=hexapod_spec(cab, floor_stiffness=stiffness), timestep=step
-    )
+    return Hexapod(cab, plant.parameters, spec=hexapod_spec(cab, floor=floor), timestep=step)
 
 
 def on_mounts(plant: Plant, stiffness: float) -> Plant:

@@ -9,7 +9,7 @@ from cmf_mj import Hexapod
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
-from cmf_mj.plant.hexapod import on_floor, on_mounts
+from cmf_mj.plant.hexapod import Floor, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
 
 STEPS, RATE = 8192, 2048.0
@@ -67,16 +67,16 @@ def test_legs_are_springs_in_series_with_the_oil(lab: Hexapod) -> None:
 
 
 def test_a_floor_adds_the_modes_of_two_masses_on_two_springs(lab: Hexapod) -> None:
-    # T = 2 m w'^2 / 2 + S w' h' + M h'^2 / 2,  U = k w^2 / 2 + K h^2 / 2: m the machine's, S the
-    # momentum per speed of the legs and M their reflected mass on a floor at rest.
-    legs, stiffness = pose_jacobian(np.zeros(6), lab.machine)[:, 2], 8e6
+    # T = (m + m_f) w'^2 / 2 + S w' h' + M h'^2 / 2,  U = k w^2 / 2 + K h^2 / 2: m the machine's, S
+    # the momentum per speed of the legs and M their reflected mass on a floor at rest.
+    legs, floor = pose_jacobian(np.zeros(6), lab.machine)[:, 2], Floor(mass=700.0, stiffness=8e6)
     mass = float(legs @ lab.reflected_mass() @ legs)
     lab.start()
     momentum = float(np.abs(lab.static_load() @ legs) / STANDARD_GRAVITY)
-    masses = np.array([[2.0 * lab.model.body_mass.sum(), momentum], [momentum, mass]])
-    springs = np.diag([stiffness, oil(lab) * float(legs @ legs)])
+    masses = np.array([[floor.mass + lab.model.body_mass.sum(), momentum], [momentum, mass]])
+    springs = np.diag([floor.stiffness, oil(lab) * float(legs @ legs)])
     expected = np.sqrt(linalg.eigh(springs, masses, eigvals_only=True)) / (2.0 * np.pi)
-    found = lines(in_heave(on_floor(lab, stiffness)), expected)
+    found = lines(in_heave(on_floor(lab, floor)), expected)
     assert found == pytest.approx(expected, rel=3e-3)
 
 
@@ -84,6 +84,6 @@ def test_a_floor_adds_the_modes_of_two_masses_on_two_springs(lab: Hexapod) -> No
 def test_both_begin_with_the_forces_of_the_rigid_machine(lab: Hexapod, pose: np.ndarray) -> None:
     lab.start(pose)
     load = lab.static_load()
-    for made in (on_floor(lab, 3e7), on_mounts(lab, 2e7)):
+    for made in (on_floor(lab, Floor(mass=500.0, stiffness=3e7)), on_mounts(lab, 2e7)):
         made.start(pose)
         np.testing.assert_allclose(made.static_load(), load, rtol=1e-6)
