@@ -9,11 +9,13 @@ with v = 1 + eps^2 a^2, eps = 0.01, 0.03, 0.1 how far a model is off in proporti
 independent numbers as there are tests, channels and legs, s the deviation of a number before the
 check, C = 1 + s^2 A^T A K / n v with the slopes A (n, p). None of these is a change of any form:
 v = 1 + a^2, nothing fitted. Slopes come from one short simulation a number about the guide's
-machine; what looks most probable is then simulated at its own numbers and fitted again.
+machine, or about one that was fitted to the master, all numbers together, where that explains the
+master better; what looks most probable is then simulated at its own numbers and fitted again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -30,13 +32,14 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.fit.model import without_noise
 from cmf_mj.studies.guide import Bench, simulated
 from cmf_mj.studies.guide_check import Master, signed
-from cmf_mj.studies.measurement import SIGNED, lines_of, signature
+from cmf_mj.studies.measurement import SIGNED, signature
 
 Array = NDArray[np.float64]
 
 _OFF = (0.01, 0.03, 0.1)  # eps
 _WIDE = 3.0  # deviation of a number before the check, in its own size
-_TRIED, _ROUNDS, _AGAIN = 4, 3, 2  # hypotheses that are simulated, rounds, times each
+_FITTED, _DAMPED = 6, (0.0, 0.03, 0.3, 3.0)  # steps to the master, and their dampings
+_TRIED, _ROUNDS, _AGAIN = 4, 3, 3  # hypotheses that are simulated, rounds, times each
 _SHOWN = 0.01  # least probability of a cause that is listed
 _PRIOR = {0: 0.05, 1: 0.7, 2: 0.25}  # of none of these, of one number, of two, together
 
@@ -115,17 +118,18 @@ class Slopes(NamedTuple):
     channels: tuple[str, ...]
     base: Array  #: (n,).
     slope: Array  #: By theta, (n, numbers).
+    start: Moved = MappingProxyType({})  #: The numbers of the machine about which.
 
     def at(self, on: Bench, moved: Moved) -> Array | None:
         """Signatures of a machine without noise, (n,); None where it leaves its bounds."""
         electronics = without_noise(ElectronicsSettings(), on.plant.machine)
+        every = {**self.start, **{k: self.start.get(k, 0.0) + x for k, x in moved.items()}}
         try:
-            machine = moved_machine(on.plant, electronics, moved)
+            machine = moved_machine(on.plant, electronics, every)
             found = []
             for name in self.tests:
                 record = simulated(on, name, **machine)
-                lines = lines_of(record["leg_reference"], record.rate)
-                signs = signature(record, lines)
+                signs = signature(record, on.lines(name, record.rate))
                 found += [signs[channel].ravel() for channel in self.channels]
         except (InputError, RunError):
             return None
@@ -147,13 +151,57 @@ def slopes(
     made = Slopes(
         tuple(numbers) or numbers_of(on.plant), tests, tuple(sorted(held)), np.empty(0), np.empty(0)
     )
+    made = _sloped(master, made, jobs, progress)
+    start = _start(master, made)
+    return _sloped(master, made._replace(start=start), jobs, progress) if start else made
+
+
+def _sloped(
+    master: Master, made: Slopes, jobs: int | None, progress: Callable[[int, int], None] | None
+) -> Slopes:
+    """Slopes about the machine where they start."""
     cases: list[Moved] = [{}, *({one: 1.0} for one in made.numbers)]
-    base, *rows = on_threads(lambda moved: made.at(on, moved), cases, jobs, progress)
+    base, *rows = on_threads(lambda moved: made.at(master.bench, moved), cases, jobs, progress)
     if base is None:
         raise InputError(f"{master.folder}: its machine leaves its bounds in the simulation")
     kept = [(one, row) for one, row in zip(made.numbers, rows, strict=True) if row is not None]
     slope = np.stack([row - base for _, row in kept], axis=1)
     return made._replace(numbers=tuple(one for one, _ in kept), base=base, slope=slope)
+
+
+def _start(master: Master, made: Slopes) -> Moved:
+    """Numbers fitted to the master, each off by about 1; none where they explain less than half.
+
+    What is not explained weighs as in a diagnosis, so that what shows little moves little.
+    """
+    _, deviation = _differences(master, master, made)
+    means = [
+        np.mean([signature(r, master.bench.lines(name, r.rate))[c] for r in records], axis=0)
+        for name, records in ((name, master.records[name]) for name in made.tests)
+        for c in made.channels
+    ]
+    rest = first = (np.concatenate([mean.ravel() for mean in means]) - made.base) / deviation
+    local, theta, found = made.slope / deviation[:, None], np.zeros(len(made.numbers)), {}
+    share = len(made.tests) * len(made.channels) * master.bench.plant.legs / first.size
+    for _ in range(_FITTED):
+        weight = share / (1.0 + _OFF[-1] ** 2 * float(rest @ rest) / rest.size)
+        inner = weight * local.T @ local + np.eye(theta.size)
+        along = weight * local.T @ rest - theta
+        better = False
+        for damping in _DAMPED:
+            step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), along)
+            moved = dict(zip(made.numbers, map(float, theta + step), strict=True))
+            there = made.at(master.bench, moved)
+            if there is None:
+                continue
+            after = first - (there - made.base) / deviation
+            local = local + np.outer(rest - after - local @ step, step) / float(step @ step)
+            if better := bool(np.linalg.norm(after) < np.linalg.norm(rest)):
+                theta, rest, found = theta + step, after, moved
+                break
+        if not better:
+            break
+    return found if np.linalg.norm(rest) < 0.5 * np.linalg.norm(first) else {}
 
 
 class Cause(NamedTuple):
@@ -229,8 +277,9 @@ def diagnose(master: Master, new: Master, known: Slopes, jobs: int | None = None
         ranked = sorted(fits.values(), key=likelihood, reverse=True)[:_TRIED]
         if all(one.seen for one in ranked[:3]):
             break
-        again = [one for one in ranked if not one.seen]
-        fits |= {fit.places: fit for fit in on_threads(simulate, again, jobs)}
+        ranked += sorted((fits[(i,)] for i in places), key=lambda fit: fit.left)[:_TRIED]
+        again = {one.places: one for one in ranked if not one.seen}
+        fits |= {fit.places: fit for fit in on_threads(simulate, list(again.values()), jobs)}
     v = 1.0 + size / z.size
     none = -0.5 * count * (np.log(v) + (v - 1.0) / v) + np.log(_PRIOR[0])
     ranked = sorted(fits.values(), key=likelihood, reverse=True)

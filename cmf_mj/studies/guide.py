@@ -47,7 +47,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command, Dof, plain
 from cmf_mj.studies.fit.plan import HOST_RATE, STEP_CORNER, Room
-from cmf_mj.studies.measurement import MEASURES, SIGNED
+from cmf_mj.studies.measurement import MEASURES, SIGNED, Lines, lines_of
 
 Array = NDArray[np.float64]
 
@@ -164,6 +164,10 @@ class Bench(NamedTuple):
                 )
             ]
         return pose_to_legs(pose, machine)
+
+    def lines(self, name: str, rate: float) -> Lines:
+        """Lines of a test's signature, of recordings at a rate [Hz]."""
+        return lines_of(self.legs(name, rate), rate)
 
 
 MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}

@@ -25,7 +25,7 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.studies.guide import FILE, Bench, MasterSettings, bench, named, write_head
-from cmf_mj.studies.measurement import MEASURES, Lines, accelerations, lines_of, signature
+from cmf_mj.studies.measurement import MEASURES, Lines, accelerations, signature
 
 Array = NDArray[np.float64]
 
@@ -138,16 +138,16 @@ def _read(on: Bench, name: str, path: Path, head: MasterSettings) -> Record:
                 for x in (given, planned)
             ]
             lag = int(np.argmax(correlate(moved[0], moved[1], mode="full"))) - len(planned) + 1
-        count = len(planned) - 1
-        if lag < 0 or lag + count > len(given):
+        count = len(planned)
+        if lag < 0 or lag + count > len(given) + 1:
             have = max(0, min(len(given) - lag, len(given))) / record.rate
             raise InputError(f"ends after {have:.1f} s; the test takes {count / record.rate:.1f} s")
-        part = slice(lag, lag + count)
-        off = np.abs(given[part] - planned[:count]).max() / np.ptp(planned, axis=0).max()
+        part = np.minimum(np.arange(lag, lag + count), len(given) - 1)
+        off = np.abs(given[part] - planned).max() / np.ptp(planned, axis=0).max()
         if off > ALIKE:
             raise InputError(f"leg_reference: is {off:.0%} off what {name} demands")
         channels = {key: value[part] for key, value in record.channels.items()}
-        cut = Record(record.time[part] - record.time[lag], channels, record.units, record.metadata)
+        cut = Record(np.arange(count) / record.rate, channels, record.units, record.metadata)
     return named(cut, on, name)
 
 
@@ -209,8 +209,7 @@ class Signed(NamedTuple):
 
 def signed(master: Master, new: Master, name: str) -> Signed:
     """Compare the signatures of a test; channels count that both have."""
-    record = master.records[name][0]
-    lines = lines_of(record["leg_reference"], record.rate)
+    lines = master.bench.lines(name, master.records[name][0].rate)
     before, after = ([signature(r, lines) for r in one.records[name]] for one in (master, new))
     n, m, rows = len(before), len(after), lines.size
     difference, deviation, degrees = {}, {}, {}
