@@ -17,11 +17,12 @@ from cmf_mj import Hexapod, Plant, SingleLegs
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.operating_point import linear_mechanics, operating_point
+from cmf_mj.analysis.linear.operating_point import hold, linear_mechanics, operating_point
 from cmf_mj.analysis.linear.poles import leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units
+from cmf_mj.core.errors import NotLinearError
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
@@ -548,3 +549,25 @@ def test_a_system_comes_back_from_its_file(tmp_path: Path, hexapod: Hexapod) -> 
         np.testing.assert_array_equal(back[name], getattr(system, name))
     assert back["state_labels"] == system.state_labels and back["sampling_time"] == system.dt
     assert back["description"] == {"pose": [0.0] * 6}
+
+
+def test_worn_seals_hold_a_leg_short_of_the_stall_load() -> None:
+    """What leaks from chamber to chamber comes through the valves, outward as inward: the command
+    is odd about half the stall load. Where open valves let in less than leaks, nothing holds."""
+    plant = Hexapod("gfd", changed("hardware", leak_rate=35.0))
+    cylinder, high = plant.hydraulics.cylinder[0], plant.hydraulics.supply.pressure
+    stall, least = cylinder.cap_area * high, cylinder.rod_area * high
+
+    def command(load: float) -> float:
+        return hold(plant, 0, load, 0.0, high, 0.0).command
+
+    middle = 0.5 * (stall - least)
+    for share in (0.6, 0.8, 0.9):
+        out, back = (
+            command(middle + share * (stall - middle)),
+            command(middle - share * (stall - middle)),
+        )
+        assert out == pytest.approx(-back, rel=1e-6)
+        assert 0.0 < out < 1.0
+    with pytest.raises(NotLinearError, match="no opening of the valves"):
+        command(0.999 * stall)

@@ -242,13 +242,18 @@ def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low
         return ports.flow[[CAP, ROD]] / areas
 
     def command_at(rod: float) -> float:
-        """The command that moves the leg nowhere: both chambers fill alike."""
-        return float(
-            optimize.brentq(lambda c: np.subtract(*flows(c, rod)), -reach, reach, xtol=1e-15)
-        )
+        """The command that moves the leg nowhere: both chambers fill alike; NaN for none."""
+
+        def moves(command: float) -> float:
+            return float(np.subtract(*flows(command, rod)))
+
+        if moves(-reach) * moves(reach) > 0.0:  # more leaks than open valves let in
+            return float("nan")
+        return float(optimize.brentq(moves, -reach, reach, xtol=1e-15))
 
     def gathering(rod: float) -> float:
-        return float(flows(command_at(rod), rod).sum())
+        command = command_at(rod)
+        return float(flows(command, rod).sum()) if np.isfinite(command) else float("nan")
 
     least = max(low, (areas[0] * low - load) / areas[1])
     most = min(high, (areas[0] * high - load) / areas[1])
