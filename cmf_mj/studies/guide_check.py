@@ -6,7 +6,8 @@ What differs is found among numbers x, n of the master and m since:
 
 against Student's t at the level alpha / (2 tests) over all numbers of a test, half for its measures
 and half for its signature, see `signature`: a false alarm of the whole guide has at most the
-probability alpha. Of a signature s is that of all legs together, so that few repetitions see much.
+probability alpha. Of a signature s is the mean of all legs, of real and imaginary parts, with the
+degrees of freedom of one leg: what one leg does by chance, with friction above all, the others do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -198,13 +199,15 @@ class Signed(NamedTuple):
         """All differences over their deviations, (K,)."""
         return np.concatenate([(v / self.deviation[k]).ravel() for k, v in self.difference.items()])
 
-    def tail(self) -> float:
-        """Least probability of a difference by chance, times how many there are."""
-        chance = [
-            2.0 * stats.t.sf(np.abs(v / self.deviation[k]), self.degrees[k]).min()
+    def worst(self) -> tuple[float, float]:
+        """Student's t of the difference that is least by chance, and its degrees of freedom."""
+        every = [
+            np.broadcast_arrays(np.abs(v / self.deviation[k]), self.degrees[k])
             for k, v in self.difference.items()
         ]
-        return float(min(chance) * self.off.size)
+        off, degrees = (np.concatenate([one[i].ravel() for one in every]) for i in (0, 1))
+        least = int(np.argmin(stats.t.logsf(off, degrees)))
+        return float(off[least]), float(degrees[least])
 
 
 def signed(master: Master, new: Master, name: str) -> Signed:
@@ -222,7 +225,7 @@ def signed(master: Master, new: Master, name: str) -> Signed:
         difference[channel] = now.mean(axis=0) - old.mean(axis=0)
         deviation[channel] = np.sqrt(np.maximum(pooled, floor) * (1.0 / n + 1.0 / m))
         share = np.repeat([1.0, 2.0], [1, 2 * rows])[:, None]
-        degrees[channel] = share * old.shape[2] * (n - 1.0)
+        degrees[channel] = share * (n - 1.0)  # legs move together: they count as one
     return Signed(lines, difference, deviation, degrees)
 
 
@@ -266,12 +269,10 @@ def compare(master: Master, new: Master) -> list[Compared]:
             limit = limits.get(measure, float("nan"))
             found.append(_measure(name, measure, before, after, share / count, limit))
         one = signed(master, new, name)
-        tail, count = one.tail(), one.off.size
-        degrees = float(min(value.min() for value in one.degrees.values()))
-        edge, least = stats.t.isf(share / count / 2.0, degrees), share / count
+        (most, degrees), least = one.worst(), share / one.off.size
+        edge = stats.t.isf(least / 2.0, degrees)
         seen = smallest(len(old), len(now), least, degrees)
-        verdict = "changed" if tail < share else "as before"
-        most = float(np.abs(one.off).max())
+        verdict = "changed" if most > edge else "as before"
         where = (0.0, 1.0, most, most, float(edge), seen, float("nan"))
         found.append(Compared(name, SIGNATURE, *where, verdict))
     return found

@@ -14,7 +14,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
-from cmf_mj.studies.guide_check import _measure, compare, load_master, seal, smallest
+from cmf_mj.studies.guide_check import _measure, compare, load_master, seal, signed, smallest
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +59,26 @@ def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
     assert stats.binom.sf(alarms, 3000, level) > 1e-3
     row = _measure("t", "m", np.array([1.0, 1.1, 0.9]), np.array([1.0]), level, 0.5)
     assert row.verdict == "beyond its limit"
+
+
+def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Path) -> None:
+    """White noise that all six legs share, 400 masters of five and checks of one, at 5 %."""
+    master, draw, level = load_master(folder / "master"), np.random.default_rng(5), 0.05
+    like = master.records["all"][0]
+
+    def noise() -> Record:
+        wave = np.repeat(draw.normal(size=(like.time.size, 1)), 6, axis=1)
+        channels = {"leg_position": wave}
+        return Record(like.time, channels, {"leg_position": "m"}, like.metadata)
+
+    alarms = 0
+    for _ in range(400):
+        old, new = [noise() for _ in range(5)], [noise()]
+        pair = (master._replace(records={"all": records}) for records in (old, new))
+        one = signed(*pair, "all")
+        off, degrees = one.worst()
+        alarms += off > stats.t.isf(level / one.off.size / 2.0, degrees)
+    assert stats.binom.sf(alarms, 400, level) > 1e-3
 
 
 def test_nothing_has_changed(folder: Path) -> None:
