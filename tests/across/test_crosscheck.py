@@ -16,9 +16,11 @@ from scipy import linalg
 from cmf_mj import Hexapod, Run, load_hydraulics
 from cmf_mj.core import units
 from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.signal import ValveCommands
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
+from cmf_mj.plant.hexapod import Floor, on_floor
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.signals.signal import plain
 
@@ -141,6 +143,31 @@ def test_a_floor_adds_the_modes_of_two_masses_on_two_springs() -> None:
     squares = linalg.eigh(np.diag([floor.stiffness, spring]), masses, eigvals_only=True)
     for expected in np.sqrt(squares) / (2.0 * np.pi):
         assert peak(heave, expected) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_floor_here_moves_pressures_as_there() -> None:
+    """Within 2 % of what the floor does to them."""
+    oil = Hexapod(machine="lab").parameters.model_copy(update={"supply": "constant"})
+    plant = Hexapod(None, oil, machine="lab")
+    valves = np.zeros((512, 6))
+    valves[20:60], valves[60:100] = 0.03, -0.03
+    valves[200:240] = 0.03 * np.array([1.0, 1.0, -0.5, -0.5, -0.5, -0.5])
+    there = Spring(stiffness=3.2e7, damping=1.5e4, mass=2000.0)
+    whole = float(plant.model.body_mass.sum()) + there.mass
+    ratio = there.damping / (2.0 * np.sqrt(there.stiffness * whole))
+    floored = on_floor(plant, Floor(there.mass, there.stiffness, ratio))
+    source = ValveCommands(valves)
+    ours = [
+        Run(plant=one, electronics=None, law=None, source=source, command_delay=0).record()
+        for one in (plant, floored)
+    ]
+    theirs = [
+        Machine(plant, floor=one).run(valves, 1.0 / 2048.0).pressure[:-1] for one in (None, there)
+    ]
+    for channel, name in enumerate(("cap_pressure", "rod_pressure")):
+        moved = np.std((theirs[1] - theirs[0])[..., channel])
+        assert moved > 10.0 * np.std(ours[0][name] - theirs[0][..., channel])
+        assert np.std(ours[1][name] - theirs[1][..., channel]) < 0.02 * moved
 
 
 def test_mounts_are_springs_in_series_with_the_oil() -> None:

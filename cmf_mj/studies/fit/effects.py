@@ -1,19 +1,19 @@
 """Effects that a machine may have beside the numbers that are fitted, each tried.
 
-Of each effect one more number, or one of each leg, is fitted together with all others by a step
-from where the fit ended; its prior is normal, of the deviation 1 in sizes of `EFFECTS`. The gain of
--ln L says whether it would help.
+Of each effect one more number, or one of each leg, has a normal prior of the deviation 1 in sizes
+of `EFFECTS`. The gain of -ln L, by one size of it or by a step of all numbers with it from where
+the fit ended, says whether it would help. Numbers fitted without an effect may be far from those
+with it: of the one that gains most all are fitted again.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import STANDARD_GRAVITY
@@ -22,9 +22,8 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Floor, Hexapod, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.fit.engine import Fitter, Look
-from cmf_mj.studies.fit.likelihood import information
-from cmf_mj.studies.fit.model import Residuals, minus
+from cmf_mj.studies.fit.engine import Fitter, Look, improved
+from cmf_mj.studies.fit.model import Model, minus
 from cmf_mj.studies.fit.results import nominal
 
 Array = NDArray[np.float64]
@@ -34,6 +33,7 @@ Change = Callable[[Plant, Array], Plant]
 
 _LEGS, _FLOOR = 0.25, 0.2
 _FLOORS = np.geomspace(8.0, 32.0, 7)  #: With the machine on it, its legs rigid [Hz].
+_AGAIN = 4  #: Most steps of a fit with an effect.
 _HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
 
 
@@ -130,8 +130,8 @@ class Effect(NamedTuple):
     """An effect that was tried."""
 
     name: Annotated[str, Field(title="effect")]
-    gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]  #: By one step with it.
-    shift: Array  #: What that step adds to the coordinates of the numbers, (n,).
+    gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]
+    shift: Array  #: What the coordinates of the numbers are with it, less those without, (n,).
 
     @property
     def helps(self) -> bool:
@@ -139,69 +139,92 @@ class Effect(NamedTuple):
         return self.gain > _HELPS
 
 
+class _With(Model):
+    """A model with an effect, whose numbers follow those that are fitted."""
+
+    def __init__(self, model: Model, size: int, change: Change, signed: bool) -> None:
+        vars(self).update(vars(model))
+        self._size, self._change, self._signed = size, change, signed
+
+    def values(self, z: Array) -> dict[str, Any]:
+        return super().values(z[: self._size])
+
+    def machine(self, z: Array) -> Plant:
+        if not self._signed and z[self._size] <= 0.0:
+            raise InputError(f"effect: {z[self._size]:g} of it is refused; allowed: more than 0")
+        return self._change(super().machine(z), z[self._size :])
+
+
+class _Point(NamedTuple):
+    """Numbers with those of an effect."""
+
+    fitter: Fitter
+    x: Array  #: Of the numbers, the effect, and clocks.
+    merit: float
+
+
 def tried(look: Look, fitter: Fitter) -> list[Effect]:
     """Gain of each effect that is no unknown yet, the largest first."""
     there = {one.path for one in fitter.model.unknowns.values()}
-    found = [
-        Effect(name, *_gain(look, fitter, extra))
+    points = {
+        name: _best(look, fitter, extra)
         for name, extra in EFFECTS.items()
         if extra.path not in there
         and (isinstance(extra, Extra) or isinstance(fitter.model.plant, Hexapod))
+    }
+    if points:
+        most = min(points, key=lambda name: points[name].merit)
+        if look.merit - points[most].merit > _HELPS:
+            points[most] = _fitted(points[most], fitter)
+    size = fitter.size
+    found = [
+        Effect(name, look.merit - one.merit, one.x[:size] - look.x[:size])
+        for name, one in points.items()
     ]
     return sorted(found, key=lambda effect: -effect.gain)
 
 
-class _Step(NamedTuple):
-    """A step of all numbers together with those of an effect."""
-
-    change: Change
-    promise: float  #: Of gain, if all were linear.
-    move: Array  #: Of the numbers, (n,).
-    added: Array  #: Of the effect's.
-
-
-def _gain(look: Look, fitter: Fitter, extra: Extra | Yielding) -> tuple[float, Array]:
-    """Gain by one step of all numbers together with those of an effect, and the numbers' part."""
+def _best(look: Look, fitter: Fitter, extra: Extra | Yielding) -> _Point:
+    """The best of what is tried with an effect, and else none of it, where the fit ended."""
     legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
-
-    def there_at(point: tuple[Change, Array, Array]) -> Residuals | None:
-        change, x, added = point
-        try:
-            machine = change(fitter.model.machine(x[: fitter.size]), added)
-            known = fitter.model.values(x[: fitter.size])
-            return fitter.model.residuals_of(machine, known, fitter.clocks_of(x))
-        except (InputError, RunError):
-            return None
-
-    def all_(points: Sequence[tuple[Change, Array, Array]]) -> list[Residuals | None]:
-        with ThreadPoolExecutor(fitter.jobs) as pool:
-            return list(pool.map(there_at, points))
-
-    steps = []
+    size, none = fitter.size, np.zeros(len(legs))
+    best, most = _Point(fitter, np.insert(look.x, size, none), look.merit), 0.0
     for change in extra.on(fitter.model.plant, legs):
-        there = [one for one in all_([(change, look.x, one) for one in np.eye(len(legs))]) if one]
-        if len(there) == len(legs):
-            step = _step(look, fitter, change, there)
-            if extra.signed or step.added[0] > 0.0:
-                steps.append(step)
-    if not steps:
-        return 0.0, np.zeros(fitter.size)
-    best, parts = max(steps, key=lambda one: one.promise), (1.0, 0.5, 0.25)
-    points = [(best.change, look.x + part * best.move, part * best.added) for part in parts]
-    merits = [
-        fitter.merit(x, residuals) + 0.5 * float(added @ added)
-        for (_, x, added), residuals in zip(points, all_(points), strict=True)
-    ]
-    least = int(np.argmin(merits))
-    gain = max(0.0, float(look.merit - merits[least]))
-    return gain, (gain > 0.0) * parts[least] * best.move[: fitter.size]
+        model = _With(fitter.model, size, change, extra.signed)
+        tried_ = fitter.on(model, size + len(legs))
+        points = [np.insert(look.x, size, one) for one in np.eye(len(legs))]
+        there = [one for one in tried_.all(points) if one is not None]
+        if len(there) < len(legs):
+            continue
+        slopes = list(look.slopes)
+        slopes[size:size] = [minus(one, look.here) for one in there]
+        whole = tried_.seen(np.insert(look.x, size, none), look.here, slopes)
+        points, merits = points[:1], [tried_.merit(points[0], there[0])]
+        move = np.linalg.solve(whole.found.matrix + np.eye(whole.x.size), whole.gradient)
+        if whole.promise > most and (extra.signed or move[size] > 0.0):
+            most = whole.promise
+            points += [whole.x + part * move for part in (1.0, 0.5, 0.25)]
+            merits += map(tried_.merit, points[1:], tried_.all(points[1:]))
+        least = int(np.argmin(merits))
+        if merits[least] < best.merit:
+            best = _Point(tried_, points[least], merits[least])
+    return best
 
 
-def _step(look: Look, fitter: Fitter, change: Change, there: Sequence[Residuals]) -> _Step:
-    """The step of Gauss and Newton, from what one size of each of an effect's numbers does."""
-    slopes = [*look.slopes, *(minus(one, look.here) for one in there)]
-    found = information(look.here, slopes, fitter.order, fitter.spacing)
-    gradient = found.gradient - np.concatenate([look.x, np.zeros(len(there))])
-    step = np.linalg.solve(found.matrix + np.eye(gradient.size), gradient)
-    size = look.x.size
-    return _Step(change, 0.5 * float(gradient @ step), step[:size], step[size:])
+def _fitted(point: _Point, before: Fitter) -> _Point:
+    """The numbers fitted again with an effect, from the best there is or what is weighed."""
+    fitter, x, size = point.fitter, point.x, before.size
+    rest = x.copy()
+    rest[:size] = before.model.weighed()
+    starts = [x]
+    for amount in (1.0, 2.0):
+        rest[size : fitter.size] = amount
+        starts.append(rest.copy())
+    merits = [point.merit, *map(fitter.merit, starts[1:], fitter.all(starts[1:]))]
+    x, width = starts[int(np.argmin(merits))], np.full(x.size, 0.03)
+    for _ in range(_AGAIN):
+        row = improved(fitter, x, width, "whole")
+        x, width = np.array(row["x"]), np.array(row["width"])
+        if row["done"]:
+            break
+    return _Point(fitter, x, row["merit"])

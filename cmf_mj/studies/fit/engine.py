@@ -16,6 +16,7 @@ evidence without recordings the posterior is drawn, by importance sampling (`sam
 The folder's journal holds every step, so that a fit that was stopped goes on where it was.
 """
 
+import copy
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -134,6 +135,12 @@ class Fitter:
         self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
         self.size = len(names_of(campaign.unknowns))
         self._latest: Look | None = None
+
+    def on(self, model: Model, size: int) -> "Fitter":
+        """The same of a model with so many numbers."""
+        made = copy.copy(self)
+        made.model, made.size, made._latest = model, size, None
+        return made
 
     def residuals(self, x: Array) -> Residuals:
         """Residuals at numbers, and clocks where they are fitted; errors as those of `Model`."""
@@ -302,7 +309,7 @@ def fit(
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
             if number not in journal.results:
-                journal.add(number, [_step(fitter, x, width, stage)])
+                journal.add(number, [improved(fitter, x, width, stage)])
             row = journal.results[number][0]
             number += 1
             say(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
@@ -342,7 +349,7 @@ def _shifted(campaign: Campaign, journal: Journal, jobs: int) -> Evidence:
     return campaign.evidence._replace(shift=np.array(journal.results[_SHIFT][0]["shift"]))
 
 
-def _step(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
+def improved(fitter: Fitter, x: Array, width: Array, stage: str) -> dict[str, Any]:
     """Steps on one set of derivatives, as a row of the journal; none where they promise little."""
     enough, look = _ENOUGH[stage] if fitter.model.pieces else _CHEAP, fitter.look(x, width)
     first = look
@@ -382,10 +389,8 @@ def _twins(
             continue
         moved = x.copy()
         for one, other in (pair, pair[::-1]):
-            unknown, nominal = (
-                fitter.model.unknowns[one],
-                getattr(fitter.model.plant.parameters, one),
-            )
+            unknown = fitter.model.unknowns[one]
+            nominal = getattr(fitter.model.plant.parameters, one)
             grid = np.linspace(-_WIDEST, _WIDEST, 2001)
             values = unknown.number(nominal.si, unknown.at(stats.norm.cdf(grid)))
             moved[names.index(one)] = np.interp(getattr(oil, other).si, values, grid)
