@@ -68,6 +68,7 @@ COPIES = {
     "fly/velocity/motion.png": "images/fly_motion.png",
     "certify/certificates.png": "images/certificates.png",
     "learning/turbulence/learning.png": "images/learn.png",
+    "cueing/predictive.png": "images/predictive.png",
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "verification/crane.png": "images/crane.png",

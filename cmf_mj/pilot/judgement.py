@@ -189,7 +189,8 @@ FREE = {
     ),
     "predictive": (
         *_SIZES,
-        [("prediction", "smoothing")],
+        [(mode, "gain") for mode in _TILTING],
+        *([("prediction", key)] for key in ("smoothing", "guess_time", "guess_fade")),
     ),
 }
 """What is tuned of each family: entries with one factor each."""

@@ -189,16 +189,11 @@ class Predictive:
         self._program, self._ready = daqp.Model(), False
         self._program.settings = {"iter_limit": own.iterations}
         spans = np.convolve(np.diff(self.times), [0.5, 0.5])[1:]
-        self._prices = np.concatenate(
-            [
-                np.full(36 * own.knots, own.price.si),
-                np.full(2 * own.knots, own.tilt_price.si),
-                np.repeat(own.false_price.si * spans, 3),
-            ]
-        )
+        prices = np.repeat([own.price.si, own.tilt_price.si], [36 * own.knots, 2 * own.knots])
+        self._prices = np.concatenate([prices, np.repeat(own.false_price.si * spans, 3)])
         cues = _TWICE / np.maximum(self._prices[38 * own.knots :], 1e-9)
-        steep = np.full(36 * own.knots, _STEEP), np.full(2 * own.knots, 1e3 * _STEEP)
-        self._ease = np.concatenate([*steep, cues])
+        steep = np.repeat([_STEEP, 1e3 * _STEEP], [36 * own.knots, 2 * own.knots])
+        self._ease = np.concatenate([steep, cues])
 
     def _assemble(self) -> None:
         """Motion and cost of all modes at the knots 1 .. N, of s and of z = R U."""

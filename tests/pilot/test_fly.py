@@ -7,6 +7,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from cab_motions import pushed
 from shared import WORKING_STROKE, cmf
 
 from cmf_mj import signals
@@ -16,6 +17,7 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.fly import (
     FlightResult,
@@ -23,10 +25,13 @@ from cmf_mj.pilot.fly import (
     envelope_use,
     error_spectra,
     fly,
+    law_delay,
     transport_delay,
 )
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.washout_settings import load_washout
+from cmf_mj.pilot.perception import cueing_error
+from cmf_mj.pilot.washout_settings import PredictiveSettings, load_washout
+from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.show import flight as flight_report
 
@@ -110,6 +115,29 @@ def test_direct_mode_has_no_aircraft(direct: FlightResult) -> None:
     assert direct.use.within and not direct.limited.any()
     figure = flight_report.sensed_figure(direct)
     assert figure.axes[0].get_legend_handles_labels()[1][1] == "if followed at once"
+
+
+def test_a_plan_leads_by_the_loops_delay(direct: FlightResult) -> None:
+    """That of the linear loop is what a slow sine's legs have; a linear washout does not lead."""
+    delay = law_delay(Hexapod(), "velocity", "predictive")
+    assert delay == pytest.approx(direct.loop_delay, rel=0.3)
+    assert law_delay(Hexapod(), "velocity", "simona") == 0.0
+
+
+def test_a_known_push_is_felt_sooner_with_the_lead() -> None:
+    """Error sensed in the cab along x, a plan that leads next to one that does not."""
+    time = np.arange(640) / 80.0
+    flown = pushed(0, np.clip(time - 2.0, 0.0, 1.0))
+    settings = load_washout("predictive").model_copy()
+    assert isinstance(settings, PredictiveSettings)
+    known = settings.prediction.model_copy(update={"reference": "known"})
+    settings = settings.model_copy(update={"prediction": known})
+    led = fly(flown, "velocity", washout=settings, **IDEAL)
+    late = cue(flown, settings).stream
+    followed = fly(late, "velocity", **IDEAL)
+    assert led.cueing is not None and led.aircraft is not None and led.plans is not None
+    error = cueing_error(led.aircraft, followed.simulator)
+    assert led.cueing.rms[0] < 0.9 * error.rms[0]
 
 
 def test_the_cab_feels_what_was_asked_when_delay_and_gain_are_taken_out(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from cab_motions import G, pushed
+from shared import cmf
 
 from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.judgement import (
@@ -122,3 +123,10 @@ def test_a_search_finds_what_is_better_and_repeats():
     assert cost(flown) == pytest.approx(found[0].cost)
     with pytest.raises(ValueError, match="evaluations: 0"):
         search(load_washout("simona"), evaluations=0)
+
+
+def test_the_command_tunes_and_writes_what_it_found(tmp_path):
+    how = ("--evaluations", "1", "--rate", "20", "--workspace", "0.5", "--out", tmp_path)
+    said = cmf("cue", "tune", "--washout", "optimal", *how)
+    assert "after 1 settings" in said
+    assert load_washout(tmp_path / "washout.toml").kind == "optimal"

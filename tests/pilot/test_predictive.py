@@ -373,7 +373,7 @@ def test_a_guess_leads_by_its_slope_and_constant_cannot():
     own = SETTINGS.prediction.guess_time.si
     expected = own * (1.0 - np.exp(-0.1 / own))
     ahead = [runs["guess", lead].predictive._v[3] for lead in (0.1, 0.0)]
-    slope = 1.0 - np.exp(-3.99 / SETTINGS.prediction.guess_lag.si)
+    slope = SETTINGS.gains[0] * (1.0 - np.exp(-3.99 / SETTINGS.prediction.guess_lag.si))
     assert ahead[0] - ahead[1] == pytest.approx(expected * slope, rel=0.02)
 
 
