@@ -68,8 +68,8 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
     listed = tomllib.loads((root / "docs/data/files.toml").read_text())["omct"]
     assert listed["sha256"] == hashlib.sha256(b"new omct/omct.csv").hexdigest()
     assert (root / "docs" / "images" / "ladder.png").read_text() == "new ablation/ladder.png"
-    before = (SCRIPTS.parent / "docs" / "how_to" / "studies.md").read_text()
-    assert (root / "docs" / "how_to" / "studies.md").read_text() == before
+    before = (SCRIPTS.parent / "docs" / "how_to" / "scenarios.md").read_text()
+    assert (root / "docs" / "how_to" / "scenarios.md").read_text() == before
 
 
 @pytest.mark.slow
