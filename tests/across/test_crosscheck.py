@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from crosscheck import foreign
 from crosscheck.hydraulics import Circuit, make_circuit
 from crosscheck.machine import Machine, Spring
 from crosscheck.recordings import recorded
@@ -209,6 +210,34 @@ def test_a_closed_loop_is_recorded_as_ours() -> None:
         assert np.std(apart) < 2e-3 * np.std(ours[name] - ours[name].mean(axis=0)), name
     step = np.diff(np.unique(ours["leg_position"])).min()
     assert np.ptp(ours["leg_position"]) > 500.0 * step, "coarse sensors would hide a difference"
+
+
+def test_a_hidden_machine_has_the_true_numbers() -> None:
+    sheet, plant = foreign.data_sheet(), foreign.hidden(foreign.LACKING["overlap"])
+    assert plant.parameters.overlap.si == pytest.approx(0.02)
+    speed = plant.parameters.leg_speed.si / sheet.parameters.leg_speed.si
+    mass = plant.cab_parameters.mass.si / sheet.cab_parameters.mass.si
+    truth = foreign.TRUTH["leg_speed"], foreign.TRUTH["mass"]
+    assert (speed, mass) == pytest.approx(truth)
+
+
+def test_machines_with_what_the_model_lacks_are_doubted_by_name() -> None:
+    """As docs/data says of recordings of this engine: `tests/crosscheck/foreign.py`."""
+    path = SCRIPT.parents[1] / "docs" / "data" / "foreign_machines.csv"
+    with path.open(encoding="utf-8", newline="") as lines:
+        rows = {row["lacking"]: row for row in csv.DictReader(lines)}
+    assert rows.pop("none")["explained"] == "yes"
+    named = {
+        "floor": "a floor that yields",
+        "legs": "legs that yield",
+        "overlap": "valve overlap",
+    }
+    assert rows.keys() == named.keys()
+    for lacking, row in rows.items():
+        assert row["explained"] == "no"
+        assert row["gains"].startswith(named[lacking])
+        inside, _, numbers = row["held"].partition(" of ")
+        assert int(inside) > 0.8 * int(numbers)
 
 
 def test_what_changes_on_the_way_is_recorded() -> None:
