@@ -263,7 +263,7 @@ def laws(options: argparse.Namespace) -> None:
 def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str, float]:
     """What laws tuned on a fit do on the machine it is of."""
     from cmf_mj.studies.certificate import certify
-    from cmf_mj.studies.certificate_family import load_box
+    from cmf_mj.studies.certificate_family import LARGEST, load_box
 
     plants = {"fit": Hexapod("fitted", machine=folder / "machine.toml")}
     plants["truth"] = Hexapod(truth.cab, truth.oil)
@@ -287,7 +287,8 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
     for law, friction in product((recorded, found["fit"]), contacts):
         one = certify(plant, law, folder / str(friction), box, friction=friction)
         what = f"{'recorded' if law is recorded else 'tuned'}, {friction}"
-        said |= {f"{what}: proven": one.proven, f"{what}: broken": one.broken}
+        broken = one.broken if np.isfinite(one.broken) else float(LARGEST)  # nothing breaks it
+        said |= {f"{what}: proven": one.proven, f"{what}: broken": broken}
     carried = _carried(found["fit"], plants)
     for name, law in {"recorded": recorded, "tuned": carried}.items():
         said[f"least damping on the truth, {name}"] = least_damping(
