@@ -40,6 +40,8 @@ HYDRAULICS: Mapping[str, Mapping[str, tuple[float, str]]] = {
 }
 """What differs in the hydraulics of machines of one's own."""
 
+GUIDE = Path(__file__).resolve().parents[1] / "guides.toml"  #: The short test guide.
+
 UNEQUAL: Mapping[str, Mapping[str, tuple[float, str]]] = {
     "leg_2": {"leak_rate": (4.0, "1/s")},
     "leg_5": {"drive_lag": (50.0, "Hz")},
@@ -53,7 +55,7 @@ COMMANDS: dict[str, str] = {
     "linearize": "linearize {machine} {dry} --dofs heave,leg_1",
     "modes": "modes {cabs} --samples 90 --rounds 0 --points 3",
     "compare": "compare {machine} --dofs heave --quick --no-records",
-    "guide run": "guide run part60 {machine} --repetitions 2",
+    "guide run": f"guide run {GUIDE} {{machine}} --repetitions 2",
     "measure": "measure --record {machine}",
     "identify": "identify {machine} --simulate --orders 2,1,1 --method arx",
     "run": "run run.toml {cab}",
