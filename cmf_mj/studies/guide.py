@@ -309,7 +309,8 @@ def simulated(
     plant = copy.deepcopy(on.plant if plant is None else plant)
     offset = np.zeros(plant.legs) if shift is None else shift
     legs = on.legs(name) - offset
-    every = max(plant.machine.rate // RATE, 1)
+    rate = plant.machine.rate  # records keep whole samples a second
+    every = next((n for n in range(rate // RATE, 1, -1) if rate % n == 0), 1)
     start = legs_to_pose(legs[0], plant.machine)
     how: dict[str, Any] = {"law": on.of[name].law or on.law, "source": LegDemand(legs)}
     how |= {"start": start, "electronics": electronics, "seed": seed, "record_every": every}
