@@ -10,6 +10,7 @@ probability alpha. Of a signature s is the mean of all legs, of real and imagina
 degrees of freedom of one leg: what one leg does by chance, with friction above all, the others do.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -180,9 +181,11 @@ def smallest(n: int, m: int, level: float, degrees: float | None = None) -> floa
     """
     degrees = n - 1.0 if degrees is None else degrees
     edge = float(stats.t.isf(level / 2.0, degrees))
-    shift = optimize.brentq(
-        lambda c: stats.nct.sf(edge, degrees, c) - POWER, 0.0, 20.0 * edge + 9.0
-    )
+    with warnings.catch_warnings():  # SciPy's series may run over far from the root
+        warnings.simplefilter("ignore", RuntimeWarning)
+        shift = optimize.brentq(
+            lambda c: stats.nct.sf(edge, degrees, c) - POWER, 0.0, 20.0 * edge + 9.0
+        )
     return float(shift * np.sqrt(1.0 / n + 1.0 / m))
 
 

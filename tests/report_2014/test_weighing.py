@@ -19,7 +19,7 @@ from cmf_mj.report_2014.posterior.weighing import (
     run_effects,
 )
 
-SMALL = {"rounds": 2, "draws": 8, "kept": 4, "pairs": 2, "cabs": ["gfd", "ifd"]}
+SMALL = {"rounds": 2, "draws": 32, "kept": 4, "pairs": 2, "cabs": ["gfd", "ifd"]}
 FEW = ["coulomb", "viscous", "flow_shape", "second_lag", "pressure_filter", "measured_mass"]
 LEFT_OUT = ["simulated", "arx", "reading_delay", "velocity_filter", "soft_cap", *FEW]
 COUNT = 4096
@@ -158,13 +158,13 @@ def test_effects_that_are_none_are_refused(changes: dict[str, Any], message: str
 @pytest.mark.slow
 def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: Path) -> None:
     """Cut off and resumed it has the same bits; oil that is not displaced softens."""
-    more = {"path": "hydraulics.cap_dead_volume", "low": 0.0, "high": 4.0, "unit": "gal"}
+    more = {"path": "hydraulics.cap_dead_volume", "low": 0.0, "high": 0.5, "unit": "gal"}
     every = load_effects("effects").settings.model_dump(exclude_none=True)["effects"]
     own = {"dead": more | {"effect": "value", "source": "test"}, "lap": every["lap"]}
     study = load_effects("effects", changes=SMALL | {"effects": own})
     bank = run_effects(study, tmp_path / "one", jobs=1, backend="threading")
     assert list(bank.shown) == [NONE, "dead", "lap", "dead+lap"]
-    assert all(made.shape == (16, 12) for made in bank.shown.values())
+    assert all(made.shape == (64, 12) for made in bank.shown.values())
     assert not np.array_equal(bank.shown["dead"], bank.shown[NONE], equal_nan=True)
     again = tmp_path / "again"
     again.mkdir()
