@@ -19,6 +19,8 @@ from lengths import examples
 from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
+from cmf_mj.record.facility_csv import TRAILER
+from cmf_mj.record.reader import read_recording
 
 ENDS = 1  #: How often the long search ends each command.
 LONGEST = 12.0  #: Latest end after the start [s].
@@ -37,7 +39,9 @@ def test_every_command_that_writes_has_a_line() -> None:
 def whole(path: Path) -> bool:
     """Whether a reader of its kind reads a file to its end."""
     content = path.read_bytes()
-    if path.suffix in (".parquet", ".csv") and not content.startswith(b"#"):
+    if path.suffix == ".csv" and TRAILER.encode() in content:
+        read_recording(path)
+    elif path.suffix in (".parquet", ".csv") and not content.startswith(b"#"):
         read_table(path)
     elif path.suffix in (".png", ".gif"):
         with Image.open(path) as picture:

@@ -316,7 +316,10 @@ def test_vectors_are_made_by_gymnasium() -> None:
 
 @pytest.mark.slow
 def test_threads_do_not_hold_one_another_up() -> None:
-    """In processor time, which does not depend on who else works here: two threads waste little."""
+    """In processor time two threads waste little: what they wasted would show in every pair.
+
+    A core that another process shares makes this process slower for a moment, not in all pairs.
+    """
 
     def cost(threads: int) -> float:
         vector = hexapods(num_envs=8, threads=threads, seconds=60.0)
@@ -330,4 +333,4 @@ def test_threads_do_not_hold_one_another_up() -> None:
         vector.close()
         return spent
 
-    assert min(cost(2) for _ in range(3)) < 1.15 * min(cost(1) for _ in range(3))
+    assert min(cost(2) / cost(1) for _ in range(6)) < 1.15
