@@ -232,7 +232,9 @@ def video_command(
     ] = None,
     machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
-    file: Annotated[Path, new_file(help="MP4 or GIF file")] = Path("out/video.mp4"),
+    file: Annotated[Path, new_file(help="MP4 or GIF file, or HTML page to play")] = Path(
+        "out/video.mp4"
+    ),
     fps: options.Fps = 30,
     speed: options.Speed = None,
     camera: options.Camera = "overview",
@@ -244,7 +246,7 @@ def video_command(
     stroke: Stroke = None,
     periods: Periods = 1.0,
 ) -> None:
-    """Render runs side by side, or modes of a cab, to MP4 or GIF; needs no display."""
+    """Show runs side by side, or modes of a cab, as MP4, GIF or an HTML page; needs no display."""
     from cmf_mj.show.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 

@@ -238,7 +238,7 @@ def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> 
 class VideoChoice(Settings):
     """A film of the run."""
 
-    file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"  #: Name.
+    file: Annotated[str, _ending(".mp4", ".gif", ".html")] = "video.mp4"  #: Name.
     camera: str = "overview"  #: Camera of the model.
     fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Frame rate [1/s].
     speed: Annotated[float, Field(ge=0.01, le=100.0)] = 1.0

@@ -26,7 +26,8 @@ from cmf_mj.record.record import Record
 from cmf_mj.show.linearization import mode_table, title_of
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.operation import overview_figure
-from cmf_mj.show.stage import FilmStage, Panels, Strip, traces_of
+from cmf_mj.show.player.writer import write_page
+from cmf_mj.show.stage import FilmStage, Panels, Reel, Strip, traces_of
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
@@ -51,16 +52,6 @@ class FilmSettings(NamedTuple):
     """Time of the runs that it shows [s]; default to the end of the longest."""
 
 
-class Reel(NamedTuple):
-    """What one part of each picture shows."""
-
-    model: mujoco.MjModel  #: The machine.
-    time: NDArray[np.float64]  #: Of its configurations, rising [s], (n,).
-    qpos: NDArray[np.float64]  #: Its configurations, (n, nq).
-    title: str  #: Over the picture.
-    traces: Panels = ()  #: Under the picture.
-
-
 def film(
     records: Sequence[Record],
     path: str | Path,
@@ -70,12 +61,13 @@ def film(
     traces: Sequence[Panels] = (),
     progress: Progress | None = None,
 ) -> Path:
-    """Render runs side by side to an MP4 or GIF file; it appears only when it is complete.
+    """Show runs side by side in an MP4, GIF or HTML file; it appears only when it is complete.
 
-    A film of t seconds of a run has t / speed x fps pictures, each of the last row before its time;
-    a shorter run rests at its end next to a longer one. `titles` are the laws and `traces` are
-    `traces_of` the records by default; `progress` is called with the pictures done and those in
-    all. Raises `InputError` for an argument out of range, `MissingExtraError` without PyAV.
+    An HTML file is a page that plays them in three dimensions. A film of t seconds of a run has
+    t / speed x fps pictures, each of the last row before its time; a shorter run rests at its end
+    next to a longer one. `titles` are the laws and `traces` are `traces_of` the records by default;
+    `progress` is called with the pictures done and those in all. Raises `InputError` for an
+    argument out of range, `MissingExtraError` without PyAV.
     """
     chosen = settings or FilmSettings()
     if not records:
@@ -99,8 +91,8 @@ def film(
 def check_settings(path: str | Path, settings: FilmSettings) -> None:
     """Refuse a file name or settings that no film can have."""
     target, fps, speed = Path(path), settings.fps, settings.speed
-    if target.suffix not in (".mp4", ".gif"):
-        raise InputError(f"out: {target.name} must end in .mp4 or .gif")
+    if target.suffix not in (".mp4", ".gif", ".html"):
+        raise InputError(f"out: {target.name} must end in .mp4, .gif or .html")
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
         raise InputError(f"speed, fps: {speed}, {fps} must be greater than 0")
     if target.suffix == ".gif" and fps > GIF_FPS:
@@ -131,7 +123,13 @@ def write_reels(
     columns: int,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of `count` pictures, its reels in rows of so many columns."""
+    """Write a film of `count` pictures, its reels in rows of so many columns, or as a page."""
+    target = Path(path)
+    if target.suffix == ".html":
+        end = settings.start + max(count - 1, 1) * settings.speed / settings.fps
+        return write_page(
+            reels, (settings.start, end), target, columns, settings.speed, settings.camera
+        )
 
     def counted() -> Iterator[Picture]:
         for number, picture in enumerate(_pictures(reels, count, settings, columns), start=1):
@@ -139,7 +137,6 @@ def write_reels(
             if progress is not None:
                 progress(number, count)
 
-    target = Path(path)
     write = _write_gif if target.suffix == ".gif" else _write_mp4
     with whole_file(target) as partial:
         write(counted(), partial, settings.fps)
@@ -234,7 +231,7 @@ def swing_film(
     periods: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render the modes at a pose, for `periods` of the lowest, to an MP4 or GIF file.
+    """Render the modes at a pose, for `periods` of the lowest, to an MP4, GIF or HTML file.
 
     In each mode the legs swing by `stroke` [m], default 0.32 of the working stroke (12 in of the
     CMF), or by what that leaves.

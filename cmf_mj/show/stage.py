@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import matplotlib.image
 import mujoco
@@ -150,6 +150,16 @@ _CURSOR = (200, 30, 30)
 Panels = Sequence[Panel]  #: What the strip of a run shows, from above, one column after the other.
 
 
+class Reel(NamedTuple):
+    """What one part of each picture shows."""
+
+    model: mujoco.MjModel  #: The machine.
+    time: NDArray[np.float64]  #: Of its configurations, rising [s], (n,).
+    qpos: NDArray[np.float64]  #: Its configurations, (n, nq).
+    title: str  #: Over the picture.
+    traces: Panels = ()  #: Under the picture.
+
+
 def traces_of(record: Record) -> Panels:
     """A degree of freedom of a record, and pressures of the leg whose cap pressure moves most.
 
@@ -210,7 +220,7 @@ class Strip:
         for axis, panel, *others in zip(axes, panels, *(every or [panels]), strict=True):
             plot_panel(axis, panel)
             axis.yaxis.label.set_fontsize(letters)
-            axis.set(xlim=span, ylim=_limits(others, span))
+            axis.set(xlim=span, ylim=limits_of(others, span))
             axis.grid(True, color="0.92", linewidth=0.6)
             axis.tick_params(labelsize=letters - 1.0)
             if not shared:
@@ -243,7 +253,7 @@ class Strip:
         return pixels
 
 
-def _limits(panels: Panels, span: tuple[float, float]) -> tuple[float, float]:
+def limits_of(panels: Panels, span: tuple[float, float]) -> tuple[float, float]:
     """Ends of an axis that holds the curves of all panels within a span of time."""
     curves = [curve for panel in panels for curve in panel.curves]
     values = np.concatenate([c.y[(c.x >= span[0]) & (c.x <= span[1])] for c in curves])

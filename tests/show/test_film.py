@@ -91,7 +91,7 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"name": "x.avi"}, "out: x.avi must end in .mp4 or .gif"),
+        ({"name": "x.avi"}, "out: x.avi must end in .mp4, .gif or .html"),
         ({"name": "x.gif", "fps": 60}, "fps: 60 frames a second of a GIF file must be at most 50"),
         ({"width": 8}, "width: 8 pixels must be between 16 and 1920"),
         ({"width": 161}, "width: 161 pixels must be even"),

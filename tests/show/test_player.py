@@ -1,0 +1,249 @@
+"""Runs as a page: it holds the record, and what Chromium draws of it is MuJoCo's picture."""
+
+import base64
+import io
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import matplotlib.image
+import mujoco
+import numpy as np
+import pytest
+from playwright.sync_api import Page, sync_playwright
+
+from cmf_mj import Record
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.plant.hexapod import hexapod_model
+from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.player import writer
+from cmf_mj.show.stage import FilmStage
+
+ROOT = Path(__file__).resolve().parents[2]
+LAWS = "velocity", "position_error_rate"
+SIZES = (1280, 720), (390, 844)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    """Two laws that follow a step up with sines, so that all joints move."""
+    sines = [
+        {"kind": "sine", "dof": dof, "amplitude": [6.0, unit], "frequency": 1.0}
+        for dof, unit in (("yaw", "deg"), ("surge", "in"))
+    ]
+    step = {"kind": "step", "dof": "heave", "amplitude": [-12.0, "in"], "at": 0.1}
+    table = {"duration": 1.5, "signal": [step, *sines]}
+    return [scenario_of({**table, "law": law}, "test").record() for law in LAWS]
+
+
+@pytest.fixture(scope="module")
+def path(records: list[Record], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return film(records, tmp_path_factory.mktemp("page") / "two.html")
+
+
+def content(path: Path) -> dict[str, Any]:
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def row_at(record: Record, time: float) -> int:
+    return int(np.searchsorted(record.time, time + 1e-9, side="right")) - 1
+
+
+def test_a_page_holds_the_records_own_states(records: list[Record], path: Path) -> None:
+    held = content(path)
+    for record, run in zip(records, held["runs"], strict=True):
+        qpos = np.frombuffer(base64.b64decode(run["qpos"]), "<f4").reshape(held["count"], -1)
+        times = held["start"] + np.arange(held["count"]) / held["rate"]
+        rows = [row_at(record, time) for time in times]
+        assert np.array_equal(qpos, record["generalised_position"][rows].astype(np.float32))
+        assert times[-1] == pytest.approx(record.time[-1], abs=1 / 30)
+    assert path.stat().st_size < writer.MOST_BYTES
+
+
+def test_a_page_asks_for_nothing_and_names_whose_its_library_is(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert set(re.findall(r"https?://[^\s\"'`)]*", text)) == {
+        "http://www.w3.org/1999/xhtml",
+        "http://www.w3.org/2000/svg",
+    }
+    assert "Permission is hereby granted" in text and "three.js authors" in text
+    assert "default-src 'none'" in text and "{{" not in text.split("<script>")[0]
+
+
+def test_slow_motion_that_asks_for_too_much_has_fewer_samples(
+    records: list[Record], tmp_path: Path
+) -> None:
+    path = film(records, tmp_path / "slow.html", FilmSettings(speed=1e-4))
+    assert 2_500_000 < path.stat().st_size < writer.MOST_BYTES
+    assert content(path)["rate"] < writer.SAMPLES_A_SECOND / 1e-4
+
+
+def test_a_model_too_large_for_a_page_is_refused(
+    records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "MOST_BYTES", 500_000)
+    with pytest.raises(InputError, match=r"file: x.html with 0\.\d MB must be at most 0\.5 MB"):
+        film(records, tmp_path / "x.html")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "shown", sorted((ROOT / "docs/_static/films").glob("*.html")), ids=lambda p: p.stem
+)
+def test_the_sites_pages_are_what_the_command_writes_today(shown: Path, path: Path) -> None:
+    """But for their runs: title, words and data."""
+    runs = re.compile(
+        r"<title>.*?</title>|</summary>.*?</details>|application/json\">.*?</script>", re.S
+    )
+    written, today = (runs.sub("", one.read_text(encoding="utf-8")) for one in (shown, path))
+    assert written == today
+    assert shown.stat().st_size < writer.MOST_BYTES
+
+
+# In Chromium, with WebGL in software
+
+
+class Visit:
+    """A page with all it asked for and complained about."""
+
+    def __init__(self, page: Page, path: Path) -> None:
+        self.page, self.requests, self.complaints = page, list[str](), list[str]()
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.goto(path.as_uri())
+        self.wait("window.player && player.drawn() > 0")
+
+    def seek(self, time: float) -> None:
+        drawn = self.page.evaluate("player.drawn()")
+        self.page.evaluate(f"player.seek({time})")
+        self.wait(f"player.drawn() > {drawn}")
+
+    def wait(self, condition: str) -> None:
+        """Playwright's own wait evaluates text in the page, which the page forbids."""
+        until = monotonic() + 300.0
+        while not self.page.evaluate(condition):
+            assert monotonic() < until, condition
+            self.page.wait_for_timeout(50)
+
+
+@pytest.fixture(scope="module", params=SIZES, ids=["wide", "phone"])
+def visit(path: Path, request: pytest.FixtureRequest) -> Iterator[Visit]:
+    width, height = request.param
+    software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", *software]
+        )
+        context = browser.new_context(offline=True, viewport={"width": width, "height": height})
+        yield Visit(context.new_page(), path)
+        browser.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("time", [0.0, 0.37, 1.2])
+def test_bodies_are_where_mujoco_has_them_to_a_pixel(
+    visit: Visit, records: list[Record], time: float
+) -> None:
+    """The oracle is MuJoCo's kinematics of the record's row, through a pinhole by hand."""
+    visit.seek(time)
+    model = hexapod_model("gfd")
+    data = mujoco.MjData(model)
+    for number, record in enumerate(records):
+        data.qpos[:] = record["generalised_position"][row_at(record, time)]
+        mujoco.mj_forward(model, data)
+        size = (
+            visit.page.locator("canvas")
+            .nth(number)
+            .evaluate("c => [c.clientWidth, c.clientHeight]")
+        )
+        width, height = size
+        narrow = max(1.0, 1.2 * height / width)
+        eye = model.camera("overview").id
+        half = np.tan(np.radians(model.cam_fovy[eye]) / 2.0) * narrow
+        seen = (data.xpos - data.cam_xpos[eye]) @ data.cam_xmat[eye].reshape(3, 3)
+        x = width / 2 + height / 2 * seen[:, 0] / (-seen[:, 2] * half)
+        y = height / 2 - height / 2 * seen[:, 1] / (-seen[:, 2] * half)
+        for body in range(1, model.nbody):
+            drawn = visit.page.evaluate(f"player.place({number}, {body})")
+            assert drawn == pytest.approx([x[body], y[body]], abs=0.5)
+
+
+def blue_box(picture: np.ndarray) -> np.ndarray:
+    """Left, top and right of what is blue: the cab's band and the frame (dark below)."""
+    red, green, blue = np.moveaxis(picture[:, :, :3].astype(float), 2, 0)
+    y, x = np.nonzero((blue > 1.9 * red) & (blue > 1.3 * green) & (blue > 0.2))
+    return np.array([x.min(), y.min(), x.max()])
+
+
+@pytest.mark.slow
+def test_the_picture_shows_what_mujoco_renders(visit: Visit, records: list[Record]) -> None:
+    canvas = visit.page.locator("canvas").first
+    width, height = (
+        2 * (int(x) // 2) for x in canvas.evaluate("c => [c.clientWidth, c.clientHeight]")
+    )
+    boxes, lifted = [], records[0]["platform_pose"][:, 2]
+    with FilmStage(hexapod_model("gfd"), width, height) as stage:
+        for time in (0.0, float(records[0].time[np.abs(lifted).argmax()])):
+            visit.seek(time)
+            drawn = matplotlib.image.imread(io.BytesIO(canvas.screenshot()))
+            row = row_at(records[0], time)
+            ours = stage.picture(records[0]["generalised_position"][row]) / 255.0
+            boxes.append((blue_box(drawn), blue_box(ours)))
+    for drawn_box, mujocos in boxes:
+        assert np.abs(drawn_box - mujocos).max() <= 1.5
+    assert np.abs(boxes[1][0] - boxes[0][0]).max() > 3.0
+
+
+@pytest.mark.slow
+def test_keys_and_the_slider_move_time_and_traces_follow(
+    visit: Visit, records: list[Record]
+) -> None:
+    page = visit.page
+    page.keyboard.press("Home")
+    assert page.evaluate("player.time()") == 0.0
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("player.time()") == pytest.approx(1 / page.evaluate("data.rate"))
+    page.keyboard.press("End")
+    assert page.evaluate("player.time()") == pytest.approx(page.evaluate("end"))
+    visit.seek(0.37)
+    said = page.get_by_role("slider", name="Time").get_attribute("aria-valuetext")
+    row, inches = row_at(records[0], 0.37), 1 / 0.0254
+    assert said is not None and said.startswith("0.37 s")
+    shown = [float(text) for text in page.locator(".now b").all_inner_texts()[:2]]
+    names = re.search(r"(surge|heave|yaw)", page.locator(".now").first.inner_text())
+    assert names is not None
+    dof = ["surge", "sway", "heave", "roll", "pitch", "yaw"].index(names[1])
+    unit = inches if dof < 3 else np.degrees(1.0)
+    for value, channel in zip(shown, ("demand_pose", "platform_pose"), strict=True):
+        assert value == pytest.approx(records[0][channel][row, dof] * unit, abs=0.02)
+    page.keyboard.press(" ")
+    visit.wait("player.time() > 0.4")
+    page.keyboard.press(" ")
+    assert page.get_by_role("button", name="Play").count() == 1
+
+
+@pytest.mark.slow
+def test_the_page_fits_and_asks_for_nothing(visit: Visit) -> None:
+    page = visit.page
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    before = page.evaluate("player.place(0, 1)")
+    box = page.locator("canvas").first.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 90, box["y"] + 90)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 150, box["y"] + 90, steps=3)
+    page.mouse.up()
+    assert page.evaluate("player.place(0, 14)") != before
+    page.get_by_text("The runs in words").click()
+    assert "lowest" in page.locator("details").inner_text()
+    page.get_by_label("view").select_option("overview")
+    assert [url for url in visit.requests if not url.startswith(("file:", "data:"))] == []
+    assert visit.complaints == []
