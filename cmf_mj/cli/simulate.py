@@ -95,7 +95,7 @@ def compare_command(
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
-    from cmf_mj.show import study as report
+    from cmf_mj.show import comparison as report
     from cmf_mj.studies.comparison import rated
 
     built = {"plants": plants, "cab": cab, "hydraulics": hydraulics, "quick": quick}

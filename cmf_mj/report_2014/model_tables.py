@@ -21,7 +21,7 @@ from cmf_mj.report_2014.models import (
     report_models,
 )
 from cmf_mj.show import look
-from cmf_mj.show.study import phase_text
+from cmf_mj.show.comparison import phase_text
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
 

@@ -27,7 +27,7 @@ from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS, dof_unit, pose_text
 from cmf_mj.plant.hexapod import HydraulicModes
 from cmf_mj.show import look
-from cmf_mj.show.study import phase_text
+from cmf_mj.show.comparison import phase_text
 
 FREQUENCIES = np.geomspace(0.1, 20.0, 400)  #: Lines of the responses [Hz].
 

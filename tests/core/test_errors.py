@@ -17,7 +17,7 @@ from cmf_mj.analysis.frequency_response import frequency_response
 from cmf_mj.analysis.measures import Measures, measure_records, step_metrics
 from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
-from cmf_mj.show.study import step_figure
+from cmf_mj.show.comparison import step_figure
 from cmf_mj.studies import evaluation
 from cmf_mj.studies.case import CaseResult, make_case, qualities, small_loop
 

@@ -9,7 +9,7 @@ from cmf_mj.analysis.measures import measure_loop, step_metrics
 from cmf_mj.analysis.published import published_results
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
-from cmf_mj.show.study import AGREEMENT
+from cmf_mj.show.comparison import AGREEMENT
 from cmf_mj.studies.case import make_case, small_loop
 
 

@@ -9,7 +9,7 @@ import pytest
 from cmf_mj import bandwidths, compare, load_cab, load_law
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.record.record import Record
-from cmf_mj.show.study import AGREEMENT, comparison_table, phase_text, step_figure
+from cmf_mj.show.comparison import AGREEMENT, comparison_table, phase_text, step_figure
 from cmf_mj.studies import comparison
 from cmf_mj.studies.case import AMPLITUDE, CaseResult, make_case
 

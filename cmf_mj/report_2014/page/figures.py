@@ -43,7 +43,7 @@ from cmf_mj.report_2014.page.runs import (
 )
 from cmf_mj.report_2014.page.tables import CONTENTS, fit_text, law_title
 from cmf_mj.show import look
-from cmf_mj.show.study import responses_figure, step_figure
+from cmf_mj.show.comparison import responses_figure, step_figure
 from cmf_mj.studies.case import CaseResult
 
 Array = NDArray[np.float64]
