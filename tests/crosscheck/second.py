@@ -6,6 +6,9 @@ the extra `dev`; without one the comparison ends with a sentence that says so.
 
 import tempfile
 import zipfile
+from collections.abc import Callable, Sequence
+from ctypes import CDLL, RTLD_GLOBAL
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -213,43 +216,73 @@ def kinematics(poses: int = 100) -> dict[str, float]:
     return dict(zip(names, worst.tolist(), strict=True))
 
 
-def played(file: Path, folder: Path) -> float:
-    """Of the legs of an FMU of version 2 [m], in FMI Library (by libcosim), from its reference."""
+Step = Callable[[Array], Array]
+"""One step of an FMU: values of its inputs before, lengths of the legs after."""
+
+
+def by_cosim(file: Path, step: float, inputs: Sequence[str], legs: Sequence[str]) -> Step:
+    """An FMU of version 2 in FMI Library, by libcosim."""
     for part in ("Execution", "Slave", "Manipulator", "Observer", "Logging"):
         require(f"libcosimpy.Cosim{part}", "dev")
     cosim = require("libcosimpy", "dev")
     cosim.CosimLogging.log_output_level(cosim.CosimLogging.CosimLogLevel.ERROR)
-    with zipfile.ZipFile(file) as packed:
-        packed.extractall(folder)
-    given, expected = (
-        np.genfromtxt(folder / "resources" / f"reference_{part}.csv", delimiter=",", names=True)
-        for part in ("in", "out")
-    )
-    first = (folder / "resources" / "reference_in.csv").read_text(encoding="utf-8").split("\n")[0]
-    step = round(1e9 * float(given["time"][1] - given["time"][0]))
-    run = cosim.CosimExecution.CosimExecution.from_step_size(step)
+    run = cosim.CosimExecution.CosimExecution.from_step_size(round(1e9 * step))
     one = run.add_local_slave(cosim.CosimSlave.CosimLocalSlave(str(file), "cmf"))
     there = {known.name.decode(): known.reference for known in run.slave_variables(one)}
     by_hand = cosim.CosimManipulator.CosimManipulator.create_override()
     seen = cosim.CosimObserver.CosimObserver.create_last_value()
     run.add_manipulator(by_hand)
     run.add_observer(seen)
-    inputs = [there[name] for name in first.split(",")[1:]]
-    legs, worst = [there[f"leg_extension[{leg}]"] for leg in range(1, 7)], 0.0
-    for row, after in zip(given, list(expected)[1:], strict=False):
-        by_hand.slave_real_values(one, inputs, list(row)[1:])
+    ports = [[there[name] for name in names] for names in (inputs, legs)]
+
+    def stepped(values: Array) -> Array:
+        by_hand.slave_real_values(one, ports[0], values.tolist())
         if not run.step(1):
-            raise RunError(f"{file.name}: libcosim could not step from {row['time']} s")
-        apart = np.array(seen.last_real_values(one, legs)) - list(after)[1:7]
-        worst = max(worst, float(np.abs(apart).max()))
-    return worst
+            raise RunError(f"{file.name}: libcosim could not step")
+        return np.array(seen.last_real_values(one, ports[1]))
+
+    return stepped
 
 
-def exported() -> float:
+def by_ecos(file: Path, step: float, inputs: Sequence[str], legs: Sequence[str]) -> Step:
+    """An FMU of version 2 or 3 in fmi4c, by Ecos, which links with TBB."""
+    for library in distribution("tbb").files or []:
+        if library.name == "libtbb.so.12":
+            CDLL(str(library.locate()), mode=RTLD_GLOBAL)
+    ecos = require("ecospy", "dev")
+    structure = ecos.EcosSimulationStructure()
+    structure.add_model("one", str(file))
+    run = ecos.EcosSimulation(step, structure=structure)
+    if not run.init():
+        raise RunError(f"{file.name}: Ecos could not start")
+
+    def stepped(values: Array) -> Array:
+        for name, value in zip(inputs, values.tolist(), strict=True):
+            run.set_real(f"one::{name}", value)
+        run.step(1)
+        return np.array([run.get_real(f"one::{name}") for name in legs])
+
+    return stepped
+
+
+def played(file: Path, folder: Path, importer: Callable[..., Step]) -> float:
+    """Of the legs of an FMU [m] in an importer, from the FMU's own reference."""
+    with zipfile.ZipFile(file) as packed:
+        packed.extractall(folder)
+    given, expected = (folder / "resources" / f"reference_{part}.csv" for part in ("in", "out"))
+    header = given.read_text(encoding="utf-8").split("\n")[0].split(",")
+    rows, after = (np.loadtxt(path, delimiter=",", skiprows=1) for path in (given, expected))
+    legs = [f"leg_extension[{leg}]" for leg in range(1, 7)]
+    step = importer(file, float(rows[1, 0] - rows[0, 0]), header[1:], legs)
+    pairs = zip(rows[:, 1:], after[1:, 1:7], strict=False)
+    return max(float(np.abs(step(inputs) - lengths).max()) for inputs, lengths in pairs)
+
+
+def exported(fmi: int, importer: Callable[..., Step]) -> float:
     """`played`, of the CMF under its velocity law."""
     with tempfile.TemporaryDirectory() as folder:
-        file = export_fmu(Hexapod(), "velocity", Path(folder) / "cmf.fmu", fmi=2)
-        return played(file, Path(folder))
+        file = export_fmu(Hexapod(), "velocity", Path(folder) / "cmf.fmu", fmi=fmi)
+        return played(file, Path(folder), importer)
 
 
 def compare() -> list[Difference]:
@@ -272,7 +305,9 @@ def compare() -> list[Difference]:
             "estimated state at the start here, rest there",
         ),
     ]
-    rows.append(Difference("legs of an FMU", "FMI Library", exported(), "m", "the same bits"))
+    for version, name, importer in ((2, "FMI Library", by_cosim), (3, "Ecos, fmi4c", by_ecos)):
+        apart = exported(version, importer)
+        rows.append(Difference(f"legs of an FMU {version}", name, apart, "m", "the same bits"))
     for name, largest in kinematics().items():
         number, unit = name.removesuffix("]").split(" [")
         rows.append(Difference(number, "Pinocchio", largest, unit, "rounding"))

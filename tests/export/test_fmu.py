@@ -8,7 +8,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from crosscheck.second import played
+from crosscheck.second import by_cosim, by_ecos, played
 from fmpy import read_model_description
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
@@ -134,10 +134,12 @@ def test_fmpy_runs_it_as_the_reference_result(file: Path, folder: Path) -> None:
     assert np.abs(found - expected[:, 1:7]).max() < 1e-12
 
 
-@pytest.mark.parametrize("file", [2], indirect=True)
-def test_a_second_importer_has_the_same_bits(file: Path, tmp_path: Path) -> None:
-    """The FMI Library of Modelon, by libcosim, which takes version 2."""
-    assert played(file, tmp_path) == 0.0
+@pytest.mark.parametrize(
+    ("file", "importer"), [(2, by_cosim), (2, by_ecos), (3, by_ecos)], indirect=["file"]
+)
+def test_a_second_importer_has_the_same_bits(file: Path, importer: Any, tmp_path: Path) -> None:
+    """FMI Library of Modelon, which takes version 2, and fmi4c, which takes both."""
+    assert played(file, tmp_path, importer) == 0.0
 
 
 def test_a_state_that_is_restored_goes_on_with_the_same_bits(file: Path, folder: Path) -> None:
