@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 from fuzzing import commands
 
-from cmf_mj import Hexapod, attach_hydraulics, load_law, simulate
+from cmf_mj import (
+    Hexapod,
+    Linear,
+    SingleLegs,
+    attach_hydraulics,
+    load_hydraulics,
+    load_law,
+    simulate,
+)
+from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
@@ -230,3 +239,22 @@ def test_commands_of_the_pages_exist_with_their_options() -> None:
     assert [one for one in lines if unknown_in(one[1], known)] == []
     assert unknown_in("compare --laws velocity --swift", known) == ["--swift"]
     assert unknown_in("compete --laws velocity", known) == ["compete"]
+
+
+def test_leg_speed_and_drive_lag_move_the_bandwidth_as_the_page_says() -> None:
+    """Central differences of ln -90 deg in heave over ln of each number; leakage hardly counts."""
+    oil, page = load_hydraulics("report"), read("docs/explanation/credibility.md")
+
+    def width(name: str, factor: float) -> float:
+        number = getattr(oil, name)
+        changed = number.model_copy(update={"value": factor * number.value})
+        plant = SingleLegs(oil.model_copy(update={name: changed}))
+        loop = Linear(plant).loop("position_error_rate", "leg_1")
+        return measure_loop(loop, frequencies=np.geomspace(0.4, 15.0, 400)).phase_bandwidth_hz
+
+    speed, lag, leak = (
+        50.0 * np.log(width(name, 1.01) / width(name, 0.99))
+        for name in ("leg_speed", "drive_lag", "leak_rate")
+    )
+    assert f"1 % of leg speed moves it by {speed:.2f} %, of drive lag by {lag:.2f} %" in page
+    assert abs(leak) < 0.05

@@ -101,7 +101,7 @@ def _parts(plant: str) -> list[str]:
     return [] if plant == NONE else plant.split("+")
 
 
-def _linear(task: Task, plant: str) -> dict[str, float]:
+def effects_of(task: Task, plant: str) -> dict[str, float]:
     """Effects that change a linear plant, by name in SI."""
     every = _settings(task.study).effects
     kinds = {name: _kind(every[name]) for name in _parts(plant)}
@@ -112,7 +112,7 @@ def _linear(task: Task, plant: str) -> dict[str, float]:
     }
 
 
-def _machines(task: Task, plant: str) -> dict[str, Linear]:
+def machines_of(task: Task, plant: str) -> dict[str, Linear]:
     """The machine by cab with effects that are numbers of it."""
     settings = _settings(task.study)
     own = {name: settings.effects[name] for name in _parts(plant)}
@@ -123,20 +123,20 @@ def _machines(task: Task, plant: str) -> dict[str, Linear]:
 
 def _bank(task: Task) -> list[Row]:
     """What a machine with the effects of each plant shows."""
-    every, plain, rows = _settings(task.study).effects, _machines(task, NONE), []
+    every, plain, rows = _settings(task.study).effects, machines_of(task, NONE), []
     for plant in task.about.split(";"):
         own = any(not _kind(every[name]) for name in _parts(plant))
-        machines = _machines(task, plant) if own else plain
-        rows.append({"plant": plant} | effects.shown(machines, _linear(task, plant)))
+        machines = machines_of(task, plant) if own else plain
+        rows.append({"plant": plant} | effects.shown(machines, effects_of(task, plant)))
     return rows
 
 
 def _verdicts(task: Task) -> list[Row]:
     """Damping ratios of a machine with the effects of a plant, under all laws with all cabs."""
-    present = _linear(task, task.about)
+    present = effects_of(task, task.about)
     return [
         {"cab": cab, "law": law.name, **effects.damping(machine, present, law)}
-        for cab, machine in _machines(task, task.about).items()
+        for cab, machine in machines_of(task, task.about).items()
         for law in task.laws
     ]
 
