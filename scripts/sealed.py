@@ -3,7 +3,8 @@
 `draw` takes machines from a finished `cmf study effects`: its plants averaged by their evidence.
 `predict` gives the describing function from the demand of the legs to their position along an axis
 at the sines of sealed.toml: of those machines, GFD, velocity law, and of SIMONA's drawn from the
-prior stated there. `score RECORDING --test NAME --axis AXIS` compares.
+prior stated there. `score RECORDING --test NAME --axis AXIS` compares legs or, where a recording
+has none, poses; `--columns MAP` says what its columns are.
 
 A plant with friction, lap or a flow that depends on speed is linear at a speed amplitude V of its
 legs, see `report_2014.posterior.effects`; that of a line is where V = w |l| of the six legs'
@@ -34,7 +35,8 @@ from cmf_mj.facility.unknowns import Unknowns, load_unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import load_machine
-from cmf_mj.record.reader import read_recording
+from cmf_mj.record.columns import POSES, read_mapped
+from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior import effects
 from cmf_mj.report_2014.posterior.run import Task
 from cmf_mj.report_2014.posterior.weighing import (
@@ -282,10 +284,13 @@ def amplitude_effect(name: str, sines: Sequence[Sine]) -> Complex:
     return made
 
 
-def history(record: Any, axis: str) -> tuple[Array, Array, float]:
+def history(record: Record, axis: str) -> tuple[Array, Array, float]:
     """Demand and motion along an axis, and their rate, every few samples."""
     step = max(int(record.rate / _RATE), 1)
-    x, y = demand_and_position(record, axis)
+    if "leg_reference" in record.channels:
+        x, y = demand_and_position(record, axis)
+    else:
+        x, y = (record[name][:, DOFS.index(axis)] for name in POSES)
     return x[::step], y[::step], record.rate / step
 
 
@@ -369,6 +374,7 @@ def main() -> None:
     scoring.add_argument("recording", type=Path)
     scoring.add_argument("--test", required=True)
     scoring.add_argument("--axis", required=True, choices=DOFS)
+    scoring.add_argument("--columns", help="map of its columns, default the facility's")
     options = parser.parse_args()
     if options.action == "draw":
         print(draw(options.study, options.out / MACHINES.name))
@@ -378,7 +384,9 @@ def main() -> None:
         print(write_csv(options.out / SEALED.name, COLUMNS, rows, digits=8))
     else:
         sines = [one for one in plan() if (one.test, one.axis) == (options.test, options.axis)]
-        found = measured(*history(read_recording(options.recording), options.axis), sines)
+        machine = load_machine(sines[0].machine)
+        record = read_mapped(options.recording, options.columns, machine)
+        found = measured(*history(record, options.axis), sines)
         for name, value in score(sealed(options.test, options.axis), found)._asdict().items():
             print(f"{name:14} {value:.3g}")
 

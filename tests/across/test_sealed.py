@@ -8,13 +8,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tomlkit
 
 from cmf_mj import Hexapod, Linear, Record, simulate
 from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.control.law import load_law
+from cmf_mj.core.files import write_csv
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
-from cmf_mj.signals import stepped_sines
+from cmf_mj.signals import faded_sines, stepped_sines
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = SimpleNamespace(**runpy.run_path(str(ROOT / "scripts" / "sealed.py"), run_name="sealed"))
@@ -81,6 +84,39 @@ def test_a_machine_of_the_posterior_scores_better_than_a_changed_one() -> None:
     own, other = scores
     assert own.gain_inside + own.phase_inside > other.gain_inside + other.phase_inside
     assert own.gain_error < other.gain_error and own.phase_error < other.phase_error
+
+
+def test_a_log_of_poses_of_simona_is_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two sines of its profile in heave, simulated and logged at 100 Hz, 20 ms late."""
+    sines = [0.9765625, 1.953125], [0.07968222, 0.01992056]
+    command = faded_sines(*sines, ["heave"])
+    plant = Hexapod(machine="simona")
+    record = simulate(plant, plant.machine.law, command)
+    time = np.arange(0.0, record.time[-1], 0.01)
+    asked, moved = (
+        np.interp(time - late, record.time, dof_history(record, name, "heave"))
+        for name, late in (("leg_reference", 0.0), ("leg_position", 0.02))
+    )
+    axes = [f"{what}{axis}" for what in ("c", "m") for axis in range(6)]
+    poses = np.zeros((time.size, 12))
+    poses[:, [2, 8]] = np.column_stack([asked, moved])
+    write_csv(tmp_path / "log.csv", ["t", *axes], np.column_stack([time, poses]).tolist())
+    unit = ["m", "m", "m", "rad", "rad", "rad"]
+    channels = {"demand_pose": axes[:6], "platform_pose": axes[6:]}
+    known = {name: {"columns": names, "unit": unit} for name, names in channels.items()}
+    columns = {"time": {"column": "t", "unit": "s"}, "channels": known}
+    (tmp_path / "map.toml").write_text(tomlkit.dumps(columns), encoding="utf-8")
+    asked_for = ["score", str(tmp_path / "log.csv"), "--columns", str(tmp_path / "map.toml")]
+    monkeypatch.setattr(
+        "sys.argv", ["sealed.py", *asked_for, "--test", "agard_a", "--axis", "heave"]
+    )
+    SCRIPT.main()
+    said = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    assert said["lines"] == "2"
+    assert said["gain_inside"] == said["phase_inside"] == "1"
+    assert float(said["gain_error"]) < 1.0 and float(said["phase_error"]) < 20.0
 
 
 @pytest.mark.slow
