@@ -35,7 +35,7 @@ from scipy.signal import cont2discrete
 
 from cmf_mj.analysis.frequency_response import bandwidths, falls
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop, labels
+from cmf_mj.analysis.linear.loop import STEP_DURATION, at_frames, closed_loop, labels
 from cmf_mj.analysis.linear.operating_point import operating_point
 from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import Mode, leg_model, modes, reduced
@@ -105,6 +105,7 @@ class Linear:
         self.plant, self.pose, self.friction = plant, pose, friction
         self.point = operating_point(plant, pose, excitation=excitation, friction=friction)
         self.system = linearize(plant, at=self.point)
+        self._sampled: dict[float, control.StateSpace] = {}
 
     @cached_property
     def jacobian(self) -> Array:
@@ -119,7 +120,7 @@ class Linear:
     def sensed(self, errors: Mapping[str, Array]) -> "Linear":
         """The same plant behind sensors; `errors` are shares by channel, (n,) each."""
         off = copy(self)
-        off.system = self.system.copy()
+        off.system, off._sampled = self.system.copy(), {}
         for channel, error in errors.items():
             for name, part in zip(labels((channel,), self.plant.legs), error, strict=True):
                 off.system.C[off.system.output_labels.index(name)] *= 1.0 + part
@@ -161,7 +162,9 @@ class Linear:
         `command_delay` counts frames from the law to the valves.
         """
         held = bound(load_law(law), self.plant)
-        return closed_loop(held, self.system, command_delay=command_delay)
+        if held.frame not in self._sampled:
+            self._sampled[held.frame] = at_frames(self.system, held.frame)
+        return closed_loop(held, self._sampled[held.frame], command_delay=command_delay)
 
     def loop(
         self, law: str | Law, signal: str | None = None, *, command_delay: int = 1

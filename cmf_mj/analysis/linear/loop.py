@@ -29,9 +29,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.linear.plants import FEEDBACK, UnitTransferFunction, leg_plant
-from cmf_mj.control.dcl import Dcl, DclState, make_dcl, step
+from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError, check_name
 
 DCL_INPUTS = ("reference", *FEEDBACK)
@@ -54,17 +55,24 @@ def labels(names: tuple[str, ...], legs: int) -> list[str]:
     return [f"{name}_{leg + 1}" for name in names for leg in range(legs)]
 
 
-def _answers(
-    dcl: Dcl, legs: int, states: Matrix, inputs: Matrix
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Output and next state of one frame, per unit; states (m, n) and inputs (6, n)."""
-    still = {"offset": np.zeros(legs)}
-    state = DclState.of(still | dict(zip(_STATES, _SIZE * states, strict=True)))
-    reference, *feedback = _SIZE * inputs
-    step(dcl, state, reference, LegFeedback(*feedback))
-    after = state.arrays()
-    following = np.concatenate([after[name] for name in _STATES])
-    return dcl.workspace.output / _SIZE, following / _SIZE
+@compiled
+def _answer(dcl, state, feedback, states, inputs, units, answers):  # type: ignore[no-untyped-def]
+    """Write output and next state of one frame from each of the units, (m, n + 6) to (m, 1 + n).
+
+    `states` are the arrays of `state`, `inputs` the demand and those of `feedback`, part by part.
+    """
+    legs, count = inputs[0].shape[0], len(states)
+    for row in range(units.shape[0]):
+        for leg in range(legs):
+            for part in range(count):
+                states[part][leg] = units[row, part * legs + leg]
+            for part in range(len(inputs)):
+                inputs[part][leg] = units[row, (count + part) * legs + leg]
+        step(dcl, state, inputs[0], feedback)
+        for leg in range(legs):
+            answers[row, leg] = dcl.workspace.output[leg]
+            for part in range(count):
+                answers[row, (1 + part) * legs + leg] = states[part][leg]
 
 
 def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
@@ -102,13 +110,15 @@ _ASKED: dict[tuple[str, str, int], tuple[Any, ...]] = {}
 def _asked(law: Law, legs: int) -> tuple[Any, ...]:
     """Matrices A, B, C and D of the DCL and the names of its states."""
     asked = 1 if law.coordinates == "legs" else legs
-    dcl = make_dcl(law, asked)
-    count = len(_STATES) * asked
-    rows = []
-    for unit in np.eye(count + len(DCL_INPUTS) * asked):
-        states, inputs = unit[:count].reshape(-1, asked), unit[count:].reshape(-1, asked)
-        rows.append(np.concatenate(_answers(dcl, asked, states, inputs)))
-    answers = np.array(rows).T
+    dcl, state = make_dcl(law, asked), DclState.zeros(asked)
+    arrays = state.arrays()
+    states = tuple(arrays[name] for name in _STATES)
+    inputs = tuple(np.zeros(asked) for _ in DCL_INPUTS)
+    units = _SIZE * np.eye((len(states) + len(inputs)) * asked)
+    count = len(states) * asked
+    answers = np.empty((len(units), asked + count))
+    _answer(dcl, state, LegFeedback(*inputs[1:]), states, inputs, units, answers)
+    answers = answers.T / _SIZE
     c, d, a, b = (
         np.asarray(np.kron(part, np.eye(legs // asked)), dtype=np.float64)
         for half in (answers[:asked], answers[asked:])
@@ -171,7 +181,7 @@ def closed_loop(
         check_name("outputs", name, OUTPUTS)
     check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
-    sampled = _at_frames(plant, loaded.frame)
+    sampled = at_frames(plant, loaded.frame)
     legs, given = int(sampled.ninputs), sampled.input_labels
     expected = given if legs == 1 else labels(("command",), legs)  # a single one has any name
     if set(given) != set(expected):
@@ -205,9 +215,7 @@ def closed_loop(
     return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **names)
 
 
-def _at_frames(
-    plant: UnitTransferFunction | control.StateSpace, frame: float
-) -> control.StateSpace:
+def at_frames(plant: UnitTransferFunction | control.StateSpace, frame: float) -> control.StateSpace:
     """The plant as a state space of control frames [s], its input constant over each."""
     if isinstance(plant, UnitTransferFunction):
         return leg_plant(plant, frame=frame)
