@@ -60,6 +60,11 @@ COPIES = {
     "modes/modes_map.png": "images/modes_map.png",
     "films/surge_heave.html": "_static/films/surge_heave.html",
     "films/surge_laws.html": "_static/films/surge_laws.html",
+    **{
+        f"course/step_{name}.csv{end}": f"_static/course/step_{name}.csv{end}"
+        for name in ("surge", "heave")
+        for end in ("", "-metadata.json")
+    },
     "films/modes_gfd.mp4": "_static/films/modes.mp4",
     "films/valve_hard_over.mp4": "_static/films/valve_hard_over.mp4",
     "fit/report/stated.png": "images/calibration_report.png",

@@ -1,0 +1,154 @@
+"""The course: its closed form, its page in Chromium against it, its notebooks as they run."""
+
+import csv
+import json
+import re
+import runpy
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import control
+import matplotlib
+import numpy as np
+import pytest
+from playwright.sync_api import sync_playwright
+
+from cmf_mj import Hexapod
+
+ROOT = Path(__file__).resolve().parents[2]
+COURSE = ROOT / "docs" / "_static" / "course"
+NOTEBOOKS = sorted(COURSE.glob("*.ipynb"))
+
+
+@pytest.fixture(scope="module")
+def script() -> SimpleNamespace:
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "scripts" / "course.py")))
+
+
+@pytest.mark.parametrize("mass", [2000.0, 3485.7, 17846.9, 25000.0])
+def test_the_closed_form_is_that_of_the_loop_of_its_parts(
+    script: SimpleNamespace, mass: float
+) -> None:
+    """Spring, mass, leak, lag and law joined by python-control, not by hand."""
+    of = script.given()
+    s = control.tf("s")
+    stiffness, damper = of.stiffness, of.rate / of.stiffness
+    # The valve moves the far end y of the spring, whose force also leaks oil: dy/dt = v - damper F.
+    force = mass * s**2
+    rest = s * (1 + force / stiffness) + damper * force
+    drive = of.speed / (1 + of.tau * s)
+    law = of.gain + (of.acceleration + of.load * mass) * s**2
+    closed = control.feedback(drive / rest, law) * of.gain
+    w = 2.0 * np.pi * np.geomspace(0.1, 15.0, 50)
+    a = script.polynomial(mass, of)
+    assert np.allclose(closed(1j * w), a[-1] / np.polyval(a, 1j * w), rtol=1e-9)
+    found = script.leg(mass, of)
+    assert np.angle(closed(2j * np.pi * found["lag90"]), deg=True) == pytest.approx(-90.0)
+    loop = control.minreal(
+        control.tf([of.speed * of.gain], np.polysub(a, [of.speed * of.gain])), verbose=False
+    )
+    assert 20.0 * np.log10(control.margin(loop)[0]) == pytest.approx(found["margin"], abs=1e-6)
+
+
+def test_the_numbers_of_the_lesson_are_made_from_the_models(script: SimpleNamespace) -> None:
+    assert script.legs() == (ROOT / "docs/data/legs.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["surge", "heave"])
+def test_each_column_of_the_time_series_is_in_the_data_dictionary(name: str) -> None:
+    with (COURSE / f"step_{name}.csv").open(encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    said = json.loads((COURSE / f"step_{name}.csv-metadata.json").read_text(encoding="utf-8"))
+    assert [column["name"] for column in said["tableSchema"]["columns"]] == header
+    assert said["url"] == f"step_{name}.csv" and len(rows) == 512
+    assert np.allclose(np.diff([float(row[0]) for row in rows]), 1 / 128)
+    assert max(float(row[2]) for row in rows) > 0.0254  # it overshoots an inch
+
+
+# The page with sliders
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1280, 720), (390, 844)], ids=["wide", "phone"])
+def test_the_page_computes_what_python_does(script: SimpleNamespace, size: tuple[int, int]) -> None:
+    of = script.given()
+    draws = np.random.default_rng(0)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        viewport: Any = dict(zip(("width", "height"), size, strict=True))
+        page = browser.new_context(offline=True, viewport=viewport).new_page()
+        complaints: list[str] = []
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto((COURSE / "leg.html").as_uri())
+        fixed = page.evaluate("FIXED")
+        assert [fixed[name] for name in ("tau", "rate", "load")] == pytest.approx(list(of[4:]))
+        begun = page.evaluate("values()")
+        modes = Hexapod("gfd").hydraulic_modes().leg_mass
+        names = ("stiffness", "speed", "gain", "acceleration")
+        assert [begun[name] for name in names] == pytest.approx(list(of[:4]), rel=1e-6)
+        masses = page.locator("button").evaluate_all("all => all.map(b => +b.dataset.mass)")
+        assert masses == pytest.approx([modes[3], modes[0]], rel=1e-6)
+        assert begun["mass"] == masses[0]
+        ranges = page.evaluate("SLIDERS")
+        for _ in range(40):
+            drawn = {name: float(draws.uniform(*one[2:4])) for name, one in ranges.items()}
+            now = of._replace(**{name: drawn[name] for name in names})
+            mine = script.leg(drawn["mass"], now)
+            js = "v => { const r = leg(v); return [r, step(r, 0.31)]; }"
+            theirs, stepped = page.evaluate(js, drawn)
+            a = script.polynomial(drawn["mass"], now)
+            for name, value in mine.items():
+                assert theirs[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
+            system = control.tf([a[-1]], a)
+            _, expected = control.step_response(system, [0.0, 0.155, 0.31])
+            assert stepped == pytest.approx(expected[-1], rel=1e-9, abs=1e-9)
+        page.get_by_text("the leg in surge").click()
+        peak = (ROOT / "docs/data/legs.csv").read_text(encoding="utf-8").splitlines()[2].split(",")
+        assert f"{peak[5]} dB" in page.locator("#results").inner_text()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert complaints == []
+        browser.close()
+
+
+# The notebooks
+
+
+def ran(path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Names of a notebook after all its cells but the first, which installs."""
+    monkeypatch.chdir(path.parent)
+    matplotlib.use("Agg")
+    cells = [c for c in json.loads(path.read_text(encoding="utf-8"))["cells"] if "outputs" in c]
+    assert "%pip install" in "".join(cells[0]["source"])
+    names: dict[str, Any] = {}
+    for cell in cells[1:]:
+        exec("".join(cell["source"]), names)  # noqa: S102
+    names["plt"].close("all")
+    return names
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_marks(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ran(path, monkeypatch)
+    count = {"why_surge_shakes": 6}.get(path.stem, 3)
+    assert names["all_right"] == [True] * count
+    assert capsys.readouterr().out.count("not answered yet") == count
+    for number, answer in names["answers"].items():
+        for wrong in (1.03 * answer, 0.97 * answer):
+            assert not names["mark"](number, wrong)
+    assert len(re.findall("Hz|kg|MN/m|%|s\\.", capsys.readouterr().out)) >= 2 * count
+
+
+def test_the_notebook_has_the_legs_of_the_lesson(
+    script: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ran(COURSE / "why_surge_shakes.ipynb", monkeypatch)
+    for mass in (names["heave"], names["surge"]):
+        mine = script.polynomial(mass, script.given())[::-1]
+        assert np.allclose(names["factors"](mass), mine, rtol=1e-12)
+        assert names["lag90"](mass) == pytest.approx(script.leg(mass, script.given())["lag90"])
