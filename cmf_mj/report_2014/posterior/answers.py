@@ -16,7 +16,7 @@ from scipy.interpolate import RectBivariateSpline
 from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
 from cmf_mj.report_2014.posterior.evidence import every_number, observations
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
-from cmf_mj.studies.fit.sampling import normalised, weighted_quantiles
+from cmf_mj.studies.fit.sampling import effective_size, normalised, weighted_quantiles
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,18 @@ def percent(share: float, digits: int = 0) -> str:
     return "under 1 %" if share > 0.0 and text == "0 %" else text
 
 
+def chance(share: float, count: float) -> Array:
+    """5 %, the share itself and 95 % of a probability seen in so many machines (Jeffreys)."""
+    low, high = stats.beta.ppf((0.05, 0.95), share * count + 0.5, (1.0 - share) * count + 0.5)
+    return np.array([min(low, share), share, max(high, share)])
+
+
+def probability_text(span: Array) -> str:
+    """A probability with its interval."""
+    low, middle, high = (f"{100.0 * value:.0f}" for value in span)
+    return f"{middle} % ({low} to {high})"
+
+
 def filter_name(corner: float) -> str:
     """What stands before the gain."""
     return "none" if corner == 0.0 else f"{corner:.3g} Hz"
@@ -70,7 +82,7 @@ class Stability(NamedTuple):
     cab: str
     prior: float  #: Probability before any evidence.
     posterior: float  #: Probability under all evidence.
-    error: float  #: Standard error of the sampling.
+    sampled: Array  #: The same, between the ends of the 90 % interval of the sampling.
     without: dict[str, float]  #: Probability with each of `GROUPS` left out.
     simulated: int  #: Machines found unstable by simulation.
     machines: int  #: Machines simulated.
@@ -86,17 +98,14 @@ class Stability(NamedTuple):
 STABILITY = (
     *map(Field, ("law", "cab")),
     Field("prior", form=percent),
-    Field("", "all evidence", of=lambda r: f"{percent(r.posterior)} +- {100.0 * r.error:.1f}"),
+    Field("sampled", "all evidence", form=probability_text),
     *(
         Field(f"without_{group}", f"without {title}", percent, of=f"without.{group}")
         for group, title in EVIDENCE.items()
     ),
     Field("", "simulated", of=lambda row: f"{row.simulated} of {row.machines}"),
     Field("", "same verdict", of=lambda row: f"{row.agreeing} of {row.machines}"),
-    *(
-        Field(name, printed=False)
-        for name in ("posterior", "error", "simulated", "machines", "agreeing")
-    ),
+    *(Field(name, printed=False) for name in ("posterior", "simulated", "machines", "agreeing")),
 )
 
 
@@ -107,8 +116,8 @@ class DampingChange(NamedTuple):
     cab: str
     prior: Annotated[Array, _span(form="+.3f")]  #: At `LEVELS`, before any evidence.
     posterior: Annotated[Array, _span("all evidence", "+.3f")]  #: At `LEVELS`.
-    same_sign: Annotated[float, Field(form=percent)]
-    """Probability, under all evidence, that it has the sign of its median."""
+    same_sign: Annotated[Array, Field(form=probability_text)]
+    """Probability, under all evidence, that it has the sign of its median, with its interval."""
 
 
 class Span(NamedTuple):
@@ -205,7 +214,7 @@ def stability(results: Results) -> Result[Stability]:
         rows.append(
             Stability(
                 *(law, cab, float(prior @ unstable), share),
-                float(np.sqrt(np.sum(every**2 * (unstable - share) ** 2))),
+                chance(share, effective_size(every)),
                 {group: float(some @ unstable) for group, some in without.items()},
                 *(int(simulated.sum()), run.num_rows),
                 int((simulated == unstable[run["machine"].to_numpy()]).sum()),
@@ -224,7 +233,8 @@ def changes(results: Results) -> Result[DampingChange]:
         change = damping - pairs[REFERENCE, cab]
         prior, posterior = _both(results, change)
         same = float(every @ (np.sign(change) == np.sign(posterior[1])))
-        rows.append(DampingChange(law, cab, prior, posterior, same))
+        sampled = chance(same, effective_size(every))
+        rows.append(DampingChange(law, cab, prior, posterior, sampled))
     return Result(rows, fields_of(DampingChange))
 
 

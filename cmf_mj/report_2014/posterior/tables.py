@@ -22,6 +22,7 @@ from cmf_mj.report_2014.posterior.answers import (
     filter_name,
     interval,
     percent,
+    probability_text,
 )
 from cmf_mj.report_2014.posterior.evidence import FLOWN
 from cmf_mj.report_2014.posterior.run import GROUPS, MAPS, Results
@@ -71,7 +72,7 @@ def robust_text(results: Results) -> str:
     names = {law.name for law in results.study.laws}
     if DERIVED in names:
         mine = [row for row in rows if row.law == DERIVED]
-        parts = _list(f"{percent(one.posterior)} with the {one.cab.upper()}" for one in mine)
+        parts = _list(f"{probability_text(one.sampled)} with the {one.cab.upper()}" for one in mine)
         lines.append(
             f"`{DERIVED}`, which has Table D-2's bandwidths on single legs, is unstable on the "
             f"hexapod with a probability of {parts}; before any evidence of "
@@ -84,7 +85,7 @@ def robust_text(results: Results) -> str:
                 f"`{one.law}` changes the pair's damping ratio by "
                 f"{interval(one.posterior, '+.3f')} with the {one.cab.upper()}, before any "
                 f"evidence by {interval(one.prior, '+.3f')}; under all evidence "
-                f"{percent(one.same_sign)} have the median's sign."
+                f"{probability_text(one.same_sign)} have the median's sign."
             )
     sure = [one for one in rows if one.robust]
     for law in dict.fromkeys(one.law for one in sure):
@@ -92,10 +93,11 @@ def robust_text(results: Results) -> str:
         if law in (DERIVED, FLOWN) or len({one.posterior > 0.5 for one in cabs}) > 1:
             continue
         what = "unstable" if cabs[0].posterior > 0.5 else "stable"
-        share = min(max(one.posterior, 1.0 - one.posterior) for one in cabs)
+        least = min(max(one.sampled[0], 1.0 - one.sampled[2]) for one in cabs)
         lines.append(
             f"`{law}` is {what} with {_list(one.cab.upper() for one in cabs)} whatever is left "
-            f"out: on at least {percent(share)} of the machines under all evidence."
+            f"out: on at least {percent(least)} of the machines under all evidence, at 95 % "
+            "confidence."
         )
     return "".join(f"- {line}\n" for line in lines)
 
@@ -108,7 +110,7 @@ def fragile_text(results: Results) -> str:
         if law in (DERIVED, FLOWN):
             continue
         mine = [one for one in stability if one.law == law]
-        shares = _list(f"{percent(one.posterior)} ({one.cab.upper()})" for one in mine)
+        said = _list(f"{probability_text(one.sampled)} with the {one.cab.upper()}" for one in mine)
         away = {g: sum(abs(one.without[g] - one.posterior) for one in mine) for g in GROUPS}
         most = max(GROUPS, key=lambda group: away[group])
         left = _list(f"{percent(one.without[most])}" for one in mine)
@@ -117,7 +119,7 @@ def fragile_text(results: Results) -> str:
         more = [f"{len(turned) - 4} more"] if len(turned) > 4 else []
         flips = f" One of these turns its verdict: {_list(turned[:4] + more)}." if turned else ""
         lines.append(
-            f"`{law}` is unstable with a probability of {shares}, without the evidence "
+            f"`{law}` is unstable with a probability of {said}, without the evidence "
             f"*{EVIDENCE[most]}* of {left}. Its least damping ratio depends "
             f"most on {_list(f'`{one.unknown}`' for one in swings[:3])}.{flips}"
         )

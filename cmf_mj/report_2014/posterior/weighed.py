@@ -13,7 +13,14 @@ from scipy import stats
 
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, fields_of
-from cmf_mj.report_2014.posterior.answers import LEVELS, REFERENCE, interval, percent
+from cmf_mj.report_2014.posterior.answers import (
+    LEVELS,
+    REFERENCE,
+    chance,
+    interval,
+    percent,
+    probability_text,
+)
 from cmf_mj.report_2014.posterior.evidence import every_number
 from cmf_mj.report_2014.posterior.weighing import AVERAGE, DISCREPANCIES, NONE, TEMPER, Bank
 from cmf_mj.show.look import save_files
@@ -26,12 +33,6 @@ _ERRORS = 41  # of reading, that a prediction is spread over
 
 def _share(value: float | None) -> str:
     return "-" if value is None else percent(value)
-
-
-def _shares(span: Array) -> str:
-    """A probability with its interval."""
-    low, middle, high = (f"{100.0 * value:.0f}" for value in span)
-    return f"{middle} % ({low} to {high})"
 
 
 class Weighed(NamedTuple):
@@ -192,14 +193,16 @@ class Verdict(NamedTuple):
     plant: str
     law: str
     cab: str
-    unstable: Annotated[Array, Field(form=_shares)]
+    unstable: Annotated[Array, Field(form=probability_text)]
     """Probability, and 90 % interval of the sampling."""
-    without: Annotated[Array, Field(title="not as flown", form=_shares)]  #: Without `flown`.
+    without: Annotated[
+        Array, Field(title="not as flown", form=probability_text)
+    ]  #: Without `flown`.
     change: Annotated[
         Array, Field(title="pair against " + REFERENCE, form=partial(interval, form="+.3f"))
     ]
     """Of the damping ratio, at `LEVELS`."""
-    same_sign: Annotated[Array, Field(form=_shares)]  #: Probability of its median's sign.
+    same_sign: Annotated[Array, Field(form=probability_text)]  #: Probability of its median's sign.
 
 
 def verdicts(bank: Bank) -> Result[Verdict]:
@@ -226,17 +229,11 @@ def verdicts(bank: Bank) -> Result[Verdict]:
             most = sum(share * size[p] for p, share in mixed.items())
             total = known.sum() or np.nan
             machines = min(effective_size(known / total), most)
-            spans.append(_chance(float(known @ unstable) / total, machines))
+            spans.append(chance(float(known @ unstable) / total, machines))
         change = weighted_quantiles(moved, known, LEVELS)
         same = float(known @ (np.sign(moved) == np.sign(change[1]))) / total
-        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, _chance(same, machines)))
+        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, chance(same, machines)))
     return Result(rows, fields_of(Verdict))
-
-
-def _chance(share: float, count: float) -> Array:
-    """5 %, the share itself and 95 % of a probability seen in so many machines (Jeffreys)."""
-    low, high = stats.beta.ppf((0.05, 0.95), share * count + 0.5, (1.0 - share) * count + 0.5)
-    return np.array([min(low, share), share, max(high, share)])
 
 
 def effect_tables(bank: Bank) -> dict[str, Result[Any]]:
@@ -301,7 +298,8 @@ def effects_text(bank: Bank, tables: Mapping[str, Result[Any]]) -> str:
         if law != REFERENCE and flipped and sure:
             lines.append(
                 f"`{plant}` turns `{law}` with the {cab.upper()}: unstable on "
-                f"{_shares(one.unstable)}, with none on {_shares(other.unstable)}."
+                f"{probability_text(one.unstable)}, with none on "
+                f"{probability_text(other.unstable)}."
             )
     return "".join(f"- {line}\n" for line in lines)
 
