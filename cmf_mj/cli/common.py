@@ -154,6 +154,8 @@ def in_si(dof: str, amplitude: str | None) -> float | None:
     if amplitude is None:
         return None
     value, unit = quantity("amplitude", amplitude)
+    if unit == "1":
+        raise InputError(f"amplitude: {amplitude!r} has no unit; such as '{amplitude.strip()} in'")
     check_name("amplitude: unit", unit, by_kind(dof, ("in", "m", "mm"), ("deg", "rad")))
     return units.to_si(unit, value)
 

@@ -74,13 +74,13 @@ def _law(ctx: typer.Context, name: str) -> str:
     return name if machine is None else law_on(cmf_mj.load_machine(machine), name)
 
 
-def of_machine(source: str, metavar: str, text: str) -> Any:
+def of_machine(source: str, metavar: str, text: str, every: str = "") -> Any:
     """An option whose names and default are those of the machine of the option `machine`.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=_machine)
+    plain = choice(source, metavar, text, free=True, make=_machine, every=every)
     named = plain.callback
 
     def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -102,8 +102,8 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
     if field == "hydraulics":
         return hydraulics_of(machine, None if own else names)
-    if field == "law":
-        return machine.law if own else names
+    if field in ("law", "laws"):
+        return (machine.law if field == "law" else [machine.law]) if own else names
     if field == "cab":
         return cmf_mj.load_cab(None if own else names, machine)
     everything = own or names == names_in(CABS)
@@ -168,7 +168,7 @@ Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", _BRINGS, make=_first)
 """Motion base whose cab, hydraulics and law the others name; read before them."""
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
-Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
+Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
 _other = partial(Option, is_eager=True)

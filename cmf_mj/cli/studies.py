@@ -98,7 +98,7 @@ def study_command(
 
 @command("tune")
 def tune_command(
-    name: Annotated[str | None, Option(help="name of the law; default that of its form")] = None,
+    name: Annotated[str | None, Option(help="name of the law; default FORM_tuned")] = None,
     form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
     title: Annotated[str | None, Option(help="its title; default its name")] = None,
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
@@ -119,7 +119,7 @@ def tune_command(
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
     stated, limits = friction_option(friction), Requirements(peak, overshoot / 100.0)
-    named = name or form
+    named = name or f"{form}_tuned"
     said = title or named.replace("_", " ").capitalize()
     template = make_template(named, said, cabs, stated)
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}

@@ -115,8 +115,13 @@ def checked_name(name: str, field: str = "") -> str:
 
 def check_distinct(field: str, names: Sequence[str]) -> None:
     """Refuse names that cannot stand beside one another on a disk that ignores capitals."""
-    if len({name.casefold() for name in names}) < len(names):
-        raise InputError(f"{field}: {', '.join(names)} must differ in name, not in capitals alone")
+    folded = [name.casefold() for name in names]
+    same = [name for name in names if folded.count(name.casefold()) > 1]
+    if same:
+        raise InputError(
+            f"{field}: {', '.join(same)} must differ in name, not in capitals alone; one of a file "
+            "can get another name there"
+        )
 
 
 Name = Annotated[str, AfterValidator(checked_name)]  #: What `checked_name` accepts.

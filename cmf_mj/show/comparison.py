@@ -15,10 +15,11 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.core.result import Cell, Column, Result, Table, number
 from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.show import look
 from cmf_mj.signals.single import Step
-from cmf_mj.studies.case import CaseResult, dof_amplitude
+from cmf_mj.studies.case import REPORT_AMPLITUDES, CaseResult, dof_amplitude
 from cmf_mj.studies.comparison import PUBLISHED
 
 AGREEMENT = 0.1  #: Distance of two readings of -90 deg from which on a table shows both [Hz].
@@ -30,7 +31,8 @@ _LEGEND = (
     "-3 dB from absolute 0 dB (of small motion it may be far higher: `cmf linearize`); peak in dB; "
     "at rest: gain; zeta: damping ratio from the step's overshoot, 0 where it is more than the "
     "step. -: the sweep, to 10 Hz, does not reach it, or no overshoot. unstable: legs ring on "
-    "undiminished 12 s after the step; drifts: the law holds no position, so legs move on to a "
+    "undiminished 12 s after the step (of the axis named most); drifts: the law holds no position, "
+    "so legs move on to a "
     "stop. Neither has other measures. "
 )
 _MARKS = {
@@ -79,7 +81,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
             measures = result.measures
             line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
             line.append(measures.static_gain)
-            line.append(result.verdict or measures.damping_ratio)
+            line.append(_verdict(result) or measures.damping_ratio)
         row = by_case[law, dof, plants[0]].published
         if printed:
             line += [getattr(row, name, None) for name in PUBLISHED]
@@ -95,6 +97,19 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     if printed:
         columns, legend = [*columns, ("\nof", "")], legend + _PUBLISHED
     return Table(title, columns, cells, legend, grouped=True)
+
+
+def _verdict(result: CaseResult) -> str:
+    """The verdict, with the axis that swings most at the end of the step where that is another."""
+    if result.verdict != "unstable" or result.case.plant != "hexapod":
+        return result.verdict
+    record, machine = result.step, result.case.on
+    try:
+        poses = legs_to_pose(record["leg_position"][-round(record.rate) :: 4], machine)
+    except NoPoseError:
+        return result.verdict
+    dof = DOFS[int((np.ptp(poses, axis=0) / REPORT_AMPLITUDES).argmax())]
+    return result.verdict if dof == result.case.dof else f"{result.verdict} ({dof})"
 
 
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
@@ -113,7 +128,7 @@ def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) 
     cab = next((r.case.cab_name.upper() for r in results if r.case.cab), "")
     of = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
     hydraulics = results[0].case.hydraulics.name
-    return f"{of}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")
+    return f"{of}, simulated with hydraulics {hydraulics}" + (f", {cab}" if cab else "")
 
 
 def responses_figure(results: Sequence[CaseResult]) -> Figure:
@@ -129,16 +144,18 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
             look.plot_printed(gain, phase, printed, style["color"])
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
-    note = f"circles: published; pale: coherence below {CLEAR:g}, or unstable"
+    circles = "circles: published; " if any(result.published for result in results) else ""
+    note = f"{circles}pale: coherence below {CLEAR:g}, or unstable"
     look.legend(figure, title=note, title_fontsize=8)
     return figure
 
 
 def step_figure(results: Sequence[CaseResult]) -> Figure:
-    """Step responses of one degree of freedom, and what the law asked of the first leg's valve."""
+    """Step responses of one degree of freedom, and what laws ask of the valve that moves most."""
     dof = results[0].case.dof
     unit, colours = dof_unit(dof), _colours(results)
-    labels, under = (f"{dof} [{unit}]", "valve 1 [%]"), "time after the step [s]"
+    busy = int(np.ptp(results[0].step["valve_command"], axis=0).argmax())
+    labels, under = (f"{dof} [{unit}]", f"valve {busy + 1} [%]"), "time after the step [s]"
     figure, (response, command) = look.stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
     reference = results[0].step
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
@@ -155,7 +172,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         response.plot(record.time - begin, moved, **style)
         if result.measures.stable:
             low, high = min(low, 1.1 * moved.min()), max(high, 1.1 * moved.max())
-        command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
+        command.plot(record.time - begin, 100.0 * record["valve_command"][:, busy], **style)
     response.set(title=_title("Step response", dof, step, results), ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
     late = any(one.verdict == "unstable" for one in results)

@@ -109,6 +109,7 @@ SLIPS: dict[str, tuple[dict[str, Any], str]] = {
         "both pressures of legs 2 and 5 are exchanged",
     ),
     "feet": ({"leg_position": lambda v: v / FOOT}, "the file has ft where the map says m"),
+    "mm": ({"leg_position": lambda v: 25.4 * v}, "the file has mm where the map says in"),
     "feet of the pose": (
         {"demand_pose": lambda v: v / np.where(np.arange(6) < 3, FOOT, 1.0)},
         "its lengths are in ft where the map says m",
