@@ -63,6 +63,11 @@ def span(text: str) -> np.ndarray:
     return np.array([float(low), float(middle), float(high)])
 
 
+def sampled(text: str) -> np.ndarray:
+    """A probability with the interval of its sampling."""
+    return span(text.replace(" %", "")) / 100.0
+
+
 @pytest.fixture
 def printed(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Results whose answers are those of the CSV files beside the pages."""
@@ -70,14 +75,14 @@ def printed(monkeypatch: pytest.MonkeyPatch) -> Any:
     for row in rows("stability"):
         without = {g: share(row[f"without {posterior.EVIDENCE[g]}"]) for g in answers.GROUPS}
         simulated, machines = (int(part) for part in row["simulated"].split(" of "))
-        both = share(row["prior"]), share(row["all evidence"].split(" +-")[0])
+        said = sampled(row["all evidence"])
         agreeing = int(row["same verdict"].split(" of ")[0])
-        one = (row["law"], row["cab"], *both, 0.0, without, simulated, machines, agreeing)
-        stability.append(answers.Stability(*one))
+        one = (row["law"], row["cab"], share(row["prior"]), said[1], said, without)
+        stability.append(answers.Stability(*one, simulated, machines, agreeing))
     for row in rows("changes"):
         both = span(row["prior"]), span(row["all evidence"])
         changes.append(
-            answers.DampingChange(row["law"], row["cab"], *both, share(row["same sign"]))
+            answers.DampingChange(row["law"], row["cab"], *both, sampled(row["same sign"]))
         )
     laws = [SimpleNamespace(name=name) for name in dict.fromkeys(one.law for one in stability)]
     monkeypatch.setattr(answers, "stability", lambda _: stability)
@@ -134,7 +139,7 @@ def test_every_printed_interval_has_the_signs_of_its_quantiles() -> None:
         found = re.findall(form, made(page, "robust"))
         assert len(found) == 2 * 3 and set(found) <= every
     files = (ROOT / "docs" / "data" / f"rotation_{name}.csv" for name in FILES)
-    texts = "".join(file.read_text(encoding="utf-8") for file in files)
+    texts = "".join(file.read_text(encoding="utf-8") for file in files).replace(" %", "")
     intervals = re.findall(r"[^\s,]+ \(\S+ to \S+\)", texts)
     assert len(intervals) > 100
     for text in intervals:
@@ -145,7 +150,9 @@ def test_an_interval_that_spans_zero_is_printed_as_one(
     printed: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     around = np.array([-0.003, 0.012, 0.023])
-    one = answers.DampingChange(posterior.OPPOSED, "gfd", around, around, 0.9)
+    one = answers.DampingChange(
+        posterior.OPPOSED, "gfd", around, around, np.array([0.8, 0.9, 0.95])
+    )
     monkeypatch.setattr(answers, "changes", lambda _: [one])
     assert posterior.robust_text(printed).count("+0.012 (-0.003 to +0.023)") == 2
 
