@@ -154,14 +154,13 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     """Step responses of one degree of freedom, and what laws ask of the valve that moves most."""
     dof = results[0].case.dof
     unit, colours = dof_unit(dof), _colours(results)
-    busy = int(np.ptp(results[0].step["valve_command"], axis=0).argmax())
-    labels, under = (f"{dof} [{unit}]", f"valve {busy + 1} [%]"), "time after the step [s]"
+    labels, under = (f"{dof} [{unit}]", "valve [%]"), "time after the step [s]"
     figure, (response, command) = look.stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
     reference = results[0].step
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
     begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
     response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
-    low, high = -0.5 * demanded[-1], 2.0 * demanded[-1]
+    low, high, busy = -0.5 * demanded[-1], 2.0 * demanded[-1], -1
     for result in results:
         record, style = result.step, _style(result, colours)
         try:
@@ -172,7 +171,10 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         response.plot(record.time - begin, moved, **style)
         if result.measures.stable:
             low, high = min(low, 1.1 * moved.min()), max(high, 1.1 * moved.max())
-        command.plot(record.time - begin, 100.0 * record["valve_command"][:, busy], **style)
+        valves = 100.0 * record["valve_command"]
+        busy = int(np.ptp(valves, axis=0).argmax()) if busy < 0 else busy
+        command.set(ylabel=f"valve {busy + 1} [%]")
+        command.plot(record.time - begin, valves[:, busy], **style)
     response.set(title=_title("Step response", dof, step, results), ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
     late = any(one.verdict == "unstable" for one in results)
