@@ -123,4 +123,4 @@ def test_the_command_films_the_pose(tmp_path: Path) -> None:
         assert picture.size[0] == 192 and picture.n_frames >= 2
     refused = CliRunner().invoke(app, [*arguments, "--file", str(film.with_suffix(".avi"))])
     assert refused.exit_code == 2
-    assert "film.avi must end in .mp4 or .gif" in refused.output
+    assert "film.avi must end in .mp4, .gif or .html" in refused.output
