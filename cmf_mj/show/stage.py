@@ -22,7 +22,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import whole_file
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
@@ -160,11 +160,17 @@ class Reel(NamedTuple):
     traces: Panels = ()  #: Under the picture.
 
 
-def traces_of(record: Record) -> Panels:
+UNITS = {"US": ("in", "deg", "psi"), "metric": ("mm", "deg", "bar")}
+"""Units of lengths, angles and pressures, by their system."""
+
+
+def traces_of(record: Record, system: str = "US") -> Panels:
     """A degree of freedom of a record, and pressures of the leg whose cap pressure moves most.
 
-    It is the one whose demand moves most, lengths against 1 in and angles against 1 deg.
+    It is the one whose demand moves most, lengths against 1 in and angles against 1 deg. The system
+    is one of `UNITS`.
     """
+    length, angle, pressure = UNITS[system]
     scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
     dof = int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())
     leg = int(np.ptp(record["cap_pressure"], axis=0).argmax())
@@ -175,21 +181,21 @@ def traces_of(record: Record) -> Panels:
         values = record[channel].reshape(record.time.size, -1)[:, column]
         return Curve(name, record.time, values / units.factor(unit), colour, width=width)
 
-    title, column, unit = f"leg {leg + 1}", leg, "in"
+    title, column, unit = f"leg {leg + 1}", leg, length
     channels = ("leg_reference", "leg_extension")
     if "platform_pose" in record.channels:
-        title, column, unit = DOFS[dof], dof, dof_unit(dof)
+        title, column, unit = DOFS[dof], dof, by_kind(dof, length, angle)
         channels = ("demand_pose", "platform_pose")
     motion = (
         line("demand", channels[0], column, unit, GREY, 2.2),
         line("response", channels[1], column, unit, BLUE, 1.2),
     )
     pressures = (
-        line("cap", "cap_pressure", leg, "psi", ORANGE),
-        line("rod", "rod_pressure", leg, "psi", GREEN),
-        line("supply", "supply_pressure", 0, "psi", DARK),
+        line("cap", "cap_pressure", leg, pressure, ORANGE),
+        line("rod", "rod_pressure", leg, pressure, GREEN),
+        line("supply", "supply_pressure", 0, pressure, DARK),
     )
-    below = Panel(f"leg {leg + 1} [psi]", pressures, from_zero=True)
+    below = Panel(f"leg {leg + 1} [{pressure}]", pressures, from_zero=True)
     return Panel(f"{title} [{unit}]", motion), below
 
 

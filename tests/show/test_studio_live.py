@@ -23,12 +23,13 @@ from cmf_mj import InputError, RunError
 from cmf_mj.cli.common import app
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml
-from cmf_mj.facility.run import Run
+from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.scenario import scenario_of, scenario_toml
-from cmf_mj.facility.settings import change_of
+from cmf_mj.facility.settings import Change, change_of
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio import desk
-from cmf_mj.show.studio.controls import lamp
+from cmf_mj.show.studio.controls import lamp, session_page
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
     LARGEST,
@@ -285,13 +286,36 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     screen.wait_for_time(0.5)
     session.pause(True)
     session.scenario().result()
-    plots.show(screen.views[-1], 10.0, "heave", 2)
+    for system in UNITS:
+        plots.show(screen.views[-1], 10.0, "heave", system, 2)
     session.close()
+    of = {plot.title: plot for plot in drawn}
+    for shown, hidden, factor in (
+        ("platform [mm]", "platform [in]", 25.4),
+        ("manifolds [bar]", "manifolds [psi]", 0.0689476),
+    ):
+        assert of[shown].visible and not of[hidden].visible
+        np.testing.assert_allclose(of[shown].data[1], factor * of[hidden].data[1], rtol=1e-6)
     lines = [line for plot in drawn for line in plot.data]
     assert len(lines) > 20 and np.isfinite(np.concatenate(lines)).all()
     _, demand, second, response, *_ = next(plot.data for plot in drawn if "[in]" in plot.title)
     assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
     assert np.array_equal(second, response) == (not beside)
+
+
+def test_page_of_a_session_begins_where_the_record_does_and_says_what_happened(
+    tmp_path: Path,
+) -> None:
+    """Of a long session only the end is kept."""
+    session = SignalSession(heave(), keep=0.25)
+    session.run(256)
+    session.apply(Change(law="force"))
+    session.run(768)
+    record, marks = session.record(), marks_of(session.done(), None)
+    text = session_page(record, tmp_path / "x.html", marks, "metric").read_text("utf-8")
+    assert "<title>velocity, 0.1 s: law force</title>" in text
+    assert "heave [mm]: response" in text and "[bar]: supply" in text
+    assert f"from {record.time[0]:g} to" in text and record.time[0] == 0.25
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

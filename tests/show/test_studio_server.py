@@ -239,11 +239,29 @@ def test_exported_session_runs_again_bit_for_bit(tab: Tab, tmp_path: Path) -> No
         tab.press("export scenario")
     path = tmp_path / "session.toml"
     download.value.save_as(path)
+    with tab.page.expect_download() as download:
+        tab.press("save page")
+    download.value.save_as(tmp_path / "session.html")
+    title = re.search(r"<title>(.*)</title>", (tmp_path / "session.html").read_text("utf-8"))
+    assert title is not None
+    assert re.fullmatch(r"velocity, [\d.]+ s: law position_error_rate, [\d.]+ s: push", title[1])
     record = tab.behind.live.record().result()
     again = load_scenario(path).record()
     assert again.time.size == record.time.size > 128
     for name, values in record.channels.items():
         assert np.array_equal(again[name], values), name
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_units_change_what_is_shown_and_not_the_demand(tab: Tab) -> None:
+    """An amplitude of 2 in is 50.8 mm; the signal stays as it was."""
+    begun = tab.behind.live.scenario().result()
+    tab.choose("units", "metric")
+    for title in ("amplitude [mm]", "platform [mm]", "manifolds [bar]"):
+        tab.page.get_by_text(title).first.wait_for()
+    beside = "xpath=following::input[not(@type='hidden')][1]"  # viser gives it no label
+    assert tab.page.get_by_text("amplitude [mm]").locator(beside).input_value() == "50.8"
+    assert tab.behind.live.scenario().result().change == begun.change == ()
 
 
 @pytest.mark.usefixtures("fewer_pictures")

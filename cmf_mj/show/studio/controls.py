@@ -2,7 +2,7 @@
 
 import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any, get_args
@@ -15,9 +15,12 @@ from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
 from cmf_mj.machine import models
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
+from cmf_mj.record.record import Record
+from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.stage import UNITS, traces_of
 from cmf_mj.show.studio.desk import (
     DIRECTIONS,
     LARGEST_PUSH,
@@ -29,7 +32,7 @@ from cmf_mj.show.studio.desk import (
     signal_settings,
     signal_table,
 )
-from cmf_mj.show.studio.live import View, words
+from cmf_mj.show.studio.live import Mark, View, words
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -95,9 +98,10 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
     return show
 
 
-def signal_controls(desk: Desk) -> Callable[[], str]:
-    """The demand: its kind with settings and amplitude; gives the degree of freedom chosen."""
+def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
+    """The demand: its kind, settings and amplitude; gives degree of freedom and units chosen."""
     gui = desk.client.gui
+    system = gui.add_dropdown("units", tuple(UNITS), hint="of the amplitude and the plots")
     dof = gui.add_dropdown(
         "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
     )
@@ -112,36 +116,45 @@ def signal_controls(desk: Desk) -> Callable[[], str]:
     )
     folder = gui.add_folder("settings")
     settings: dict[str, Any] = {}
-    machine = models.CMF
+    machine, shown = models.CMF, 1.0
+
+    def size() -> float:
+        """The amplitude in in or deg."""
+        return round(amplitude.value / shown, 4)
 
     def send() -> None:
         chosen = {name: handle.value for name, handle in settings.items()}
-        table = signal_table(kind.value, dof.value, amplitude.value, **chosen)
+        table = signal_table(kind.value, dof.value, size(), **chosen)
         desk.apply(change_of({"signal": table}, "signal"))
 
-    def limit() -> None:
-        amplitude.label = f"amplitude [{dof_unit(dof.value)}]"
-        amplitude.max = largest_amplitude(dof.value, machine)
-        amplitude.value = min(amplitude.value, amplitude.max)
+    def limit(chosen: float) -> None:
+        """Show an amplitude [in or deg] and its limit in the units of the page."""
+        nonlocal shown
+        largest = largest_amplitude(dof.value, machine)
+        unit = by_kind(dof.value, *UNITS[system.value][:2])
+        shown = units.from_si(unit, units.to_si(dof_unit(dof.value), 1.0))
+        amplitude.label, amplitude.max = f"amplitude [{unit}]", round(shown * largest, 1)
+        amplitude.value = round(shown * min(chosen, largest), 2)
 
     def moved(handle: Any) -> None:
-        if handle is dof:
-            limit()
+        if handle in (dof, system):
+            limit(size())
         if handle is kind:
             show_settings({})
-        desk.later("signal", send)
+        if handle is not system:
+            desk.later("signal", send)
 
     def follow(scenario: Run) -> None:
         """Show the signal of a scenario, where the page has such a one."""
         nonlocal machine
-        machine, chosen = scenario.machine, dict[str, Any]()
+        machine, begun, chosen = scenario.machine, size(), dict[str, Any]()
         if not scenario.signal:
             kind.value = "rest"
         if len(scenario.signal) == 1 and isinstance(signal := scenario.signal[0], SingleSignal):
             kind.value, dof.value = signal.kind, signal.dof
-            amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
+            begun = abs(units.from_si(dof_unit(signal.dof), signal.size))
             chosen = signal.model_dump()
-        limit()
+        limit(begun)
         show_settings(chosen)
 
     def show_settings(chosen: dict[str, Any]) -> None:
@@ -162,11 +175,11 @@ def signal_controls(desk: Desk) -> Callable[[], str]:
                 settings[name] = gui.add_number(label, value, step=step)
         by_hand(moved, *settings.values())
 
-    by_hand(moved, dof, kind, amplitude)
+    by_hand(moved, system, dof, kind, amplitude)
     again = gui.add_button("send again", hint="step, pulse and chirp once more")
     again.on_click(lambda _: desk.later("signal", send))
     desk.follow(follow)
-    return lambda: dof.value
+    return lambda: (dof.value, system.value)
 
 
 def law_controls(desk: Desk) -> None:
@@ -253,8 +266,8 @@ def disturbance_controls(desk: Desk) -> None:
     desk.follow(lambda _: setattr(on, "value", False))  # a new run begins without a push
 
 
-def file_controls(desk: Desk) -> None:
-    """The session as a scenario, and its record."""
+def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
+    """The session as a scenario, its record, and a page that plays it in the units shown."""
     gui, send = desk.client.gui, desk.client.send_file_download
     export = gui.add_button(
         "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
@@ -262,15 +275,36 @@ def file_controls(desk: Desk) -> None:
     save = gui.add_button(
         "save record", icon="download", hint="what the session has kept, as Parquet"
     )
+    page = gui.add_button("save page", icon="download", hint="the session as a page that plays it")
 
     @export.on_click
     def _(_: Any) -> None:
         text = scenario_toml(desk.live.scenario().result())
         send("session.toml", text.encode("utf-8"), save_immediately=True)
 
-    @save.on_click
-    def _(_: Any) -> None:
-        record = desk.live.record().result()
-        with tempfile.TemporaryDirectory() as folder:
-            content = record.save(Path(folder) / "session.parquet").read_bytes()
-        send("session.parquet", content, save_immediately=True)
+    def kept(name: str, write: Callable[[Record, Path], Path]) -> None:
+        try:
+            record = desk.live.record().result()
+            with tempfile.TemporaryDirectory() as folder:
+                content = write(record, Path(folder) / name).read_bytes()
+            send(name, content, save_immediately=True)
+        except ValueError as error:
+            desk.tell(error)
+
+    def played(record: Record, path: Path) -> Path:
+        return session_page(record, path, desk.live.marks().result(), shown()[1])
+
+    save.on_click(lambda _: kept("session.parquet", Record.save))
+    page.on_click(lambda _: kept("session.html", played))
+
+
+def session_page(record: Record, path: Path, marks: Sequence[Mark], system: str) -> Path:
+    """Write a page that plays what a session has kept, in one of `UNITS`.
+
+    Its title is the law it began with and what happened since, but for signals, which its traces
+    show.
+    """
+    said = [f"{mark.time:.1f} s: {mark.text}" for mark in marks if mark.text != "signal"]
+    title = "\n".join([str(record.metadata["law"]), *said])
+    begun = FilmSettings(start=float(record.time[0]))  # of a long session the end is kept
+    return film([record], path, begun, titles=[title], traces=[traces_of(record, system)])

@@ -12,9 +12,10 @@ from viser import uplot
 from cmf_mj.core import units
 from cmf_mj.facility.session import Live
 from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
+from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.live import PLOT_RATE, Mark, View
 
 _DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
@@ -82,24 +83,32 @@ class Plots:
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
         both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
         self._response = {
-            unit: _add_plot(client, f"platform [{unit}]", both, -0.05, 0.05)
-            for unit in ("in", "deg")
+            unit: _add_plot(client, f"platform [{unit}]", both, -least, least)
+            for unit, least in (("in", 0.05), ("mm", 1.0), ("deg", 0.05))
         }
         self._force = _add_plot(client, "leg forces [kN]", legs, 20.0, 40.0)
         self._valve = _add_plot(client, "valve commands [%]", legs, -2.0, 2.0)
         sides = [("cap", BLUE, False), ("rod", ORANGE, False)]
-        self._pressure = _add_plot(client, "pressures of the leg [psi]", sides, 0.0, 1000.0)
         manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
-        self._supply = _add_plot(client, "manifolds [psi]", manifolds, 0.0, 2000.0)
+        tops = (("psi", 1000.0), ("bar", 70.0))
+        self._pressure = {
+            unit: _add_plot(client, f"pressures of the leg [{unit}]", sides, 0.0, top)
+            for unit, top in tops
+        }
+        self._supply = {
+            unit: _add_plot(client, f"manifolds [{unit}]", manifolds, 0.0, 2.0 * top)
+            for unit, top in tops
+        }
 
-    def show(self, view: View, seconds: float, dof: str, leg: int) -> None:
-        """Draw the last seconds: a degree of freedom, and the pressures of a leg from 0."""
+    def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
+        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0."""
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
         beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:
             return
-        index, unit = DOFS.index(dof), dof_unit(dof)
+        length, angle, pressure = UNITS[system]
+        index, unit = DOFS.index(dof), by_kind(dof, length, angle)
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:
             """A signal, column by column."""
@@ -112,15 +121,20 @@ class Plots:
         lives = [second or live for second, live in zip(beside, past, strict=True)] + past
         poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
         responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
-        for name, plot in self._response.items():
-            plot.visible = name == unit
+        for plots, drawn in (
+            (self._response, unit),
+            (self._pressure, pressure),
+            (self._supply, pressure),
+        ):
+            for name, plot in plots.items():
+                plot.visible = name == drawn
         self._response[unit].data = (time, of("demand", unit)[index], *responses, *marked)
         self._force.data = (time, *of("force", "kN"), *marked)
         self._valve.data = (time, *of("valve_command", "%"), *marked)
-        pressures = of("cap_pressure", "psi")[leg], of("rod_pressure", "psi")[leg]
-        self._pressure.data = (time, *pressures, *marked)
-        manifolds = *of("supply_pressure", "psi"), *of("return_pressure", "psi")
-        self._supply.data = (time, *manifolds, *marked)
+        pressures = of("cap_pressure", pressure)[leg], of("rod_pressure", pressure)[leg]
+        self._pressure[pressure].data = (time, *pressures, *marked)
+        manifolds = *of("supply_pressure", pressure), *of("return_pressure", pressure)
+        self._supply[pressure].data = (time, *manifolds, *marked)
 
 
 _PUSH_LENGTH = 5.0  #: Length of the arrow of the largest push [m].

@@ -53,7 +53,7 @@ class Page:
         gui, desk = self.desk.client.gui, self.desk
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
-            self._dof = controls.signal_controls(desk)
+            self._shown = controls.signal_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
@@ -61,7 +61,7 @@ class Page:
         with gui.add_folder("Machine"):
             controls.machine_controls(desk)
         with gui.add_folder("Session"):
-            controls.file_controls(desk)
+            controls.file_controls(desk, self._shown)
         gui.main_panel.dock_right()
 
     def _panel(self) -> None:
@@ -87,7 +87,7 @@ class Page:
             self._scene.show_push(view.push / units.to_si("kN", LARGEST_PUSH))
         if self._turn % _PLOTS_EVERY == 0 and self._drawn.value:
             leg = int(self._leg.value) - 1
-            self._plots.show(view, float(self._window.value), self._dof(), leg)
+            self._plots.show(view, float(self._window.value), *self._shown(), leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
 
