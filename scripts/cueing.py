@@ -30,8 +30,10 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.machine import load_machine
-from cmf_mj.pilot.cueing import cue, excursion
-from cmf_mj.pilot.judgement import DRIVES, judge, manoeuvre
+from cmf_mj.pilot.cueing import cue, excursion, within_limits
+from cmf_mj.pilot.drives import DRIVES
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.judgement import judge
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
@@ -92,7 +94,7 @@ def compare(out: Path, names: tuple[str, ...], rate: float) -> None:
     for family, settings in families().items():
         rows: list[dict[str, float]] = []
         for name in names:
-            cued = cue(manoeuvre(name), settings, rate=rate)
+            cued = cue(load_flight(name).motion, settings, rate=rate)
             row = judge(cued)._asdict() | {"largest_share": cued.excursion.largest}
             given = {key: f"{value:.5g}" for key, value in row.items()}
             every.append({"drive": name, "washout": family, **given})
@@ -141,12 +143,16 @@ def flood(out: Path, seconds: float) -> None:
         taken = 1e3 * cpu[1:]
         stream = make_stream(np.arange(count) / MOST_RATE, *motions.swapaxes(0, 1))
         use = excursion(stream, None, machine)
+        sent, held = within_limits(stream, None, machine)
+        kept = excursion(sent, None, machine)
         rows.append(
             {
                 "machine": machine,
                 "frames": count,
                 "largest_share": f"{use.largest:.4f}",
                 "of": use.binding,
+                "frames_limited": int(held.sum()),
+                "largest_share_sent": f"{kept.largest:.4f}",
                 "not_finite": int((~np.isfinite(motions)).sum()),
                 "bridged": sum(solves.bridged),
                 "late": int((taken > 1e3 / MOST_RATE).sum()),
@@ -168,7 +174,7 @@ def draw_plan(out: Path) -> None:
     from cmf_mj.machine.motion_limits import load_motion_limits
 
     figure, (force, leg) = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
-    flown = manoeuvre("braking")
+    flown = load_flight("braking").motion
     shown = families()
     for family, colour in zip(
         ("classical", "predictive guess", "predictive known"), "C7 C0 C1".split(), strict=True
@@ -210,7 +216,7 @@ def record(path: Path) -> None:
             return solve(programme)  # noqa: B023
 
         own._solve = solving  # type: ignore[method-assign]
-        washout.run(manoeuvre(name))
+        washout.run(load_flight(name).motion)
     with path.open("wb") as file:
         pickle.dump(kept, file)
 

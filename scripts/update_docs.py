@@ -60,6 +60,7 @@ COPIES = {
     "modes/modes_map.png": "images/modes_map.png",
     "films/surge_heave.html": "_static/films/surge_heave.html",
     "films/surge_laws.html": "_static/films/surge_laws.html",
+    "films/cueing.html": "_static/films/cueing.html",
     **{
         f"course/step_{name}.csv{end}": f"_static/course/step_{name}.csv{end}"
         for name in ("surge", "heave")

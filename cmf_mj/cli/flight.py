@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 command = partial(app.command, rich_help_panel="Flight")
 drawing = options.drawing(command)
 
-_FLIGHTS, _SCRIPTS = "pilot.flight:flight_names", "pilot.scripts:SCRIPTS"
+_FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
 _FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]

@@ -222,6 +222,13 @@ Stroke = Annotated[str | None, options.film(help="of modes: largest leg motion, 
 Periods = Annotated[float, options.film(help="of modes: length, in periods of the lowest")]
 
 
+def _differing(name: str, names: list[str]) -> str:
+    """What of a file's path is not in all paths; its name where nothing is."""
+    parts, *others = (Path(one).with_suffix("").parts for one in (name, *names))
+    own = [part for part in parts if not all(part in other for other in others)]
+    return "/".join(own) or Path(name).stem
+
+
 @command("video")
 def video_command(
     sources: Annotated[
@@ -263,23 +270,22 @@ def video_command(
         return show(f"written: {path}")
     if len(names) > 1 and laws:
         raise InputError("laws: are for one scenario; give one, or no laws")
-    records, titles, traces = [], [], []
+    records, titles = [], []
+    files = [Path(name) for name in names if name.endswith(".parquet")]
     with progress_bar() as progress:
         for name in names:
             if name.endswith(".parquet"):
                 records.append(cmf_mj.Record.load(name))
-                titles.append(f"{Path(name).stem}: {records[-1].metadata['law']}")
-                traces += [panels for panels in [saved_traces(Path(name))] if panels]
+                titles.append(f"{_differing(name, names)}: {records[-1].metadata['law']}")
                 continue
             base = cmf_mj.load_scenario(name)
             for law in laws or [str(base.law)]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
                 records.append(one.record(progress=progress))
                 titles.append(one.law if laws else one.title or Path(name).stem)
-    if len(traces) == len(records):  # flights, each with six traces of what its pilot felt
+    traces = saved_traces(files) if len(files) == len(names) else []
+    if traces:
         look = look._replace(strip=300)
-    else:
-        traces = []
     with progress_bar("drawing") as progress:
         path = film(records, file, look, titles=titles, traces=traces, progress=progress)
     show(f"written: {path}")

@@ -29,6 +29,7 @@ from cmf_mj.core.arrays import FrozenDict, check_finite, frozen
 from cmf_mj.core.errors import InputError, reason, unknown_name, within
 from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import FileHeader, Settings, check_file, parsed_json, validated
+from cmf_mj.pilot.drives import DRIVES, drive
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 
 _KEY = "cmf_mj_flight"
@@ -112,8 +113,21 @@ def flight_names() -> list[str]:
     return sorted(path.stem for path in _SHIPPED.glob("*.parquet"))
 
 
+def names() -> list[str]:
+    """Names of flights and drives."""
+    return [*flight_names(), *DRIVES]
+
+
 def load_flight(source: str | Path) -> Flight:
-    """Load a shipped flight by its name, or a CSV or Parquet file."""
+    """Load a shipped flight or a drive by its name, a drawn one as `name:seed`, or a file."""
+    kind, drawn, seed = str(source).partition(":")
+    if kind in DRIVES:
+        if drawn and not (seed.isascii() and seed.isdigit()):
+            raise InputError(f"flight: seed {seed!r} of {kind}; allowed: a whole number from 0")
+        number = int(seed) if drawn else None
+        title = f"{kind.replace('_', ' ')} of a road vehicle"
+        origin = Origin(title=title, aircraft="road vehicle", source="pilot.drives", seed=number)
+        return Flight(drive(kind, number), origin)
     path, columns, origin = read_columns(source)
     time = columns.pop("time")
     channels = [np.column_stack([columns.pop(n) for n in names]) for names in COLUMNS.values()]
@@ -134,7 +148,7 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
     if not path.suffix:
         if str(source) not in flight_names():
             files = " nor a .csv or .parquet file"
-            raise unknown_name("flight", str(source), flight_names(), files)
+            raise unknown_name("flight", str(source), names(), files)
         path = _SHIPPED / f"{source}.parquet"
     table, column_units, origin = (_csv if path.suffix == ".csv" else _parquet)(path)
     columns = {}

@@ -1,7 +1,7 @@
 """Washouts judged by numbers, on drives and flights, and tuned on them.
 
-`drive` makes road manoeuvres, as they are or drawn under a seed; `judge` measures a cueing;
-`search` tunes any family by covariance matrix adaptation of gains, corners or sizes, with the cost
+`judge` measures a cueing; `search` tunes any family by covariance matrix adaptation of gains,
+corners or sizes, with the cost
 
     J = mean over manoeuvres of rms e / theta (1 + 5 beyond),    times (1 + 5 too much)
 
@@ -16,83 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.cueing import Cue, cue
+from cmf_mj.pilot.drives import DRIVES
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.washout_settings import WashoutSettings
-
-DRIVES = ("lane_change", "slalom", "braking", "s_curve", "urban")
-"""Names of the drives of `drive`."""
 
 TUNED = (*DRIVES, "turn")
 """Drives and flights to tune on."""
 
 _SHORTEST = 0.1  #: Of what counts as a false cue, and of the gap between two [s].
-
-
-def manoeuvre(name: str) -> PilotMotion:
-    """A drive by name, `name:seed` if drawn, or a flight by name or file."""
-    kind, _, seed = name.partition(":")
-    if kind in DRIVES:
-        return drive(kind, int(seed) if seed else None)
-    return load_flight(name).motion
-
-
-def _between(time: NDArray[np.float64], begin: float, end: float, rise: float) -> NDArray[Any]:
-    """1 from `begin` + `rise` to `end`, 0 before `begin` and after `end` + `rise`, smooth, (N,)."""
-    up, down = (np.clip((time - at) / rise, 0.0, 1.0) for at in (begin, end))
-    return 0.5 * (np.cos(np.pi * down) - np.cos(np.pi * up))
-
-
-def drive(name: str, seed: int | None = None) -> PilotMotion:
-    """The motion of a road vehicle's driver at 80 Hz, level, by name of `DRIVES`.
-
-    The forward force is dv/dt, the side force v r with r the yaw rate; all corners are cosines. A
-    seed draws the size of each force, 0.7 to 1.3 times, the pace, 0.8 to 1.25 times, and the side.
-    """
-    check_name("name", name, DRIVES)
-    draw = np.random.default_rng(seed)
-    pace, way = 1.0, 1.0
-    if seed is not None:
-        pace, way = draw.uniform(0.8, 1.25), draw.choice([-1.0, 1.0])
-
-    def of(size: float) -> float:
-        return size if seed is None else size * draw.uniform(0.7, 1.3)
-
-    time = np.arange(round(40.0 * MOST_RATE)) / MOST_RATE
-    at = time * pace
-    forward, side, start = np.zeros(time.size), np.zeros(time.size), 20.0
-    if name == "lane_change":  # out and back again, each one sine of 4 s
-        for begin, sign in ((5.0, 1.0), (20.0, -1.0)):
-            sine = np.sin(0.5 * np.pi * (at - begin))
-            side += of(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
-    elif name == "slalom":
-        side = of(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
-    elif name == "braking":  # to rest from 20 m/s, with a jolt at the end
-        forward = of(-4.0) * _between(at, 8.0, 13.0, 0.4) + of(1.5) * _between(at, 22.0, 32.0, 1.5)
-    elif name == "s_curve":
-        side = of(2.0) * _between(at, 5.0, 13.0, 2.0) - of(2.0) * _between(at, 15.0, 23.0, 2.0)
-    else:  # start, corner, brake, start, two corners, brake
-        start = 0.0
-        for begin, end, size in ((3.0, 8.0, 2.0), (12.0, 14.0, -2.5), (20.0, 25.0, 1.8)):
-            forward += of(size) * _between(at, begin, end, 1.0)
-        forward -= of(3.0) * _between(at, 32.0, 36.0, 0.7)
-        for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
-            side += of(size) * _between(at, begin, end, 0.8)
-    side *= way
-    speed = np.maximum(start + np.cumsum(forward) / MOST_RATE, 0.0)
-    yaw_rate = side / np.maximum(speed, 5.0)
-    zero = np.zeros(time.size)
-    return PilotMotion(
-        time,
-        np.column_stack([forward, side, zero - STANDARD_GRAVITY]),
-        np.column_stack([zero, zero, yaw_rate]),
-        np.column_stack([zero, zero, np.cumsum(yaw_rate) / MOST_RATE]),
-    )
 
 
 class Judgement(NamedTuple):
@@ -245,7 +180,7 @@ def search(
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
-    motions = [manoeuvre(name) for name in names]
+    motions = [load_flight(name).motion for name in names]
     source = f"cmf cue tune: {evaluations} evaluations on {', '.join(names)}"
 
     def tried_at(logs: NDArray[np.float64]) -> tuple[float, WashoutSettings]:

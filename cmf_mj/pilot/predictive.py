@@ -30,8 +30,7 @@ frame, the last plan goes on; after its end the linear washout u = -F (x, 0) tak
 v ahead is `constant`; a `guess`, (v + m T (1 - exp(-t / T))) exp(-t / T_f) with the slope m
 low-passed; or `known` from the flight. What is sent is the plan of the machine that follows it the
 law's delay later, for v of that time: a guess and what is known lead by it, constant cannot. The
-specific force that the small angles of the model miss
-is taken off v.
+specific force that the small angles of the model miss is taken off v.
 """
 
 from time import perf_counter
@@ -67,6 +66,8 @@ _SOLVED = (1, 2)  #: Exit flags of DAQP at an optimum, and at one that passes so
 _SOFT = 8  #: How DAQP marks a row that may be passed at a price.
 
 _STEEP = 1e-6  #: Reciprocal of the quadratic price of rows whose price is linear.
+
+_LISTED = 12  #: Late or bridged frames that a report names.
 
 _TWICE = 20.0  #: Thresholds by which a false cue is passed where the next costs twice the first.
 
@@ -131,15 +132,17 @@ class Solves(NamedTuple):
     bridged: list[bool]  #: Whether the last plan went on instead.
 
     def report(self, interval: float) -> str:
-        """Times of frames `interval` [s] apart, and each that was late or bridged."""
+        """Times of frames `interval` [s] apart, and which were late or bridged."""
         taken = np.array(self.seconds or [0.0])
         shares = " / ".join(f"{1e3 * np.quantile(taken, q):.2g}" for q in (0.95, 0.999, 1.0))
         late = taken > interval
         missed = interval * (1.0 + np.flatnonzero(late | np.array(self.bridged or [False])))
+        said = [f"{at:.2f} s" for at in missed[:_LISTED]]
+        said += [f"{missed.size - _LISTED} more"] * (missed.size > _LISTED)
         return (
             f"plans made in {shares} ms (95, 99.9 %, worst) of {1e3 * interval:.3g} ms: "
             f"{late.sum()} late, {sum(self.bridged)} of {len(self.bridged)} bridged by the last "
-            f"plan{', at ' * bool(missed.size)}{', '.join(f'{at:.2f} s' for at in missed)}"
+            f"plan{', at ' * bool(said)}{', '.join(said)}"
         )
 
 

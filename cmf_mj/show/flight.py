@@ -1,6 +1,7 @@
 """Tables, figures and files of flights in the cab, and of manoeuvres that were learnt."""
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,24 @@ def flight_traces(motions: Mapping[str, PilotMotion]) -> Panels:
     return motion_panels(*_drawn(motions))
 
 
-def saved_traces(record: Path) -> Panels:
-    """The traces of the motions that `save_ride` wrote beside a record; none of another run."""
-    files = {name: record.with_name(f"{name}.parquet") for name in _MOTIONS}
-    motions = {name: load_flight(path).motion for name, path in files.items() if path.exists()}
-    return flight_traces(motions) if "simulator" in motions else ()
+def saved_traces(records: Sequence[Path]) -> list[Panels]:
+    """Traces of what the pilot felt, as `save_ride` wrote it beside each record; else none.
+
+    Of the axes along which a motion changes by more than 0.01 m/s^2 or 0.01 deg/s.
+    """
+    files = [{name: path.with_name(f"{name}.parquet") for name in _MOTIONS} for path in records]
+    if not all(beside["simulator"].exists() for beside in files):
+        return []
+    flights = [
+        {name: load_flight(path).motion for name, path in beside.items() if path.exists()}
+        for beside in files
+    ]
+    every = list(zip(*map(flight_traces, flights), strict=True))
+    moved = [
+        any(np.ptp(curve.y) > 0.01 for panel in panels for curve in panel.curves)
+        for panels in every
+    ]
+    return [tuple(compress(panels, moved)) for panels in zip(*every, strict=True)]
 
 
 def _drawn(motions: Mapping[str, PilotMotion]) -> list[DrawnMotion]:

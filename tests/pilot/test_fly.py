@@ -1,6 +1,7 @@
 """From aircraft to cab: what is asked, what is felt, how late, and within which limits."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -262,6 +263,20 @@ def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: FlightResu
         for curve in flight_report.flight_traces(flight_report.ride_motions(direct))[0].curves
     ]
     assert labels == ["asked of the platform", "cab"]
+
+
+def test_traces_beside_records_are_those_that_move(ride: FlightResult, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two")]
+    level = replace(ride.asked, angular_rate=0.0 * ride.asked.angular_rate)
+    still = ride._replace(aircraft=level, asked=level, simulator=level)
+    for folder, each in zip(folders, (ride, still), strict=True):
+        flight_report.save_ride(each, folder)
+    files = [folder / "record.parquet" for folder in folders]
+    every = [panel.y_title for panel in flight_report.flight_traces({"asked": ride.asked})]
+    both, alone = flight_report.saved_traces(files), flight_report.saved_traces(files[1:])
+    assert [[panel.y_title for panel in panels] for panels in both] == [every, every]
+    assert [panel.y_title for panel in alone[0]] == every[:3]
+    assert flight_report.saved_traces([*files, tmp_path / "other" / "record.parquet"]) == []
 
 
 @pytest.mark.slow

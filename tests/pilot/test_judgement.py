@@ -1,20 +1,18 @@
-"""Drives, measures in closed form, and the search over the washouts of each family."""
+"""Measures in closed form, and the search over the washouts of each family."""
 
 import numpy as np
 import pytest
-from cab_motions import G, pushed
+from cab_motions import pushed
 from shared import cmf
 
 from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.judgement import (
-    DRIVES,
     FREE,
     _stretches,
     changed,
     cost,
-    drive,
     judge,
-    manoeuvre,
     search,
 )
 from cmf_mj.pilot.perception import CueingError
@@ -72,30 +70,6 @@ def test_a_simulator_that_does_nothing_misses_all():
     assert found.mismatch == pytest.approx(0.66 * mean)
 
 
-@pytest.mark.parametrize("name", DRIVES)
-def test_a_drive_obeys_its_speed(name):
-    """f_x = dv/dt and f_y = v r, so that yaw rate times speed is the side force."""
-    for seed in (None, 3):
-        motion = drive(name, seed)
-        force = motion.specific_force
-        speed = (0.0 if name == "urban" else 20.0) + np.cumsum(force[:, 0]) / 80.0
-        fast = speed > 5.0
-        side = motion.angular_rate[fast, 2] * speed[fast]
-        np.testing.assert_allclose(side, force[fast, 1], atol=1e-9)
-        np.testing.assert_allclose(force[:, 2], -G)
-        assert np.abs(force[:80, :2]).max() == 0.0
-
-
-def test_a_seed_draws_the_same_drive_and_another_seed_another():
-    one, again, other = (drive("urban", seed) for seed in (4, 4, 5))
-    np.testing.assert_array_equal(one.specific_force, again.specific_force)
-    assert np.abs(one.specific_force - other.specific_force).max() > 0.1
-    np.testing.assert_array_equal(manoeuvre("urban:4").specific_force, one.specific_force)
-    plain = np.abs(drive("lane_change").specific_force[:, 1]).max()
-    drawn = [np.abs(drive("lane_change", seed).specific_force[:, 1]).max() for seed in range(8)]
-    assert all(0.7 * plain <= size <= 1.3 * plain + 1e-9 for size in drawn)
-
-
 @pytest.mark.parametrize("name", ["simona", "optimal", "predictive"])
 def test_factors_change_what_is_tuned_and_say_so(name):
     base = load_washout(name)
@@ -119,7 +93,7 @@ def test_a_search_finds_what_is_better_and_repeats():
     found = [search(load_washout("simona"), ("lane_change",), evaluations=21) for _ in range(2)]
     assert found[0] == found[1]
     assert found[0].cost < found[0].start and found[0].tried == 21
-    flown = [cue(manoeuvre("lane_change"), found[0].settings, rate=40.0)]
+    flown = [cue(load_flight("lane_change").motion, found[0].settings, rate=40.0)]
     assert cost(flown) == pytest.approx(found[0].cost)
     with pytest.raises(ValueError, match="evaluations: 0"):
         search(load_washout("simona"), evaluations=0)

@@ -12,7 +12,8 @@ from cmf_mj.machine.kinematics import about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, excursion
-from cmf_mj.pilot.judgement import drive, judge
+from cmf_mj.pilot.drives import drive
+from cmf_mj.pilot.judgement import judge
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
 from cmf_mj.pilot.optimal import condense, knots, parts, span_cost, washout_modes
 from cmf_mj.pilot.perception import load_senses, sense
