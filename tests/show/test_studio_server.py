@@ -17,9 +17,12 @@ import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
+from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.facility.scenario import load_scenario
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.plant.events import KINDS
-from cmf_mj.show.studio import desk, live
+from cmf_mj.show.studio import controls, desk, live
 from cmf_mj.show.studio.server import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
@@ -265,6 +268,30 @@ def test_units_change_what_is_shown_and_not_the_demand(tab: Tab) -> None:
 
 
 @pytest.mark.usefixtures("fewer_pictures")
+def test_a_drive_goes_through_a_washout_that_is_exchanged_as_it_goes(
+    tab: Tab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controls, "CUED", tmp_path)
+
+    def sent() -> list[str]:
+        changes = tab.behind.live.scenario().result().change
+        return [Path(one.signal[0].file).name for one in changes if one.signal]  # type: ignore[union-attr]
+
+    tab.choose("flight", "slalom")
+    tab.wait(lambda: sent() == ["slalom-simona-cmf-gfd.csv"])
+    tab.choose("washout", "optimal")
+    tab.wait(lambda: len(sent()) == 2)
+    begun = tab.time()
+    tab.wait(lambda: tab.time() > begun + 8.0)
+    cued = cue(load_flight("slalom").motion, "optimal").stream
+    files = [read_stream(tmp_path / name) for name in sent()]
+    np.testing.assert_array_equal(files[1].values, cued.values)
+    assert np.abs(files[0].values - cued.values).max() > 0.01
+    assert abs(float(tab.behind._scene.platform_position[1])) > 0.01
+    tab.choose("flight", "none")
+    tab.wait(lambda: tab.behind.live.scenario().result().change[-1].signal == ())
+
+
 def test_another_cab_can_be_chosen_and_reset(tab: Tab) -> None:
     tab.choose("law", "velocity_integral")
     tab.status("law velocity_integral")

@@ -11,11 +11,17 @@ import viser
 
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
+from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
+from cmf_mj.facility.signal import HostFile
 from cmf_mj.machine import models
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight, names
+from cmf_mj.pilot.washout_settings import WASHOUTS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
 from cmf_mj.record.record import Record
@@ -43,7 +49,9 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
-NONE = "none"  #: Choice of no second law.
+NONE = "none"  #: Choice of no second law, and of no flight.
+
+CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
@@ -180,6 +188,34 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     again.on_click(lambda _: desk.later("signal", send))
     desk.follow(follow)
     return lambda: (dof.value, system.value)
+
+
+def cueing_controls(desk: Desk) -> None:
+    """A flight or drive through a washout as the demand; both can be exchanged as it goes."""
+    gui = desk.client.gui
+    flown = gui.add_dropdown(
+        "flight", (NONE, *names()), hint="what the pilot's aircraft or car does; from its start"
+    )
+    washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
+    carried = load_cab(None)
+
+    def send(_: Any) -> None:
+        """Write the host's frames, for the scenario that names them, and let them take over."""
+        if flown.value == NONE:
+            return desk.apply(change_of({"signal": []}, "signal"))
+        cued = cue(load_flight(flown.value).motion, washout.value, cab=carried)
+        name = f"{flown.value}-{washout.value}-{carried.machine.name}-{carried.name}.csv"
+        file = write_stream(cued.stream, CUED.resolve() / name)
+        desk.apply(change_of({"signal": [{"kind": "host", "file": str(file)}]}, "signal"))
+
+    def follow(scenario: Run) -> None:
+        nonlocal carried
+        carried = scenario.carried
+        if not any(isinstance(signal, HostFile) for signal in scenario.signal):
+            flown.value = NONE
+
+    by_hand(send, flown, washout)
+    desk.follow(follow)
 
 
 def law_controls(desk: Desk) -> None:

@@ -54,6 +54,8 @@ class Page:
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
             self._shown = controls.signal_controls(desk)
+        with gui.add_folder("Flight"):
+            controls.cueing_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
