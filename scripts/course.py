@@ -1,26 +1,29 @@
-"""Numbers and time series of the course in docs/tutorials/course.md.
+"""Numbers and time series of the course in docs/tutorials/why_surge_shakes.md.
 
     python scripts/course.py [--out out/course]
 
-The course treats one leg by hand: a mass on its oil spring, an actuator with the lag of its drive,
-a law with gains on position and acceleration. `leg` is that closed form; the page with sliders,
-docs/_static/course/leg.html, has it in JavaScript. `legs.csv` has its numbers for the leg in heave
-and in surge, `step_surge.csv` and `step_heave.csv` what the simulation does, `*-metadata.json`
-their columns as CSV on the Web (W3C). `scripts/update_docs.py` takes all of them.
+The closed form of one leg is docs/_static/course/by_hand.py. `legs.csv` has its numbers in heave
+and in surge, `leg_values.csv` what it is given, `leg_mass.csv` the mass that a leg feels step by
+step, `step_surge.csv` and `step_heave.csv` what the simulation does, `*-metadata.json` their
+columns as CSV on the Web (W3C). `scripts/update_docs.py` takes all of them.
 """
 
 import argparse
 import csv
+import io
 import json
+import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmf_mj import Hexapod, load_hydraulics, load_law, load_scenario
+from cmf_mj import Hexapod, load_hydraulics, load_scenario
 from cmf_mj.core import units
 from cmf_mj.core.units import INCH, RATE
+from cmf_mj.machine.kinematics import leg_jacobian
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs/_static/course"))
+from by_hand import given, leg, payload, series, tops
 
 EVERY = 16  #: Frames from row to row of the time series: 128 a second.
 SECONDS = 4.0  #: Of each time series.
@@ -35,80 +38,69 @@ COLUMNS = {
 }
 
 
-class Given(NamedTuple):
-    """What the sliders set, beside the mass, and what is fixed."""
-
-    stiffness: float  #: Of the oil of a leg, beta (A_c + A_r) / h [N/m].
-    speed: float  #: Of the leg for one per cent of command [in/s/%].
-    gain: float  #: Of the law on the position of a leg at rest [%/in].
-    acceleration: float  #: Of the law on its acceleration [%/(in/s^2)].
-    tau: float  #: Lag of the valve's drive [s].
-    rate: float  #: At which leakage lets the load down [1/s].
-    load: float  #: Of the law on the force of a leg [%/N m/in].
+def _csv(rows: list[tuple[str, ...]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
-def one(gain: float | tuple[float, ...]) -> float:
-    """A gain that is the same for all legs."""
-    return float(np.unique(gain).item())
-
-
-def given(name: str = "velocity") -> Given:
-    """The numbers of the set `hardware` and of a law.
-
-    The law acts on the position by C(z) = D + C B / (z - A); about z = 1, with z = e^(sT), that is
-    a gain, a gain on velocity, which the law's own nearly cancels, and one on acceleration,
-    C B T^2 (1/q^2 - 1/(2q)) / q with q = 1 - A.
-    """
-    oil, law = load_hydraulics("hardware"), load_law(name)
-    q, both = 1.0 - one(law.state_gain), one(law.output_gain) * one(law.input_gain.position)
-    return Given(
-        stiffness=oil.bulk_modulus.si * (oil.cap_area + oil.rod_area) / oil.half_stroke.si,
-        speed=oil.leg_speed.si / 100.0 / INCH,
-        gain=-(both / q + one(law.direct_gain.position)),
-        acceleration=-both / q / RATE**2 * (1.0 / q**2 - 0.5 / q),
-        tau=1.0 / oil.drive_lag.si,
-        rate=oil.leak_rate.si,
-        load=-one(law.direct_gain.cap_pressure) / oil.cap_area * INCH,
-    )
-
-
-def polynomial(mass: float, of: Given) -> NDArray[np.float64]:
-    """Coefficients of s^4 ... 1: (1 + tau s)(s + rate s^2 / w^2 + s^3 / w^2) + A s^2 + K."""
-    squared, added = of.stiffness / mass, of.speed * (of.acceleration + of.load * mass)
-    loop = np.polymul([of.tau, 1.0], [1.0 / squared, of.rate / squared, 1.0, 0.0])
-    return np.polyadd(loop, [added, 0.0, of.speed * of.gain])
-
-
-def leg(mass: float, of: Given) -> dict[str, float]:
-    """Where a leg of a mass [kg] rings and lags [Hz], its peak [dB], damping ratio, margin [dB].
-
-    The damping ratio is that of the slowest pair of poles.
-    """
-    a = polynomial(mass, of)
-    fourth, third, second, _, last = a
-    w = 2.0 * np.pi * 0.1 * 150.0 ** (np.arange(4001) / 4000.0)
-    poles = np.roots(a)
-    slowest = min(poles, key=lambda pole: (abs(pole.imag) < 1e-6 * abs(pole), abs(pole)))
-    lowest = (second - np.sqrt(max(second**2 - 4.0 * fourth * last, 0.0))) / (2.0 * fourth)
-    return {
-        "ring": np.sqrt(of.stiffness / mass) / (2.0 * np.pi),
-        "lag90": np.sqrt(lowest) / (2.0 * np.pi),
-        "peak": 20.0 * np.log10(max(1.0, np.abs(last / np.polyval(a, 1j * w)).max())),
-        "damping": float(-slowest.real / np.abs(slowest)),
-        "margin": 20.0 * np.log10((second * third - fourth) / third**2 / last),
-    }
-
-
-def legs() -> str:
-    """Both legs by hand, as CSV."""
+def legs(folder: Path) -> str:
+    """Both legs by hand as CSV, and what the steps in `folder` count to."""
     found, of = Hexapod("gfd").hydraulic_modes(), given()
-    lines = ["leg,mass [kg],mass [lbm],rings at [Hz],-90 deg [Hz],peak [dB],damping,margin [dB]"]
+    lines = [
+        "leg,mass [kg],mass [lbm],rings at [Hz],-90 deg [Hz],peak [dB],swings at [Hz],damping,"
+        "margin [dB],counted [Hz],rests at [in]"
+    ]
     for name, mode in (("heave", 3), ("surge", 0)):
         mass = float(found.leg_mass[mode])
         one = leg(mass, of)
+        time, response = series(name, folder)
+        first, second, *_ = time[tops(response)]
         cells = f"{mass:.0f},{units.from_si('lbm', mass):.0f},{one['ring']:.2f},{one['lag90']:.2f}"
-        lines.append(f"{name},{cells},{one['peak']:.1f},{one['damping']:.2f},{one['margin']:.1f}")
+        cells += f",{one['peak']:.1f},{one['swing']:.2f},{one['damping']:.2f},{one['margin']:.1f}"
+        lines.append(f"{name},{cells},{1.0 / (second - first):.1f},{response[-1]:.2f}")
     return "\n".join(lines) + "\n"
+
+
+def values() -> str:
+    """What the closed form is given, as CSV."""
+    oil, of, lean = load_hydraulics("hardware"), given(), np.degrees(np.arccos(cosine()))
+    beta, area = oil.bulk_modulus.si / units.PSI, (oil.cap_area + oil.rod_area) / INCH**2
+    rows = [
+        ("β", "bulk modulus of the oil", f"{beta:.0f}", "psi"),
+        ("A_c + A_r", "areas of the piston, cap and rod side", f"{area:.2f}", "in²"),
+        ("h", "half stroke", f"{oil.half_stroke.si / INCH:.2f}", "in"),
+        ("M", "platform and cab", f"{units.from_si('lbm', payload()):.0f}", "lbm"),
+        ("θ", "lean of a leg from the vertical", f"{lean:.2f}", "deg"),
+        ("τ", "lag of the valve's drive", f"{1e3 * of.tau:.2f}", "ms"),
+        ("λ", "rate of the leak", f"{of.rate:.0f}", "1/s"),
+        ("σ", "speed of a leg for 1 % of command", f"{of.speed:.3f}", "in/s/%"),
+        ("g", "gain on position", f"{of.gain:.2f}", "%/in"),
+        ("a", "gain on acceleration", f"{of.acceleration:.5f}", "%/(in/s²)"),
+        ("b", "gain on force, over the mass", f"{of.load:.3e}", "%/(in/s²)/kg"),
+    ]
+    return _csv([("symbol", "is", "value", "unit"), *rows])
+
+
+def cosine() -> float:
+    """Of the lean of a leg at neutral: its stretch for a unit of heave."""
+    return float(np.abs(leg_jacobian(np.zeros(6))[:, 2]).mean())
+
+
+def masses() -> str:
+    """The mass that a leg feels [lbm], by hand, with the legs' own, and in the modes, as CSV."""
+    plant, jacobian = Hexapod("gfd"), leg_jacobian(np.zeros(6))
+    whole = np.diag(jacobian.T @ plant.reflected_mass() @ jacobian) / (jacobian**2).sum(axis=0)
+    modes, square = plant.hydraulic_modes().leg_mass, cosine() ** 2
+    rows = [
+        ("platform and cab, by hand", payload() / (6 * square), payload() / (3 * (1 - square))),
+        ("with the legs' own mass", whole[2], whole[0]),
+        ("and free to pitch, the modes", modes[3], modes[0]),
+    ]
+    header = ("a leg carries", "heave [lbm]", "surge [lbm]", "ratio")
+    cells = [(row[0], *(f"{units.from_si('lbm', m):.0f}" for m in row[1:])) for row in rows]
+    ratios = [f"{surge / heave:.1f}" for _, heave, surge in rows]
+    return _csv([header, *((*one, ratio) for one, ratio in zip(cells, ratios, strict=True))])
 
 
 def save_step(axis: int, name: str, folder: Path) -> None:
@@ -134,7 +126,7 @@ def save_step(axis: int, name: str, folder: Path) -> None:
         "@context": "http://www.w3.org/ns/csvw",
         "url": path.name,
         "dc:title": f"Step of 1 in along {name}, GFD, velocity law, {RATE // EVERY} Hz",
-        "dc:description": f"cmf run {name}_ring with the velocity law; made by scripts/course.py",
+        "dc:description": f'scenarios/{name}_ring.toml with law = "velocity": scripts/course.py',
         "tableSchema": {"columns": columns, "primaryKey": "time_s"},
     }
     text = json.dumps(table, indent=2, ensure_ascii=False) + "\n"
@@ -147,10 +139,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/course"), metavar="FOLDER")
     folder: Path = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "legs.csv").write_text(legs(), encoding="utf-8")
     for axis, name in ((0, "surge"), (2, "heave")):
         save_step(axis, name, folder)
-    print(f"written to {folder}: legs.csv, step_surge.csv, step_heave.csv, their dictionaries")
+    made = {"legs": legs(folder), "leg_values": values(), "leg_mass": masses()}
+    for name, text in made.items():
+        (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    print(f"written to {folder}: {', '.join(made)}, step_surge, step_heave, their dictionaries")
 
 
 if __name__ == "__main__":
