@@ -77,6 +77,12 @@ def claim(context: typer.Context, folder: Path) -> Path:
     return folder
 
 
+def explicit(context: typer.Context, name: str) -> bool:
+    """Whether an option was given and is not its default."""
+    given = context.get_parameter_source(name)
+    return given is None or not given.name.startswith("DEFAULT")
+
+
 def target(file: Path | None) -> Path | None:
     """Refuse a file that cannot be written, before the work for it."""
     from cmf_mj.core.files import check_target

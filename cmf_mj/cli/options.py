@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 import cmf_mj
-from cmf_mj.cli.common import claim, target
+from cmf_mj.cli.common import claim, explicit, target
 from cmf_mj.core.errors import InputError, check_name
 
 
@@ -98,8 +98,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     from cmf_mj.plant.parameters import hydraulics_of
 
     machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
-    given = ctx.get_parameter_source(field)
-    own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
+    own = machine.name != CMF and not explicit(ctx, field)
     if field == "hydraulics":
         return hydraulics_of(machine, None if own else names)
     if field in ("law", "laws"):

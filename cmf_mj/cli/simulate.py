@@ -14,6 +14,7 @@ from cmf_mj.cli import options
 from cmf_mj.cli.common import (
     app,
     claim,
+    explicit,
     in_si,
     noise_choice,
     pose_option,
@@ -231,6 +232,7 @@ def _differing(name: str, names: list[str]) -> str:
 
 @command("video")
 def video_command(
+    context: Context,
     sources: Annotated[
         list[str] | None, argument(options.SCENARIOS, "[SOURCE]...", _SOURCES, free=True)
     ] = None,
@@ -257,6 +259,10 @@ def video_command(
     from cmf_mj.show.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 
+    given = [name for name in ("fps", "width", "height") if explicit(context, name)]
+    if given and file.suffix == ".html":
+        text = "a page is as large as its window and draws as fast as its browser"
+        raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4 or .gif")
     names = sources or ["heave_sine"]
     modes = names == ["modes"]
     rate = speed or (0.05 if modes else 1.0)

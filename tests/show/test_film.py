@@ -195,6 +195,14 @@ def test_the_video_command_compares_laws(tmp_path: Path) -> None:
         assert picture.size == (320, 290)
 
 
+@pytest.mark.parametrize("option", ["--fps", "--width", "--height"])
+def test_a_page_takes_nothing_that_it_would_not_follow(option: str, tmp_path: Path) -> None:
+    page = tmp_path / "x.html"
+    result = CliRunner().invoke(app, ["video", "push", "--file", str(page), option, "40"])
+    assert result.exit_code == 2 and not page.exists()
+    assert f"{option[2:]}: a page is as large as its window" in result.output
+
+
 @pytest.mark.slow
 def test_a_scenario_s_video_is_among_its_outputs(tmp_path: Path) -> None:
     outputs = {"record": False, "plot": False, "video": {"file": "run.gif", "fps": 4}}
