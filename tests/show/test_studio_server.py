@@ -327,6 +327,46 @@ def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
     assert signal.kind == "noise" and signal.band == (0.05, 0.8)
 
 
+@pytest.mark.usefixtures("fewer_pictures")
+def test_a_lesson_answers_what_was_done_and_leads_to_the_next(tab: Tab) -> None:
+    tab.page.get_by_label("scenario", exact=True).first.click()
+    tab.page.get_by_role("option", name="Surge step, position error rate feedback").click()
+    tab.status("Lesson, 1 of 4")
+    assert tab.page.get_by_text("twice the step").count() == 0
+    tab.press("send again")
+    tab.page.get_by_text("twice the step").wait_for()
+    tab.press("next prompt")
+    tab.status("Lesson, 2 of 4")
+    tab.choose("law", "modal_plan")  # not what is asked for
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 4.0)
+    assert tab.page.get_by_role("button", name="next prompt").count() == 0
+
+
+_REACHED = """() => [
+    ...document.querySelectorAll("button, input:not([type=hidden]), [role=slider]")
+].filter(one => one.checkVisibility()).map(one => {
+    one.scrollIntoView({block: "center", behavior: "instant"});
+    const {left, top, right, bottom} = one.getBoundingClientRect();
+    const there = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+    const inside = left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight;
+    return [one.outerHTML, inside && one.parentElement.contains(there)];
+})"""
+"""All controls that are there, and whether each can be brought into the window with none above."""
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_every_control_is_reached_in_a_small_window(tab: Tab) -> None:
+    size = tab.page.viewport_size
+    assert size is not None
+    tab.page.set_viewport_size({"width": 1280, "height": 720})
+    found = tab.page.evaluate(_REACHED)
+    tab.page.set_viewport_size(size)
+    handles = tab.behind.desk.client.gui._gui_input_handle_from_uuid.values()
+    assert len(found) >= sum(handle.visible for handle in handles) > 25
+    assert [text for text, reached in found if not reached] == []
+
+
 _CALLS = """address => new Promise(done => {
     const socket = new WebSocket(address, ["viser-v" + "%s"]);
     socket.onopen = () => done("open");

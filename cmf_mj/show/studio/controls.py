@@ -11,6 +11,7 @@ import viser
 
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
+from cmf_mj.core.settings import read_toml
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
@@ -35,6 +36,7 @@ from cmf_mj.show.studio.desk import (
     by_hand,
     largest_amplitude,
     pick,
+    ready_scenarios,
     signal_settings,
     signal_table,
 )
@@ -57,6 +59,8 @@ _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
 _LISTED = 3  #: Marks that the lamp lists at most.
 
+_WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
+
 
 def lamp(view: View) -> str:
     """HTML of a lamp: green; amber while something has failed; red once it tripped or ended."""
@@ -71,6 +75,42 @@ def lamp(view: View) -> str:
     marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_LISTED:])
     dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
     return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{marks}</div>"
+
+
+def scenario_controls(desk: Desk) -> Callable[[View], None]:
+    """The ready scenarios by title; of some, prompts, answered once one has seen what follows."""
+    gui, ready = desk.client.gui, {run.title: run for run in ready_scenarios().values()}
+    chosen = gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
+    text, onward = gui.add_markdown(""), gui.add_button("next prompt", visible=False)
+    lessons = read_toml(Path(__file__).with_name("lessons.toml"))
+    of = {ready_scenarios()[name].title: prompts for name, prompts in lessons.items()}
+    prompts: list[dict[str, str]] = []
+    at, since = 0, 0  # prompt, and number of marks when it was shown
+
+    def follow(scenario: Run) -> None:
+        nonlocal prompts, at, since
+        pick(chosen, ready.setdefault(scenario.title, scenario).title)
+        if prompts is not (now := of.get(scenario.title, [])):
+            prompts, at = now, 0
+        since = 0
+
+    def show(view: View) -> None:
+        said, done = "", False
+        if prompts:
+            ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
+            seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
+            done = any(until in mark.text for mark in seen)
+            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {answer if done else ''}"
+        text.content, onward.visible = said, done and at + 1 < len(prompts)
+
+    def go_on(_: Any) -> None:
+        nonlocal at, since
+        at, since = at + 1, len(desk.live.marks().result())
+
+    onward.on_click(go_on)
+    by_hand(lambda _: desk.begin(ready[chosen.value]), chosen)
+    desk.follow(follow)
+    return show
 
 
 def run_controls(desk: Desk) -> Callable[[View], None]:
@@ -99,8 +139,7 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
         if pace.given_up > 0.0:
             lines += [f"too slow: {pace.given_up:.1f} s given up"]
         lines += [f"law {live.law}" + (f", {live.state}" if live.state else "")]
-        if light.content != (html := lamp(view)):
-            light.content = html
+        light.content = lamp(view)
         status.content = "  \n".join(lines)
 
     return show

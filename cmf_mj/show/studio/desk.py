@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import cache
 from typing import Any, get_args
 
 import viser
@@ -14,7 +15,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
 from cmf_mj.facility.run import Run
-from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.scenario import load_scenario, scenario_names, scenario_of
 from cmf_mj.facility.settings import Change
 from cmf_mj.facility.signal import ScenarioSignal
 from cmf_mj.machine.geometry import DOFS, dof_unit
@@ -81,6 +82,14 @@ def first_scenario() -> Run:
         "record_every": 16,  # 128 Hz, the facility's recorder
     }
     return scenario_of(table, "studio")
+
+
+@cache
+def ready_scenarios() -> dict[str, Run]:
+    """Shipped scenarios of the hexapod by name, and as `studio` the one of a tab without."""
+    shipped = {name: load_scenario(name) for name in scenario_names()}
+    shown = {name: run for name, run in shipped.items() if run.plant == "hexapod"}
+    return {"studio": first_scenario()} | shown
 
 
 def from_rest(scenario: Run) -> Run:

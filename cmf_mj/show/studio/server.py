@@ -12,8 +12,8 @@ import viser
 from cmf_mj.core import units
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.show.studio import controls
-from cmf_mj.show.studio.desk import LARGEST_PUSH, Desk, check_commands, first_scenario
-from cmf_mj.show.studio.door import Door
+from cmf_mj.show.studio.desk import LARGEST_PUSH, Desk, check_commands, ready_scenarios
+from cmf_mj.show.studio.door import Door, scenario_in
 from cmf_mj.show.studio.live import View
 from cmf_mj.show.studio.plots import MachineScene, Plots, place_camera
 
@@ -51,6 +51,7 @@ class Page:
 
     def _controls(self) -> None:
         gui, desk = self.desk.client.gui, self.desk
+        self._prompt = controls.scenario_controls(desk)
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
             self._shown = controls.signal_controls(desk)
@@ -92,6 +93,7 @@ class Page:
             self._plots.show(view, float(self._window.value), *self._shown(), leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
+            self._prompt(view)
 
     def _show_cab(self, scenario: Run) -> None:
         with self._lock:
@@ -111,17 +113,17 @@ class Studio:
         """Begin to serve; other machines reach it with the host `0.0.0.0` and the token in `url`.
 
         The next free port is taken if `port` is in use. Each tab begins with `scenario`, by
-        default `first_scenario`.
+        default `desk.first_scenario`.
         """
         _one_heap()
-        self._scenario = scenario or first_scenario()
+        self._scenario = scenario or ready_scenarios()["studio"]
         # Compile the loop before the first tab waits for it.
         SignalSession(self._scenario).run(1)
         self._host = host
         self._lock, self._building = threading.Lock(), threading.Lock()
         self._stopped = False
         self._pages: dict[int, Page] = {}
-        self._door = Door(host)
+        self._door = Door(host, ready_scenarios())
         with self._door.guards():
             self._server = viser.ViserServer(
                 host=host, port=port, label="cmf studio", verbose=False
@@ -165,7 +167,7 @@ class Studio:
             if self._gone(client):
                 return
             with suppress(TabClosed):
-                page = Page(client, self._scenario, lambda: self._gone(client))
+                page = Page(client, self._asked(client), lambda: self._gone(client))
                 with self._lock:
                     if not self._gone(client):
                         self._pages[client.client_id] = page
@@ -173,6 +175,12 @@ class Studio:
                 page.live.close()
                 del page
         _give_back()
+
+    def _asked(self, client: viser.ClientHandle) -> Run:
+        """The scenario that a tab's address names, or else that of the studio."""
+        open_now = self._server._websock_server._live_connections
+        request = open_now[client.client_id].request if client.client_id in open_now else None
+        return ready_scenarios().get(scenario_in(request.path if request else ""), self._scenario)
 
     def _gone(self, client: viser.ClientHandle) -> bool:
         return self._stopped or client.client_id not in self._server.get_clients()
