@@ -61,18 +61,19 @@ def engaged(
     dcl: Dcl,
     reference: NDArray[np.float64],
     feedback: LegFeedback,
+    hold: NDArray[np.float64] | float = 0.0,
 ) -> DclState:
     """State of a DCL that has kept `reference` (n,) [m] at rest for a long time.
 
     Filters, reference model and plan have settled on the present error and position. Where the law
-    has an integral, it has taken up the static offset, so that the valve command is zero.
+    has an integral, it has taken up the static offset, so that the valve commands are `hold` (n,).
     """
     legs = reference.shape[0]
-    state = DclState.zeros(legs)
+    state, hold = DclState.zeros(legs), np.full(legs, hold)
     limited = _within(dcl, reference)
     shape, work = dcl.shape, dcl.workspace
     if dcl.modal:
-        limited = shape @ limited
+        limited, hold = shape @ limited, shape @ hold
         feedback = LegFeedback(*(shape @ channel for channel in feedback))
     state.error.position_filter[:] = limited - feedback.position
     followed = state.model.position, state.plan.position, state.plan.reference, state.plan.demand
@@ -80,7 +81,7 @@ def engaged(
         values[:] = limited
     passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
     state.acceleration[:] = passed * feedback.acceleration
-    gains, integral, gain = dcl.compensator, state.error.integral, _integral_gain(dcl)
+    gains, integral, gain = dcl.compensator, state.error.integral, integral_gain(dcl)
     for leg in range(legs):
         state.load_filter[leg] = load(dcl.load_feedback, leg, feedback, 0.0)
         fill(dcl, state, leg, limited[leg], limited[leg], 0.0, feedback, work.signals)
@@ -93,7 +94,7 @@ def engaged(
             output += correct(dcl.plan, state.plan, leg, feedback)
         if gain[leg] != 0.0:
             bound = dcl.error.integrator_limit
-            integral[leg] = np.clip(-output / gain[leg], -bound, bound)
+            integral[leg] = np.clip((hold[leg] - output) / gain[leg], -bound, bound)
             signals[_INTEGRAL] = integral[leg]
             still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         state.compensator[leg] = still
@@ -160,7 +161,7 @@ def handed_over(
     if after.planned:
         for _ in range(3):  # valves under load are not linear, nor are modes alone off neutral
             _move(begun.plan.reference, missing)
-    gain = _integral_gain(after)
+    gain = integral_gain(after)
     left = missing()
     share = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
     begun.error.integral[:] = np.clip(begun.error.integral + after.shape.T @ share, -bound, bound)
@@ -242,7 +243,7 @@ def _move(states: NDArray[np.float64], missing: Callable[[], NDArray[np.float64]
     states += np.divide(left, slope, out=np.zeros_like(left), where=slope != 0.0) - _PROBE
 
 
-def _integral_gain(dcl: Dcl) -> NDArray[np.float64]:
+def integral_gain(dcl: Dcl) -> NDArray[np.float64]:
     """Output per error integral, with the compensator settled, (n,) [1/(m s)]."""
     gains = dcl.compensator
     through = gains.output_gain * gains.input_gain[:, _INTEGRAL] / (1.0 - gains.state_gain)

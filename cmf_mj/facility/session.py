@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.acceptance import host_late
-from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.engage import engaged, handed_over, integral_gain
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
@@ -33,6 +33,7 @@ from cmf_mj.facility.settings import SessionSettings
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Event, make_timeline, no_faults
+from cmf_mj.plant.hydraulics import open_to_hold
 from cmf_mj.plant.native import untimed
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
@@ -140,8 +141,13 @@ class Session:
         dcl = make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
-        state = engaged(dcl, source.table[0].copy() if law else feedback.position, feedback)
-        if source.hosted and source.progress[0].state in (State.OFF, State.SETTLED):
+        off = source.hosted and source.progress[0].state in (State.OFF, State.SETTLED)
+        hold = self.memory.command
+        if not off and integral_gain(dcl).all():
+            hold[:] = open_to_hold(plant.hydraulics, self.dynamics.state)
+        reference = source.table[0].copy() if law else feedback.position
+        state = engaged(dcl, reference, feedback, hold[0])
+        if off:
             state.error.integral[:] = 0.0
         guard = settings.protection
         return Controller(

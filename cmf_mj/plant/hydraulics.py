@@ -50,7 +50,7 @@ from cmf_mj.plant.supply import (
     gas_pressure,
     make_supply,
 )
-from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, opening, spool
+from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, opening, orifice, spool
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 
@@ -135,6 +135,25 @@ def rest(
         energy=np.zeros(len(ENERGIES)),
         stage=make_stage(legs),
     )
+
+
+def open_to_hold(hydraulics: Hydraulics, state: HydraulicState) -> NDArray[np.float64]:
+    """Open the valves of a state of `rest` until its pressures stay; the commands (n,).
+
+    They are 0 where the pressures stay with closed valves. Of equal areas A leakage L lets none
+    stay: e = L (p_cap - p_rod) / (k A phi(Ps - p_cap)) beyond the overlap feeds it, see `valve`.
+    """
+    command = np.zeros(state.pressure.shape[0])
+    for leg, (cap, rod) in enumerate(state.pressure):
+        cylinder, valve = hydraulics.cylinder[leg], hydraulics.valve[leg]
+        lost = cylinder.leakage * (cap - rod)
+        if cylinder.cap_area == cylinder.rod_area and lost != 0.0:
+            gain = (valve.cap_gain if lost > 0.0 else valve.rod_gain).sum()
+            flow = orifice(hydraulics.supply.pressure - max(cap, rod), hydraulics.laminar)[0]
+            command[leg] = lost / (gain * flow) + np.sign(lost) * valve.overlap[0]
+    for spools in (state.drive, state.spool):
+        spools += command[:, None]
+    return command
 
 
 @inlined

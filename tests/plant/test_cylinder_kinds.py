@@ -54,6 +54,31 @@ def test_a_symmetric_cylinder_has_equal_areas_and_centres_its_pressures() -> Non
     assert (cap - rod) * area == pytest.approx(MASS * GRAVITY, rel=1e-9)
 
 
+@pytest.mark.parametrize(("gravity", "overlap"), [(GRAVITY, 0.0), (-GRAVITY, 0.0), (GRAVITY, 0.5)])
+def test_a_leaking_symmetric_cylinder_begins_with_the_opening_that_feeds_its_leak(
+    gravity: float, overlap: float
+) -> None:
+    """A force that relaxes at the rate r loses r h (p_cap - p_rod) / (2 beta) of travel a second.
+    It comes in again at e V sqrt((Ps - p) / (Ps / 2)), p the higher pressure, V the leg's speed at
+    full opening, e the opening beyond the overlap.
+
+    A law with an integral so keeps the leg still from the first frame on; one without begins with
+    its valve shut, as with a tight piston. 1 %: laminar flow, oil of a volume.
+    """
+    p = changed(rods=2.0, leak_rate=15.0, overlap=overlap)
+    plant = lift(p, gravity)
+    cap, rod = plant.start().pressure[0]
+    share = (p.supply_pressure.si - max(cap, rod)) / (0.5 * p.supply_pressure.si)
+    lost = p.leak_rate.si * p.half_stroke.si * (cap - rod) / (2.0 * p.bulk_modulus.si)
+    expected = lost / (p.leg_speed.si * np.sqrt(share)) + np.sign(gravity) * overlap / 100.0
+    still = cmf_mj.simulate(plant, "velocity_integral", np.zeros((2048, 1)), legs=True)
+    assert still["valve_command"][0, 0] == pytest.approx(expected, rel=1e-2)
+    assert np.abs(still["leg_extension"]).max() < 1e-7
+    shut = cmf_mj.simulate(plant, "velocity", np.zeros((2048, 1)), legs=True)
+    assert shut["valve_opening"][0, 0] == pytest.approx(0.0, abs=1e-4)
+    assert np.abs(shut["leg_extension"]).max() > 1e-5
+
+
 def test_the_oil_of_a_symmetric_cylinder_is_a_spring_of_twice_one_side() -> None:
     """w^2 m = 2 beta A / h: the mode of the linearised plant with the valve shut."""
     parameters = changed(**SYMMETRIC)
