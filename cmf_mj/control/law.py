@@ -349,13 +349,14 @@ def law_on(machine: Machine, name: str) -> str:
     return machine.law if plain and name == load_law(machine.law).name else name
 
 
-def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
+def load_law(source: str | Path | Mapping[str, Any] | Law, machine: Machine | None = None) -> Law:
     """Load a control law.
 
     Args:
         source: name of a shipped law, path of a TOML file holding one law, `file.toml:name` for
             one of several, the keys of such a table as a dictionary (and `name`, by default
             `custom`), or a law already loaded.
+        machine: whose own law goes by its name, too.
 
     >>> cmf_mj.load_law("acceleration").title, cmf_mj.load_law("velocity").source
     ('Acceleration FB (+)', 'Table 2-5')
@@ -367,7 +368,7 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
         if isinstance(name, str):
             checked_name(name, "law: name")
         return _law_of(name, dict(source), {}, f"law {name}")
-    text = str(source)
+    text = str(source) if machine is None else law_on(machine, str(source))
     if text in law_names("all"):
         return _shipped()[text]
     stem, suffix, name = text.rpartition(".toml")

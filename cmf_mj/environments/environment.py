@@ -125,7 +125,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if render_mode is not None:
             check_name("render_mode", render_mode, self.metadata["render_modes"])
         self.plant, self._nominal, self._unknowns = plant, plant, unknowns
-        self.law = self._nominal_law = None if law is None else load_law(law)
+        self.law = self._nominal_law = None if law is None else load_law(law, plant.machine)
         self.render_mode, self._reward, self._act, self._begin = render_mode, reward, act, begin
         self.frames, self._start = whole("frames", frames, 1, MOST_FRAMES), start
         if not 0.0 < real("seconds", seconds) * plant.machine.rate <= MOST_FRAMES:

@@ -137,7 +137,7 @@ def export_fmu(
     """Write a machine as an FMU of FMI 2 or 3; arguments and errors as of `export_library`."""
     if fmi not in (2, 3):
         raise InputError(f"fmi: {fmi} is refused; allowed: 2, 3")
-    frozen = freeze(plant, None if law is None else load_law(law), electronics)
+    frozen = freeze(plant, None if law is None else load_law(law, plant.machine), electronics)
     listed = variables(frozen)
     with tempfile.TemporaryDirectory() as folder, whole_file(file) as partial:
         work, root = Path(folder) / "work", Path(folder) / "fmu"

@@ -52,7 +52,7 @@ def export_library(
     are commanded; `electronics` are ideal by default. Raises `InputError` where there is no C
     compiler or the law does not fit the plant, `RunError` where the compiler refuses the code.
     """
-    frozen = freeze(plant, None if law is None else load_law(law), electronics)
+    frozen = freeze(plant, None if law is None else load_law(law, plant.machine), electronics)
     return make(machine_files(frozen), out, "libcmf.so", ["cmf.c"])
 
 

@@ -11,7 +11,7 @@ compute the same numbers in the same arrays: the same bits.
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -164,7 +164,7 @@ class Run(Arguments):
         check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * rate * seconds)
         requests = () if self.operation is None else self.operation.requests
         check_order(self.change, self.events, requests, self.frames or MOST_FRAMES, rate)
-        law, load = self.begun_law(), cache(load_law)
+        law, load = self.begun_law(), cache(partial(load_law, machine=self._base))
         for change in self.change:
             check_change(change, self.plant, self.operation is not None)
             named = None if change.law is None else load(change.law)
@@ -204,7 +204,8 @@ class Run(Arguments):
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
         assert self.law is not None
-        return bound(overlaid_law(load_law(self.law), self.gains), self._bound_to).on(self._base)
+        law = overlaid_law(load_law(self.law, self._base), self.gains)
+        return bound(law, self._bound_to).on(self._base)
 
     @property
     def frames(self) -> int | None:
@@ -226,7 +227,7 @@ class Run(Arguments):
         if self.source is None:
             return SignalSession(self, keep)
         plant = self._built()
-        law = None if self.law is None else overlaid_law(load_law(self.law), self.gains)
+        law = None if self.law is None else self.begun_law()
         source, start, context = as_source(self.source, plant, self.start)
         if self.operation is not None:
             source, start = self.operation.source(plant.machine, source, self.start, ring)
@@ -238,8 +239,7 @@ class Run(Arguments):
         """All signals from beginning to end.
 
         Args:
-            progress: called with the control frames run and those in all, about twice a second of
-                the run.
+            progress: called about twice a second of the run, with frames run and those in all.
 
         Raises:
             InputError: an argument out of range, named; an `open` duration.
@@ -300,7 +300,7 @@ class SignalSession(Session):
         settings, frames = run._settled(plant.machine), frames or MOST_FRAMES
         super().__init__(plant, run.begun_law(), source, start, settings, frames=frames, keep=keep)
         self._filled = 0
-        load = cache(load_law)
+        load = cache(partial(load_law, machine=plant.machine))
         self._due = deque(self._checked(one.when(rate), one, load) for one in run.change)
         self._laws(self._due)
         self._done: list[Change] = []
@@ -330,7 +330,8 @@ class SignalSession(Session):
         change.check_live()
         at = sum(due.frame <= self.frame for due in self._due)
         coming = list(self._due)
-        coming.insert(at, self._checked(self.frame, change, load_law))
+        load = partial(load_law, machine=self.plant.machine)
+        coming.insert(at, self._checked(self.frame, change, load))
         self._laws(coming)
         self._due = deque(coming)
 

@@ -174,12 +174,13 @@ def make_case(
         check_name("option", name, [one.name for one in fields(Case)][6:])
     if amplitude is not None:
         check_positive(amplitude=amplitude)
-    chosen, loaded = load_cab(cab), load_law(law)
+    chosen = load_cab(cab)
     parameters, with_cab = hydraulics_of(chosen.machine, hydraulics), None
     if plant == "hexapod":
         with_cab = chosen
     else:
         options["machine"] = chosen.machine
+    loaded = load_law(law, chosen.machine)
     return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
 
 

@@ -17,6 +17,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.result import Field, Result
 from cmf_mj.core.settings import check_distinct
 from cmf_mj.core.threads import on_threads
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.studies.case import (
@@ -84,7 +85,8 @@ def compare(
             law    dof  damping_ratio
     0  velocity  heave           0.43
     """
-    loaded = [load_law(law) for law in laws]
+    machine = load_cab(options.get("cab")).machine
+    loaded = [load_law(law, machine) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
         for name in chosen:
             check_name(field, name, known)

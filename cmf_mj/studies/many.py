@@ -92,7 +92,8 @@ def simulate_many(
     ((3, 4, 6), ('', '', ''))
     """
     named = [law] if law is None or isinstance(law, str | Law) else law
-    laws = [None if one is None else load_law(one) for one in named]
+    machine = None if callable(plant) else plant.machine
+    laws = [None if one is None else load_law(one, machine) for one in named]
     table = LegDemand if legs else ValveCommands if law is None else None
     how = ({"command_delay": 0} if law is None else {}) | options | {"seed": seed}
     cases = _Cases(plant, laws, commands, table, how, channels, unknowns, folder)

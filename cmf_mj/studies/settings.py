@@ -44,14 +44,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj.control.law import Law, law_on, load_law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.machine.cab import Cab, load_cab, load_cabs
 from cmf_mj.machine.geometry import DOFS, dof_unit
-from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of, load_hydraulics
@@ -257,20 +257,16 @@ def load_study(
     table |= changes or {}
     with within(where):
         machine = load_machine(table.get("machine", CMF))
-        loaded = None if laws is None else _laws(laws, machine)
-        if loaded is not None:
+        loaded = tuple(load_law(law, machine) for law in laws or ())
+        if laws is not None:
             table["laws"] = [law.name for law in loaded]
         settings = validated(StudySettings, table, where)
         _check(settings)
-        chosen = loaded or _laws(settings.laws, machine)
+        chosen = loaded or tuple(load_law(law, machine) for law in settings.laws)
         cabs = load_cabs(settings.cabs, machine)
         for field, named in (("laws", chosen), ("cabs", cabs)):
             check_distinct(field, [one.name for one in named])
         return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
-
-
-def _laws(laws: Sequence[str | Law], machine: Machine) -> tuple[Law, ...]:
-    return tuple(load_law(law_on(machine, one) if isinstance(one, str) else one) for one in laws)
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:

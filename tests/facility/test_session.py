@@ -10,13 +10,24 @@ import mujoco
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, InputError, SingleLegs, attach_hydraulics
+from cmf_mj import (
+    Hexapod,
+    InputError,
+    Linear,
+    SingleLegs,
+    attach_hydraulics,
+    load_cab,
+    simulate,
+    simulate_many,
+)
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.front import from_table
+from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.machine import models
 from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.case import make_case
 from tests.plant.test_attach_excavator import CYLINDERS
 
 AT = 100  #: Control frame of the blow.
@@ -49,6 +60,19 @@ def test_a_law_with_an_integral_keeps_a_machine_where_it_starts(
     named = {} if law is None else {"law": law}
     moved = np.ptp(Run(machine=machine, duration=1.0, **named).record()["leg_extension"], axis=0)
     assert moved.max() < 1e-7
+
+
+@pytest.mark.parametrize("name", ["simona", "lab"])
+def test_a_law_of_a_machine_goes_by_its_name_on_it(name: str) -> None:
+    plant, law = Hexapod(machine=name), f"{name}_plan"
+    record = simulate(plant, law, np.zeros((8, 6)))
+    assert record.metadata["law"] == Run(machine=name, law=law).begun_law().name == law
+    assert replay(record, law).law == law
+    runs = simulate_many(plant, law, np.zeros((2, 8, 6)))
+    assert runs.left == ("", "") and Linear(plant).loop(law).ninputs == 6
+    assert make_case(law, cab=load_cab(machine=name)).law.name == law
+    with pytest.raises(InputError, match=f"law: '{law}' is not one of original"):
+        simulate(Hexapod(), law, np.zeros((8, 6)))
 
 
 @pytest.mark.parametrize("plant", [Hexapod, SingleLegs, excavator])

@@ -161,7 +161,7 @@ class Linear:
 
         `command_delay` counts frames from the law to the valves.
         """
-        held = bound(load_law(law), self.plant)
+        held = bound(load_law(law, self.plant.machine), self.plant)
         if held.frame not in self._sampled:
             self._sampled[held.frame] = at_frames(self.system, held.frame)
         return closed_loop(held, self._sampled[held.frame], command_delay=command_delay)
@@ -207,7 +207,8 @@ class Linear:
         >>> bool(gain > 6.0), bool(phase > 60.0)
         (True, True)
         """
-        held, legs, order = bound(load_law(law), self.plant), self.plant.legs, self.system.nstates
+        held = bound(load_law(law, self.plant.machine), self.plant)
+        legs, order = self.plant.legs, self.system.nstates
         loop = closed_loop(held, self.system, outputs=("command",))
         entry = np.zeros((loop.nstates, legs))
         entry[order : order + legs] = np.eye(legs)  # commands enter the register of the delay
