@@ -17,6 +17,7 @@ import os
 import re
 import sys
 import tomllib
+from functools import partial
 from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,8 @@ autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inh
 
 _HERE = Path(__file__).parent
 _BORROWED = {
-    "reference/machine": "models/README.md",
-    "reference/changes": "CHANGELOG.md",
+    "reference/parameters": "models/README.md",
+    "reference/release": "CHANGELOG.md",
     "reference/contributing": "CONTRIBUTING.md",
 }
 _PLACES = {"README.md": "index", **{path: page for page, path in _BORROWED.items()}}
@@ -126,21 +127,22 @@ def _read(_app: Any, page: str, source: list[str]) -> None:
 
     Listings lose their empty last line.
     """
-    borrowed = _HERE.parent / _BORROWED.get(page, f"docs/{page}.md")
+    own = _HERE / f"{page}.md"
     places = {_HERE.parent / path: _HERE / f"{name}.md" for path, name in _PLACES.items()}
 
-    def turned(match: re.Match[str]) -> str:
-        target = Path(os.path.normpath(borrowed.parent / match[1]))
-        return os.path.relpath(places.get(target, target), (_HERE / page).parent)
+    def turned(path: Path, match: re.Match[str]) -> str:
+        target = Path(os.path.normpath(path.parent / match[1]))
+        return os.path.relpath(places.get(target, target), own.parent)
 
+    if own.is_file():
+        source[0] = _LINK.sub(partial(turned, own), source[0]).replace("\n\n```\n", "\n```\n")
     if page in _BORROWED:
+        borrowed = _HERE.parent / _BORROWED[page]
         text = borrowed.read_text(encoding="utf-8")
         if page == _PLACES["SECURITY.md"]:
             security = (_HERE.parent / "SECURITY.md").read_text(encoding="utf-8")
             text += "\n" + re.sub("^#", "##", security, flags=re.MULTILINE)
-        source[0] = _LINK.sub(turned, text) + "\n" + source[0]
-    elif borrowed.is_file():
-        source[0] = _LINK.sub(turned, source[0]).replace("\n\n```\n", "\n```\n")
+        source[0] = _LINK.sub(partial(turned, borrowed), text) + "\n" + source[0]
 
 
 def _short_menu(app: Any, env: Any) -> None:

@@ -193,7 +193,12 @@ def text(found: list[Difference], base: str, picture: str) -> str:
         why = " ".join(dict.fromkeys(d.why or "**not explained**" for d in apart))
         table.append(f"| {case} | {100.0 * worst.share:.2g} % | {worst.channel} | {why} |")
     table.append(f"| all others, {len(same)} | none | | |")
-    lines += ["\n".join(table), "Read next: [all changes](changes.md)."]
+    lines += [
+        "<!-- table: release -->",
+        "\n".join(table),
+        "<!-- end -->",
+        "Read next: [contributing](contributing.md).",
+    ]
     return "\n\n".join(lines) + "\n"
 
 

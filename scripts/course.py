@@ -1,10 +1,11 @@
-"""Numbers and time series of the course in docs/tutorials/why_surge_shakes.md.
+"""Numbers, figures and time series of the course, docs/tutorials/why_surge_shakes.md and on.
 
     python scripts/course.py [--out out/course]
 
 The closed form of one leg is docs/_static/course/by_hand.py. `legs.csv` has its numbers in heave
 and in surge, `leg_values.csv` what it is given, `leg_mass.csv` the mass that a leg feels step by
-step, `step_surge.csv` and `step_heave.csv` what the simulation does, `*-metadata.json` their
+step, `leg_gains.csv` what a gain on acceleration does, `leg_fit.csv` what the recorded step gives,
+`step_surge.csv` and `step_heave.csv` what the simulation does, `*-metadata.json` their
 columns as CSV on the Web (W3C). `scripts/update_docs.py` takes all of them.
 """
 
@@ -16,14 +17,16 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from cmf_mj import Hexapod, load_hydraulics, load_scenario
+from cmf_mj import Hexapod, Law, Linear, load_hydraulics, load_law, load_scenario
 from cmf_mj.core import units
 from cmf_mj.core.units import INCH, RATE
 from cmf_mj.machine.kinematics import leg_jacobian
+from cmf_mj.show.look import save_figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs/_static/course"))
-from by_hand import given, leg, payload, series, tops
+from by_hand import calm, fitted, given, leg, misfit, payload, peaks, series, surge, tops
 
 EVERY = 16  #: Frames from row to row of the time series: 128 a second.
 SECONDS = 4.0  #: Of each time series.
@@ -103,6 +106,72 @@ def masses() -> str:
     return _csv([header, *((*one, ratio) for one, ratio in zip(cells, ratios, strict=True))])
 
 
+def changed(gain: float, acceleration: float) -> Law:
+    """The velocity law with other gains on a leg's position at rest and on its acceleration."""
+    law, of = load_law("velocity"), given()
+    direct, share = law.direct_gain, gain / of.gain
+    gains = {
+        "position": np.add(direct.position, of.gain - gain),
+        "reference": np.multiply(direct.reference, share),
+        "acceleration": of.acceleration - acceleration,
+    }
+    return law.model_copy(update={"direct_gain": direct.model_copy(update=gains)})
+
+
+def gains() -> str:
+    """What a gain on acceleration does in surge, by hand and on the machine in small motion."""
+    linear, of = Linear(Hexapod("gfd")), given()
+    mass = surge()
+    rows = []
+    for gain in (of.acceleration, 0.03, 0.05, 0.1, 0.13, 0.2):
+        hand, law = leg(mass, of._replace(acceleration=gain)), changed(of.gain, gain)
+        found = linear.measures(law)[0]
+        least = f"{found.mode_damping_ratio:.3f}", f"{found.mode_frequency_hz:.1f}"
+        machine = [f"{found.peak_gain_db:.1f}", f"{found.phase_bandwidth_hz:.2f}"]
+        cells = [f"{hand['peak']:.1f}", *(machine if found.stable else ("-", "-"))]
+        rows.append((f"{gain:.3f}", *cells[:2], f"{hand['lag90']:.2f}", *cells[2:], *least))
+    header = ("a [%/(in/s²)]", "peak by hand [dB]", "machine [dB]", "-90 deg by hand [Hz]")
+    return _csv([(*header, "machine [Hz]", "least damping", "of its mode at [Hz]"), *rows])
+
+
+def fit() -> str:
+    """What the recorded step gives: a mass, what is left, and a gain for it."""
+    of, linear = given(), Linear(Hexapod("gfd"))
+    left, found = (
+        misfit(fitted(), of, *series("surge")),
+        linear.measures(changed(calm(), of.acceleration)),
+    )
+    header = "of,mass [kg],too large [%],left rms [in],gain [%/in],peak [dB],-90 deg [Hz]"
+    cells = (
+        f"{fitted():.0f},{100.0 * (fitted() / surge() - 1.0):.0f},{np.sqrt(np.mean(left**2)):.2f}"
+    )
+    law = f"{calm():.1f},{found[0].peak_gain_db:.1f},{found[0].phase_bandwidth_hz:.2f}"
+    return f"{header}\nstep in surge,{cells},{law}\n"
+
+
+def draw(folder: Path) -> None:
+    """Peak over the gain on acceleration; the recorded step, the fitted one and what is left."""
+    of, linear = given(), Linear(Hexapod("gfd"))
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axis, tried = figure.subplots(), np.geomspace(of.acceleration, 1.0, 60)
+    machine = [linear.measures(changed(of.gain, gain))[0] for gain in tried]
+    axis.semilogx(tried, peaks(surge(), of, "acceleration", tried), label="by hand")
+    axis.semilogx(tried, [one.peak_gain_db for one in machine], label="machine, while stable")
+    axis.set(xlabel="gain on acceleration [%/(in/s²)]", ylabel="peak in surge [dB]")
+    axis.legend()
+    save_figure(figure, folder / "gains.png")
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axis, (time, response) = figure.subplots(), series("surge")
+    seen = (time > 1.0) & (time < 2.5)
+    left = misfit(fitted(), of, time, response)
+    axis.plot(time[seen], response[seen], label="recorded")
+    axis.plot(time[seen], response[seen] - left, label="by hand, mass fitted")
+    axis.plot(time[seen], left, label="what is left")
+    axis.set(xlabel="time [s]", ylabel="surge [in]")
+    axis.legend()
+    save_figure(figure, folder / "fit.png")
+
+
 def save_step(axis: int, name: str, folder: Path) -> None:
     """A step of 1 in under the velocity law as CSV, with its data dictionary."""
     run = load_scenario(f"{name}_ring")
@@ -141,10 +210,12 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for axis, name in ((0, "surge"), (2, "heave")):
         save_step(axis, name, folder)
+    draw(folder)
     made = {"legs": legs(folder), "leg_values": values(), "leg_mass": masses()}
+    made |= {"leg_gains": gains(), "leg_fit": fit()}
     for name, text in made.items():
         (folder / f"{name}.csv").write_text(text, encoding="utf-8")
-    print(f"written to {folder}: {', '.join(made)}, step_surge, step_heave, their dictionaries")
+    print(f"written to {folder}: {', '.join(made)}, step_surge, step_heave, dictionaries, figures")
 
 
 if __name__ == "__main__":

@@ -66,6 +66,8 @@ COPIES = {
         for name in ("surge", "heave")
         for end in ("", "-metadata.json")
     },
+    "course/gains.png": "images/course_gains.png",
+    "course/fit.png": "images/course_fit.png",
     "films/modes_gfd.mp4": "_static/films/modes.mp4",
     "films/valve_hard_over.mp4": "_static/films/valve_hard_over.mp4",
     "fit/report/stated.png": "images/calibration_report.png",

@@ -5,6 +5,7 @@ import json
 import re
 import runpy
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -66,6 +67,7 @@ def test_the_closed_form_is_that_of_the_loop_of_its_parts(
 
 def test_the_numbers_of_the_lesson_are_made_from_the_models(script: SimpleNamespace) -> None:
     made = {"legs": script.legs(COURSE), "leg_values": script.values(), "leg_mass": script.masses()}
+    made |= {"leg_gains": script.gains(), "leg_fit": script.fit()}
     for name, text in made.items():
         assert text == (ROOT / f"docs/data/{name}.csv").read_text(encoding="utf-8"), name
 
@@ -156,10 +158,18 @@ def test_the_page_computes_what_python_does(hand: SimpleNamespace, size: tuple[i
 # The notebooks
 
 
-def ran(path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Names of a notebook after all its cells but the first, which installs."""
-    monkeypatch.chdir(path.parent)
-    monkeypatch.syspath_prepend(path.parent)
+BESIDE = ("by_hand.py", "step_surge.csv")
+
+
+def ran(
+    path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path, beside: tuple[str, ...] = BESIDE
+) -> dict[str, Any]:
+    """Names of a notebook in a folder with these files, after all cells but that which installs."""
+    for name in beside:
+        shutil.copy(COURSE / name, folder)
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, "by_hand", raising=False)
     matplotlib.use("Agg")
     cells = [c for c in json.loads(path.read_text(encoding="utf-8"))["cells"] if "outputs" in c]
     assert "%pip install" in "".join(cells[0]["source"])
@@ -172,9 +182,12 @@ def ran(path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_marks(
-    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    names = ran(path, monkeypatch)
+    names = ran(path, monkeypatch, tmp_path)
     count = {"why_surge_shakes": 6}.get(path.stem, 3)
     said = capsys.readouterr().out
     assert said.count("not answered yet") == said.count(": right: ") == count
@@ -184,3 +197,23 @@ def test_a_notebook_runs_and_marks(
     said = capsys.readouterr().out
     assert "right" not in said
     assert len(re.findall("Hz|kg|MN/m|%|s\\.", said)) >= 2 * count
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_opened_alone_says_what_it_needs(
+    path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(FileNotFoundError, match="by_hand.py and step_surge.csv: put beside"):
+        ran(path, monkeypatch, tmp_path, ())
+    first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"]
+    assert all(f"[{name}]({name})" in "".join(first) for name in BESIDE)
+
+
+def test_the_curvature_promises_more_than_the_fitted_mass_keeps(hand: SimpleNamespace) -> None:
+    """Least squares: sd of the mass is that of what is left over the norm of its derivative."""
+    of, recorded, mass = hand.given(), hand.series("surge"), hand.fitted()
+    left = hand.misfit(mass, of, *recorded)
+    more, less = (hand.misfit(change * mass, of, *recorded) for change in (1.001, 0.999))
+    slope = (more - less) / (0.002 * mass)
+    promised = left.std() / np.sqrt(np.sum(slope**2)) / mass
+    assert promised < 0.01 < 0.15 < abs(mass / hand.surge() - 1.0)

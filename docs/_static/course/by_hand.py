@@ -6,8 +6,9 @@ acceleration and force:
     (1 + tau s)(s + rate s^2 / w^2 + s^3 / w^2) x + A s^2 x + K (x - r) = 0
     w^2 = stiffness / mass, K = speed gain, A = speed (acceleration + load mass)
 
-The page with sliders, leg.html, has it in JavaScript. `mark` marks the six exercises: it computes
-what is right, so do not read it before you have your own numbers.
+The page with sliders, leg.html, has it in JavaScript. `mark` marks the exercises of the lessons, 1
+to 6, 7 to 9 and 10 to 12: it computes what is right, so do not read it before you have your own
+numbers.
 """
 
 from functools import cache
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from cmf_mj import Hexapod, load_hydraulics, load_law
 from cmf_mj.core.units import INCH, RATE
@@ -116,14 +118,60 @@ def payload() -> float:
     return float(model.body("platform").mass.item() + model.body("cab/cab").mass.item())
 
 
+def misfit(mass: float, of: Given, time: Array, response: Array) -> Array:
+    """What the closed form leaves of a step at 1 s until 2.5 s [in], scaled to where it rests."""
+    swing = (time > 1.0) & (time < 2.5)
+    rest = response[time > 3.5].mean()
+    return np.asarray(response[swing] - rest * step(mass, time[swing] - 1.0, of))
+
+
+def peaks(mass: float, of: Given, name: str, values: Array) -> Array:
+    """Peak [dB] for each value of one of the given numbers."""
+    return np.array([leg(mass, of._replace(**{name: value}))["peak"] for value in values])
+
+
+@cache
+def fitted() -> float:
+    """The mass [kg] whose step is nearest to the simulated one, by least squares."""
+    given_now, recorded = given(), series("surge")
+    found = minimize_scalar(
+        lambda mass: np.mean(misfit(mass, given_now, *recorded) ** 2),
+        bounds=(1e4, 3e4),
+        method="bounded",
+    )
+    return float(found.x)
+
+
+@cache
+def enough(peak: float = 7.0) -> float:
+    """Gain on acceleration [%/(in/s^2)] that brings the peak in surge down to so many dB."""
+    tried = np.geomspace(given().acceleration, 0.1, 200)
+    falling = peaks(surge(), given(), "acceleration", tried)
+    return float(np.interp(-peak, -falling, tried))
+
+
+@cache
+def calm(peak: float = 3.0) -> float:
+    """Gain on position [%/in] with which the fitted mass peaks by so many dB."""
+    tried = np.linspace(20.0, given().gain, 200)
+    return float(np.interp(peak, peaks(fitted(), given(), "gain", tried), tried))
+
+
+def surge() -> float:
+    """Mass that a leg feels in surge, from the mode [kg]."""
+    return float(Hexapod("gfd").hydraulic_modes().leg_mass[0])
+
+
 @cache
 def _right() -> dict[int, tuple[float, str, str]]:
     """What is right in each exercise, its unit and a hint."""
     of, masses = given(), Hexapod("gfd").hydraulic_modes().leg_mass
-    heave, surge = leg(masses[3], of), leg(masses[0], of)
+    heave, slow = leg(masses[3], of), leg(masses[0], of)
     time, response = series("surge")
     stretch = leg_jacobian(np.zeros(6))[:, 0]
-    most = of.gain * 10.0 ** (surge["margin"] / 20.0)
+    most = of.gain * 10.0 ** (slow["margin"] / 20.0)
+    slowed = leg(surge(), of._replace(acceleration=enough()))
+    lowest = peaks(surge(), of, "acceleration", np.geomspace(of.acceleration, 1.0, 200)).min()
     return {
         1: (of.stiffness / 1e6, "MN/m", "Both chambers push back, each with beta A^2 / V."),
         2: (heave["ring"], "Hz", "omega is in rad/s; pounds are not kilograms."),
@@ -131,6 +179,12 @@ def _right() -> dict[int, tuple[float, str, str]]:
         4: (heave["lag90"], "Hz", "A quadratic in w^2; take its smaller root."),
         5: (most, "%/in", "Routh bounds K; g is K / sigma."),
         6: (1.0 / np.diff(time[tops(response)])[0], "Hz", "From maximum to maximum is a period."),
+        7: (enough(), "%/(in/s^2)", "peaks(surge, law, 'acceleration', ...) is to be 7 dB."),
+        8: (slowed["lag90"], "Hz", "leg(surge, law._replace(acceleration=...))['lag90']."),
+        9: (lowest, "dB", "Try gains from the law's own to 1: the peak falls, then rises."),
+        10: (fitted(), "kg", "The least mean square of misfit; minimize_scalar finds it."),
+        11: (100.0 * abs(fitted() / surge() - 1.0), "%", "Against the mass of the mode, surge."),
+        12: (calm(), "%/in", "The largest gain whose peak, for your mass, is at most 3 dB."),
     }
 
 
