@@ -132,7 +132,8 @@ def progress_bar(
     columns = (progress.TimeElapsedColumn(),) if seconds else counts
     text, console = progress.TextColumn("{task.description}", markup=False), Console(stderr=True)
     with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
-        task = bar.add_task(f"compiling and {work}", total=None)
+        first = "" if work == "drawing" else ", the first time after a minute or two of compiling"
+        task = bar.add_task(work + first, total=None)
         try:
             yield lambda done, total: bar.update(
                 task, completed=done, total=total, description=work

@@ -264,6 +264,8 @@ def video_command(
         text = "a page is as large as its window and draws as fast as its browser"
         raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4 or .gif")
     names = sources or ["heave_sine"]
+    kept = [Path(name) / "record.parquet" for name in names]  # of folders of runs
+    names = [str(path) if path.is_file() else name for name, path in zip(names, kept, strict=True)]
     modes = names == ["modes"]
     rate = speed or (0.05 if modes else 1.0)
     look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
@@ -288,7 +290,8 @@ def video_command(
             for law in laws or [str(base.law)]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
                 records.append(one.record(progress=progress))
-                titles.append(one.law if laws else one.title or Path(name).stem)
+                spoken = Path(law).stem.replace("_", " ")
+                titles.append(f"{spoken} law" if laws else one.title or Path(name).stem)
     traces = saved_traces(files) if len(files) == len(names) else []
     if traces:
         look = look._replace(strip=300)

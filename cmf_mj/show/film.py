@@ -27,7 +27,7 @@ from cmf_mj.show.linearization import mode_table, title_of
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.operation import overview_figure
 from cmf_mj.show.player.writer import write_page
-from cmf_mj.show.stage import FilmStage, Panels, Reel, Strip, traces_of
+from cmf_mj.show.stage import FilmStage, Panels, Reel, Strip, busiest_leg, traces_of
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
@@ -79,7 +79,7 @@ def film(
     if chosen.seconds is not None:
         end = min(end, chosen.start + chosen.seconds)
     named = titles or [str(record.metadata["law"]) for record in records]
-    every = traces or [traces_of(record) for record in records]
+    every = traces or [traces_of(record, leg=busiest_leg(*records)) for record in records]
     reels = [
         Reel(model_of(record), record.time, record["generalised_position"], title, panels)
         for record, title, panels in zip(records, named, every, strict=True)
@@ -127,9 +127,11 @@ def write_reels(
     target = Path(path)
     if target.suffix == ".html":
         end = settings.start + max(count - 1, 1) * settings.speed / settings.fps
-        return write_page(
-            reels, (settings.start, end), target, columns, settings.speed, settings.camera
-        )
+        span = settings.start, end
+        write_page(reels, span, target, columns, settings.speed, settings.camera)
+        if progress is not None:
+            progress(count, count)
+        return target
 
     def counted() -> Iterator[Picture]:
         for number, picture in enumerate(_pictures(reels, count, settings, columns), start=1):

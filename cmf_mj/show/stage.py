@@ -164,8 +164,13 @@ UNITS = {"US": ("in", "deg", "psi"), "metric": ("mm", "deg", "bar")}
 """Units of lengths, angles and pressures, by their system."""
 
 
-def traces_of(record: Record, system: str = "US") -> Panels:
-    """A degree of freedom of a record, and pressures of the leg whose cap pressure moves most.
+def busiest_leg(*records: Record) -> int:
+    """The leg, from 0, whose cap pressure moves most."""
+    return int(np.max([np.ptp(one["cap_pressure"], axis=0) for one in records], axis=0).argmax())
+
+
+def traces_of(record: Record, system: str = "US", leg: int | None = None) -> Panels:
+    """A degree of freedom of a record, and pressures of a leg, the busiest by default.
 
     It is the one whose demand moves most, lengths against 1 in and angles against 1 deg. The system
     is one of `UNITS`.
@@ -173,7 +178,7 @@ def traces_of(record: Record, system: str = "US") -> Panels:
     length, angle, pressure = UNITS[system]
     scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
     dof = int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())
-    leg = int(np.ptp(record["cap_pressure"], axis=0).argmax())
+    leg = busiest_leg(record) if leg is None else leg
 
     def line(
         name: str, channel: str, column: int, unit: str, colour: str, width: float = 1.0

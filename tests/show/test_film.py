@@ -20,7 +20,7 @@ from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import stage
 from cmf_mj.show.film import FilmSettings, film
 from cmf_mj.show.look import Curve, Panel
-from cmf_mj.show.stage import FilmStage, Strip, choose_backend, traces_of
+from cmf_mj.show.stage import FilmStage, Strip, busiest_leg, choose_backend, traces_of
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 
@@ -155,6 +155,25 @@ def test_traces_are_the_record_s(record: Record) -> None:
     cap = pressures.curves[0]
     assert cap.name == "cap"
     np.testing.assert_array_equal(cap.y, record["cap_pressure"][:, leg - 1] / units.PSI)
+
+
+def test_runs_beside_each_other_show_one_leg(record: Record) -> None:
+    """The one that moves most in any of them, here the other leg of the second."""
+    leg = busiest_leg(record)
+    pressures = record["cap_pressure"].copy()
+    pressures[:, (leg + 1) % 6] = 2.0 * pressures[:, leg]
+    other = {"cap_pressure": pressures}
+    assert busiest_leg(record, other) == (leg + 1) % 6 == busiest_leg(other, record)
+    _, shown = traces_of(record, leg=(leg + 1) % 6)
+    assert shown.y_title == f"leg {(leg + 1) % 6 + 1} [psi]"
+
+
+def test_the_video_command_takes_the_folder_of_a_run(record: Record, tmp_path: Path) -> None:
+    record.save(tmp_path / "run" / "record.parquet")
+    out = tmp_path / "run.html"
+    result = CliRunner().invoke(app, ["video", str(tmp_path / "run"), "--file", str(out)])
+    assert result.exit_code == 0, result.output
+    assert out.is_file()
 
 
 def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:

@@ -21,8 +21,9 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.look import Curve, Panel
 from cmf_mj.show.player import writer
-from cmf_mj.show.stage import FilmStage
+from cmf_mj.show.stage import FilmStage, Reel
 
 ROOT = Path(__file__).resolve().parents[2]
 LAWS = "velocity", "position_error_rate"
@@ -66,6 +67,7 @@ def test_a_page_holds_the_records_own_states(records: list[Record], path: Path) 
         assert np.array_equal(qpos, record["generalised_position"][rows].astype(np.float32))
         assert times[-1] == pytest.approx(record.time[-1], abs=1 / 30)
     assert path.stat().st_size < writer.MOST_BYTES
+    assert len({run["panels"][1]["title"] for run in held["runs"]}) == 1  # the same leg
 
 
 def test_a_page_asks_for_nothing_and_names_whose_its_library_is(path: Path) -> None:
@@ -106,6 +108,30 @@ def test_the_sites_pages_are_what_the_command_writes_today(shown: Path, path: Pa
     written, today = (runs.sub("", one.read_text(encoding="utf-8")) for one in (shown, path))
     assert written == today
     assert shown.stat().st_size < writer.MOST_BYTES
+
+
+def test_a_step_is_said_in_words(tmp_path: Path) -> None:
+    """Of a swing in closed form: 3 Hz, each half of the last, twice the step at first."""
+    time = np.linspace(0.0, 5.0, 5001)
+    late = np.maximum(time - 0.5, 0.0)
+    swing = 1.0 - 0.5 ** (3.0 * late) * np.cos(6.0 * np.pi * late)
+    curves = (
+        Curve("demand", time, np.where(time < 0.5, 0.0, -2.0), "k"),
+        Curve("response", time, np.where(time < 0.5, 0.0, -2.0 * swing), "k"),
+    )
+    panel = Panel("surge [in]", curves)
+    model = hexapod_model("gfd")
+    qpos = np.tile(mujoco.MjData(model).qpos, (time.size, 1))
+    reels = [Reel(model, time, qpos, "a step", [panel])]
+    text = writer.write_page(reels, (0.0, 5.0), tmp_path / "x.html", 1, 1.0, "overview").read_text(
+        encoding="utf-8"
+    )
+    top = swing.max()
+    assert (
+        f"response goes to {top:.2f} of the step, ends at 1.00, swings 3.0 times a second" in text
+    )
+    assert "each swing 50% of the last" in text
+    assert f"<td>{-2 * top:.2f} at 0.66 s</td><td>0.00 at 0.00 s</td>" in text
 
 
 # In Chromium, with WebGL in software
@@ -228,6 +254,42 @@ def test_keys_and_the_slider_move_time_and_traces_follow(
     visit.wait("player.time() > 0.4")
     page.keyboard.press(" ")
     assert page.get_by_role("button", name="Play").count() == 1
+
+
+@pytest.mark.slow
+def test_the_keyboard_orbits_and_motion_is_drawn_larger(visit: Visit) -> None:
+    page = visit.page
+    visit.seek(0.37)
+    position = "camera.position.clone().sub(target).toArray()"
+    begun = np.array(page.evaluate(position))
+    page.locator("canvas").first.focus()
+    page.keyboard.press("ArrowRight")
+    turned = np.array(page.evaluate(position))
+    assert turned[2] == pytest.approx(begun[2])
+    assert np.arctan2(*turned[1::-1]) - np.arctan2(*begun[1::-1]) == pytest.approx(0.1)
+    page.keyboard.press("ArrowUp")
+    up = np.array(page.evaluate(position))
+    size = np.linalg.norm(begun)
+    assert np.arcsin(up[2] / size) - np.arcsin(turned[2] / size) == pytest.approx(0.1)
+    page.keyboard.press("+")
+    assert np.linalg.norm(page.evaluate(position)) == pytest.approx(0.9 * size)
+    assert page.evaluate("player.time()") == 0.37
+    true = np.array(page.evaluate("player.state(0)"))
+    page.evaluate("motion = 5")
+    first = np.array(page.evaluate("Array.from(runs[0].qpos.slice(0, models[0].nq))"))
+    assert page.evaluate("player.state(0)") == pytest.approx(first + 5.0 * (true - first), abs=1e-6)
+    page.evaluate("motion = 1")
+    assert not page.locator("#swollen").is_visible()  # 12 in and more are seen as they are
+    page.get_by_label("view").select_option("overview")
+
+
+@pytest.mark.slow
+def test_the_traces_have_times_and_round_values(visit: Visit) -> None:
+    texts = visit.page.locator(".trace").nth(1).locator("text").all_text_contents()
+    times = [float(text[:-2]) for text in texts if text.endswith(" s")]
+    assert len(times) > 2 and np.ptp(np.diff(times)) < 1e-9
+    assert visit.page.evaluate("ticks([-0.1, 2.1], 4)") == [0, 1, 2]
+    assert visit.page.evaluate("ticks([-0.13, 1.66], 4)") == [0, 0.5, 1, 1.5]
 
 
 @pytest.mark.slow

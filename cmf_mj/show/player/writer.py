@@ -7,6 +7,7 @@ its joints, so that what is played is the record's `generalised_position` itself
 import base64
 import html
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,11 @@ from typing import Any
 import mujoco
 import numpy as np
 from matplotlib.colors import to_hex
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
+from cmf_mj.show.look import Panel
 from cmf_mj.show.stage import Panels, Reel, limits_of
 
 SAMPLES_A_SECOND = 128.0  #: Of time on the page at real speed, at most; it draws lines between.
@@ -143,21 +144,37 @@ def _panels(
     shown = []
     for panel, *others in zip(panels, *every, strict=True):
         low, high = limits_of(others, span)
-        ticks = [float(f"{tick:.6g}") for tick in MaxNLocator(4).tick_values(low, high)]
         lines = [
             {"name": curve.name, "colour": to_hex(curve.colour), "width": curve.width}
             | {"y": _encoded(np.interp(time, curve.x, curve.y))}
             for curve in panel.curves
         ]
         one = {"title": panel.y_title, "limits": [low, high], "curves": lines}
-        shown.append(
-            one
-            | {
-                "ticks": [t for t in ticks if low < t < high],
-                "digits": 0 if high - low > 100.0 else 2,
-            }
-        )
+        shown.append(one | {"digits": digits_of(high - low)})
     return shown
+
+
+def digits_of(range_: float) -> int:
+    """Decimals that show a hundredth of a range, none of one above 100."""
+    return 0 if range_ > 100.0 else max(2 - math.floor(math.log10(max(range_, 1e-9))), 2)
+
+
+def _said(panel: Panel, span: tuple[float, float]) -> str:
+    """How far a response goes after a step, where it ends and how it swings; else nothing."""
+    demand, *rest = panel.curves
+    inside = (demand.x >= span[0]) & (demand.x <= span[1])
+    if demand.name != "demand" or np.unique(demand.y[inside]).size != 2:
+        return ""
+    x, (begun, *_, asked) = demand.x[inside], demand.y[inside]
+    y = (rest[0].y[inside] - begun) / (asked - begun)
+    off, inner = y - y[-1], y[1:-1]
+    tops = 1 + np.flatnonzero((inner > y[:-2]) & (inner >= y[2:]) & (off[1:-1] > 0.02))
+    text = f"{panel.y_title}: {rest[0].name} goes to {y.max():.2f} of the step, ends at {y[-1]:.2f}"
+    if (swings := tops.size - 1) > 0:
+        left = (off[tops[-1]] / off[tops[0]]) ** (1 / swings)
+        text += f", swings {swings / (x[tops[-1]] - x[tops[0]]):.1f} times a second"
+        text += f", each swing {left:.0%} of the last"
+    return f'<tr><td colspan="5">{html.escape(text)}.'
 
 
 def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
@@ -166,14 +183,16 @@ def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
     for reel in reels:
         rows.append(f'<tr><th colspan="5" scope="rowgroup">{html.escape(reel.title)}</th></tr>')
         for panel in reel.traces:
+            digits = digits_of(np.ptp(limits_of([panel], span)))
+            rows.append(_said(panel, span))
             for curve in panel.curves:
                 inside = (curve.x >= span[0]) & (curve.x <= span[1])
-                x, y = curve.x[inside], curve.y[inside]
-                cells = [f"{panel.y_title}: {curve.name}", f"{y[0]:.4g}"]
-                cells += [f"{y[i]:.4g} at {x[i]:.2f} s" for i in (y.argmin(), y.argmax())]
-                rows.append(
-                    "<tr><td>" + "</td><td>".join(map(html.escape, [*cells, f"{y[-1]:.4g}"]))
-                )
+                x, y = curve.x[inside], curve.y[inside].round(digits) + 0.0
+                cells = [f"{y[i]:.{digits}f}" for i in (0, y.argmin(), y.argmax(), -1)]
+                for cell, i in ((1, y.argmin()), (2, y.argmax())):
+                    cells[cell] += f" at {x[i]:.2f} s"
+                cells.insert(0, html.escape(f"{panel.y_title}: {curve.name}"))
+                rows.append("<tr><td>" + "</td><td>".join(cells))
     heads = "".join(
         f'<th scope="col">{name}</th>' for name in ("", "first", "lowest", "highest", "last")
     )
