@@ -224,10 +224,10 @@ Periods = Annotated[float, options.film(help="of modes: length, in periods of th
 
 
 def _differing(name: str, names: list[str]) -> str:
-    """What of a file's path is not in all paths; its name where nothing is."""
+    """What of a file's path is not in all paths; its name or a run's folder where nothing is."""
     parts, *others = (Path(one).with_suffix("").parts for one in (name, *names))
     own = [part for part in parts if not all(part in other for other in others)]
-    return "/".join(own) or Path(name).stem
+    return "/".join(own or [part for part in parts[-2:] if part != "record"])
 
 
 @command("video")
@@ -284,14 +284,15 @@ def video_command(
         for name in names:
             if name.endswith(".parquet"):
                 records.append(cmf_mj.Record.load(name))
-                titles.append(f"{_differing(name, names)}: {records[-1].metadata['law']}")
+                law = records[-1].metadata["law"].replace("_", " ")
+                titles.append(f"{_differing(name, names)}: {law}")
                 continue
             base = cmf_mj.load_scenario(name)
             for law in laws or [str(base.law)]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
                 records.append(one.record(progress=progress))
-                spoken = Path(law).stem.replace("_", " ")
-                titles.append(f"{spoken} law" if laws else one.title or Path(name).stem)
+                said = f"{Path(law).stem.replace('_', ' ')} law"
+                titles.append(said if laws else one.title or Path(name).stem)
     traces = saved_traces(files) if len(files) == len(names) else []
     if traces:
         look = look._replace(strip=300)

@@ -173,7 +173,8 @@ def test_the_video_command_takes_the_folder_of_a_run(record: Record, tmp_path: P
     out = tmp_path / "run.html"
     result = CliRunner().invoke(app, ["video", str(tmp_path / "run"), "--file", str(out)])
     assert result.exit_code == 0, result.output
-    assert out.is_file()
+    law = str(record.metadata["law"]).replace("_", " ")
+    assert f"<title>run: {law}</title>" in out.read_text(encoding="utf-8")
 
 
 def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:

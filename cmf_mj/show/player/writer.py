@@ -187,10 +187,11 @@ def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
             rows.append(_said(panel, span))
             for curve in panel.curves:
                 inside = (curve.x >= span[0]) & (curve.x <= span[1])
-                x, y = curve.x[inside], curve.y[inside].round(digits) + 0.0
-                cells = [f"{y[i]:.{digits}f}" for i in (0, y.argmin(), y.argmax(), -1)]
-                for cell, i in ((1, y.argmin()), (2, y.argmax())):
-                    cells[cell] += f" at {x[i]:.2f} s"
+                x, y = curve.x[inside], curve.y[inside]
+                ends = 0, y.argmin(), y.argmax(), -1
+                cells = [f"{y[i].round(digits) + 0.0:.{digits}f}" for i in ends]
+                for cell in (1, 2):
+                    cells[cell] += f" at {x[ends[cell]]:.2f} s"
                 cells.insert(0, html.escape(f"{panel.y_title}: {curve.name}"))
                 rows.append("<tr><td>" + "</td><td>".join(cells))
     heads = "".join(
