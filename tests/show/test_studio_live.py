@@ -334,6 +334,28 @@ def test_lessons_are_of_ready_scenarios_and_wait_for_what_can_happen() -> None:
             assert link in desk.ready_scenarios()
 
 
+def test_a_prompt_is_never_beyond_the_last_however_often_the_button_is_pressed() -> None:
+    pressed: list[Callable[[object], None]] = []
+    followers: list[Callable[[Run], None]] = []
+
+    def add(*_: object, **given: object) -> SimpleNamespace:
+        return SimpleNamespace(**given, on_click=pressed.append, on_update=lambda _: None)
+
+    def add_dropdown(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(options=(), value="", on_update=lambda _: None)
+
+    gui = SimpleNamespace(add_markdown=add, add_button=add, add_dropdown=add_dropdown)
+    live = SimpleNamespace(marks=lambda: SimpleNamespace(result=lambda: ()))
+    studio = SimpleNamespace(client=SimpleNamespace(gui=gui), live=live, follow=followers.append)
+    show = controls.scenario_controls(cast(Any, studio))
+    view = cast(Any, SimpleNamespace(marks=(), live=SimpleNamespace(time=0.0)))
+    for name in ("surge_ring", "pump_failure", "push"):
+        followers[0](desk.ready_scenarios()[name])
+        for _ in range(9):
+            pressed[0](None)
+            show(view)
+
+
 @pytest.mark.parametrize("beside", ["", "force"])
 def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     """A gap would have no scale. The second line is the first one's without a second law."""

@@ -81,7 +81,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
     """The ready scenarios by title; of some, prompts, answered once one has seen what follows."""
     gui, ready = desk.client.gui, {run.title: run for run in ready_scenarios().values()}
     chosen = gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
-    text, onward = gui.add_markdown(""), gui.add_button("next prompt", visible=False)
+    text, onward = gui.add_markdown("", visible=False), gui.add_button("next prompt", visible=False)
     lessons = read_toml(Path(__file__).with_name("lessons.toml"))
     of = {ready_scenarios()[name].title: prompts for name, prompts in lessons.items()}
     prompts: list[dict[str, str]] = []
@@ -91,7 +91,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
         nonlocal prompts, at, since
         pick(chosen, ready.setdefault(scenario.title, scenario).title)
         if prompts is not (now := of.get(scenario.title, [])):
-            prompts, at = now, 0
+            at, prompts = 0, now  # in this order: the session's thread reads both
         since = 0
 
     def show(view: View) -> None:
@@ -101,11 +101,13 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
             done = any(until in mark.text for mark in seen)
             said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {answer if done else ''}"
-        text.content, onward.visible = said, done and at + 1 < len(prompts)
+        text.content, text.visible = said, bool(said)
+        onward.visible = done and at + 1 < len(prompts)
 
     def go_on(_: Any) -> None:
         nonlocal at, since
-        at, since = at + 1, len(desk.live.marks().result())
+        at = min(at + 1, max(len(prompts) - 1, 0))  # a button may be pressed twice
+        since = len(desk.live.marks().result())
 
     onward.on_click(go_on)
     by_hand(lambda _: desk.begin(ready[chosen.value]), chosen)
