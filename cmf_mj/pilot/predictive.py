@@ -16,7 +16,8 @@ subject, at each knot, with q head displacement and attitude, L(q) legs and pose
 
     |L(q*) + J (q - q*)| <= share of travel,   |J q'| <= share of speed,
     |J q'' + J'* (2 q' - q'*)| <= share of acceleration,   q*: the plan of the frame before
-    with q + 2 T_k q' + T_k^2 q'' for q and q' + T_k q'' for q': no limit is run into
+    with q + 2 T_k q' + T_k^2 q'' for q and q' + T_k q'' for q': no limit is run into; the
+    acceleration at t_0 too, as that of the rotation jumps
     min(0, w) - R <= rate of roll, pitch <= max(0, w) + R
     min(0, s) - S <= specific force sensed <= max(0, s) + S
 
@@ -43,7 +44,6 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.filters import hold
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.kinematics import about, rotation, write_legs, write_pose_jacobian
@@ -51,13 +51,15 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.pilot.motion import turn_to_body
 from cmf_mj.pilot.optimal import PLACES, condense, knots, parts, washout_modes
-from cmf_mj.pilot.perception import load_senses, otolith_response, state_space
+from cmf_mj.pilot.perception import load_senses, otolith_response, otoliths_ahead, state_space
 from cmf_mj.pilot.washout_settings import PredictiveSettings
 
 Matrix = NDArray[np.float64]
 
 _MOVES = {"pitch_surge": (0, 4), "roll_sway": (1, 3), "yaw": (None, 5), "heave": (2, None)}
 """Displacement and angle of each mode among those of a pose."""
+
+_BEGUN = 9  #: Accelerations bounded where a frame begins: of the legs and of the centroid's shift.
 
 _STEP = 1e-6  #: Of time, to differentiate the Jacobian along the motion [s].
 
@@ -107,21 +109,6 @@ def along(geometry, station, q, q1, reached, jacobian, turning):  # type: ignore
         _reach(geometry, station, q[k], jacobian[k])
         _reach(geometry, station, q[k] + _STEP * q1[k], ahead)
         turning[k] = (ahead - jacobian[k]) / _STEP
-
-
-def otoliths_ahead(times: Matrix) -> tuple[Matrix, Matrix]:
-    """What otoliths with states x_0 (2,) sense at t_1 .. t_N of a force f straight between times.
-
-    Returns the rows S of s = S (x_0, f_0 .. f_N), (N, N + 3), and those of x_1, (2, N + 3).
-    """
-    a, b, c, d = control.ssdata(state_space(otolith_response(load_senses().otoliths)))
-    states = np.zeros((len(times), 2, len(times) + 2))
-    states[0, :, :2] = np.eye(2)
-    for k, span in enumerate(np.diff(times)):
-        held = hold(a, b, c, d, float(span))
-        states[k + 1] = held.transition @ states[k]
-        states[k + 1, :, 2 + k : 4 + k] += np.hstack([held.earlier, held.later])
-    return np.asarray(c @ states[1:])[:, 0], states[1]
 
 
 class Solves(NamedTuple):
@@ -192,10 +179,11 @@ class Predictive:
         self._program, self._ready = daqp.Model(), False
         self._program.settings = {"iter_limit": own.iterations}
         spans = np.convolve(np.diff(self.times), [0.5, 0.5])[1:]
-        prices = np.repeat([own.price.si, own.tilt_price.si], [36 * own.knots, 2 * own.knots])
+        many = _BEGUN + 36 * own.knots, 2 * own.knots
+        prices = np.repeat([own.price.si, own.tilt_price.si], many)
         self._prices = np.concatenate([prices, np.repeat(own.false_price.si * spans, 3)])
-        cues = _TWICE / np.maximum(self._prices[38 * own.knots :], 1e-9)
-        steep = np.repeat([_STEEP, 1e3 * _STEEP], [36 * own.knots, 2 * own.knots])
+        cues = _TWICE / np.maximum(self._prices[len(prices) :], 1e-9)
+        steep = np.repeat([_STEEP, 1e3 * _STEEP], many)
         self._ease = np.concatenate([steep, cues])
 
     def _assemble(self) -> None:
@@ -373,11 +361,19 @@ class Predictive:
         # The row bounds the error: what the simulator's pilot senses less what the aircraft's does.
         missed, pushed = self._error @ given, sensed / self._noticed
         low_push, high_push = -np.maximum(pushed, 0.0), -np.minimum(pushed, 0.0)
-        lows = (low, low_turn - turned, low_push - self._false - missed)
-        highs = (high, high_turn - turned, high_push + self._false - missed)
+        # Where a frame begins, the acceleration of the rotation jumps, that of the shift does not.
+        begun, jump = held[2, 0].copy(), self._free[2, 0].copy()
+        for name, (place, _) in _MOVES.items():
+            if place is not None:
+                begun[place], jump[place] = self._plan[name][0, -1], 0.0
+        most = self._bounds[1][2, :_BEGUN]
+        begun = (jacobian[0] @ begun + turning[0] @ q1[0])[:_BEGUN] / most
+        jump = (jacobian[0] @ jump)[:_BEGUN] / most[:, None]
+        lows = (-1.0 - begun, low, low_turn - turned, low_push - self._false - missed)
+        highs = (1.0 - begun, high, high_turn - turned, high_push + self._false - missed)
         return {
             "f": self._pull @ given,
-            "A": np.vstack([rows.reshape(-1, size), self._soft]),
+            "A": np.vstack([jump, rows.reshape(-1, size), self._soft]),
             "blower": np.concatenate([values.ravel() for values in lows]),
             "bupper": np.concatenate([values.ravel() for values in highs]),
         }

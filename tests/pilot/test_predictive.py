@@ -11,13 +11,13 @@ from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing import cue, excursion
+from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.drives import drive
 from cmf_mj.pilot.judgement import judge
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
 from cmf_mj.pilot.optimal import condense, knots, parts, span_cost, washout_modes
-from cmf_mj.pilot.perception import load_senses, sense
-from cmf_mj.pilot.predictive import along, otoliths_ahead
+from cmf_mj.pilot.perception import load_senses, otoliths_ahead, sense
+from cmf_mj.pilot.predictive import along
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import load_washout
 
@@ -229,6 +229,7 @@ def test_ten_times_what_the_machine_can_do_touches_no_limit(machine):
     stream = washout.run(flown)
     assert np.isfinite(stream.pose).all()
     assert 0.9 < excursion(stream, None, base).largest <= 1.0
+    assert not within_limits(stream, None, base)[1].any()  # nor between two frames
     assert not any(washout.predictive.solves.bridged)
 
 
