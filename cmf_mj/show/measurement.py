@@ -19,7 +19,7 @@ from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.show import look
 from cmf_mj.studies.diagnosis import Cause
 from cmf_mj.studies.guide_check import REPEATABLE, Compared, Master, smallest
-from cmf_mj.studies.measurement import RecordingMeasures, accelerations
+from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven
 
 _FIT = "second-order fit with delay"
 
@@ -138,7 +138,8 @@ def overplot(master: Master, new: Master | None, name: str) -> Figure:
         else 3 + int(np.argmax(reach[3:]))
     )
     unit = by_kind(DOFS[axis], "m", "rad")
-    labels = (f"{DOFS[axis]} [{unit}]", f"now less master [{unit}]", f"acceleration [{unit}/s^2]")
+    less = "now less master" if new else "repetitions less mean"
+    labels = (f"{DOFS[axis]} [{unit}]", f"{less} [{unit}]", f"acceleration [{unit}/s^2]")
     figure, axes = look.stack(8.0, 6.5, *labels)
 
     def histories(of: Master) -> Any:
@@ -167,6 +168,25 @@ def overplot(master: Master, new: Master | None, name: str) -> Figure:
     return figure
 
 
+def _pictures(master: Master, new: Master | None, names: Sequence[str]) -> dict[str, Figure]:
+    """Over-plots of tests, and Bode plots of those with frequency responses, by file."""
+    drawn = {}
+    for name in names:
+        drawn[f"{name}.png"] = overplot(master, new, name)
+        if "response" in master.bench.of[name].measures:
+            own = driven(master.records[name][0])[0]
+            now = driven(new.records[name][0])[0] if new else {}
+            curves = {
+                f"{dof}{when}": of[dof]
+                for dof in own
+                for when, of in (("", own), (", now", now))
+                if of
+            }
+            title = f"Frequency response, {master.bench.of[name].title.lower()}: first repetition"
+            drawn[f"{name}_bode.png"] = look.bode_figure(title, curves, limits=True)[0]
+    return drawn
+
+
 def _about(master: Master) -> list[Table | str]:
     """What a guide is, on which machine, and its recordings."""
     guide, on = master.head.guide, master.bench
@@ -193,7 +213,7 @@ def _about(master: Master) -> list[Table | str]:
 
 def save_master(master: Master, again: int = 2) -> list[Path]:
     """Write `guide.html`, `measures.csv` and a picture a test; `again` repetitions are checked."""
-    guide, rows, pictures = master.head.guide, [], {}
+    guide, rows = master.head.guide, []
     share = guide.false_alarm / (2.0 * len(master.records))
     for name in master.records:
         found = master.measured(name, master.mean(name))
@@ -205,7 +225,6 @@ def save_master(master: Master, again: int = 2) -> list[Path]:
             if n > 1 and measure != REPEATABLE:
                 seen = spread * smallest(n, again, share / max(1, len(found[0]) - 1))
             rows.append((name, measure, float(values.mean()), spread, seen))
-        pictures[f"{name}.png"] = overplot(master, None, name)
     head = f"change found with 90 % by {again} repetitions"
     columns = ("test", "measure", ("mean", ".4g"), ("deviation", ".2g"), (head, ".2g"))
     table = Table("Measures of the repetitions", columns, rows)
@@ -214,7 +233,7 @@ def save_master(master: Master, again: int = 2) -> list[Path]:
         guide.title,
         master.folder,
         [*_about(master), table],
-        pictures,
+        _pictures(master, None, list(master.records)),
         {"measures.csv": table},
         files,
     )
@@ -255,7 +274,7 @@ def save_check(
 ) -> list[Path]:
     """Write `guide.html`, `check.csv`, `causes.csv` and an over-plot a test."""
     both = [name for name in master.records if name in new.records]
-    pictures = {f"{name}.png": overplot(master, new, name) for name in both}
+    pictures = _pictures(master, new, both)
     compared = compared_table(rows)
     tables: dict[str, Any] = {"check.csv": compared}
     parts: list[Any] = [f"{new.folder} against {master.folder}", verdict_table(rows)]

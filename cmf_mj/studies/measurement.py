@@ -104,22 +104,33 @@ def accelerations(record: Record) -> Array:
     return np.asarray(np.gradient(np.gradient(pose, axis=0), axis=0) * record.rate**2)
 
 
-def _responses(record: Record) -> Values:
-    """-90 deg, -3 dB and peak of what is driven; of six at once also the crosstalk at 1 Hz."""
+def driven(record: Record) -> tuple[dict[str, FrequencyResponse], dict[str, float]]:
+    """Response along each degree of freedom driven; of six at once the crosstalk at 1 Hz [%]."""
     command = record.excitation
     if not isinstance(command, composite.OrthogonalMultisines):
-        return _bandwidths(command.axis, frequency_response(record))
-    found: Values = {}
+        return {command.axis: frequency_response(record)}, {}
     matrix = matrix_frequency_response(record)
     lines, response = np.asarray(matrix.omega) / (2.0 * np.pi), np.asarray(matrix.frdata)
+    own, crosstalk = {}, {}
     for place, dof in enumerate(DOFS):
-        own = response[place, place]
-        known = np.isfinite(own)
-        found |= _bandwidths(dof, FrequencyResponse(own[known], matrix.omega[known], known[known]))
+        known = np.isfinite(response[place, place])
+        own[dof] = FrequencyResponse(
+            response[place, place][known], matrix.omega[known], known[known]
+        )
         near = int(np.argmin(np.where(known, np.abs(lines - CROSSTALK), np.inf)))
         row = np.abs(response[:, place, near])
         alike = [i for i in range(6) if i != place and i // 3 == place // 3]
-        found[f"{dof} crosstalk [%]"] = 100.0 * float(row[alike].max() / row[place])
+        crosstalk[dof] = 100.0 * float(row[alike].max() / row[place])
+    return own, crosstalk
+
+
+def _responses(record: Record) -> Values:
+    """-90 deg, -3 dB and peak of what is driven, and crosstalk."""
+    found: Values = {}
+    own, crosstalk = driven(record)
+    for dof, response in own.items():
+        found |= _bandwidths(dof, response)
+        found |= {f"{dof} crosstalk [%]": crosstalk[dof]} if crosstalk else {}
     return found
 
 

@@ -165,5 +165,5 @@ def test_a_guide_is_run_checked_and_drawn_from_the_command_line(
     assert checked.exit_code == 0, checked.output
     assert "as before" in checked.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"all.png", "check.csv", "guide.html"}
-    assert "all.png" in drawn
+    assert names == {"all.png", "all_bode.png", "check.csv", "guide.html"}
+    assert {"surge", "surge, now"} <= drawn["all_bode.png"] and "all.png" in drawn
