@@ -105,6 +105,7 @@ def measure_command(
     amplitude: options.Amplitude = None,
     noise: options.Noise = False,
     estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
+    columns: options.Columns = None,
     out: options.Out = Path("out/measure"),
 ) -> None:
     """Measure the response in recordings (rounds of one), or record the rounds of a session."""
@@ -115,7 +116,7 @@ def measure_command(
     if record == bool(files):
         raise InputError("files: name recordings, or use --record, not both and not neither")
     if files:
-        measures = measure_recordings(files, dof, estimator)
+        measures = measure_recordings(files, dof, estimator, columns, machine)
         paths = report.save_recordings(measures, out)
         return show(report.recordings_table(measures), written(paths))
     how: dict[str, Any] = {"amplitude": in_si(dof, amplitude), "electronics": noise_choice(noise)}

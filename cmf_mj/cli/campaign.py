@@ -20,7 +20,6 @@ recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base
 app.add_typer(recordings, name="recording", rich_help_panel="Facility")
 
 _FILE = "CSV, Parquet, HDF5 or MAT"
-_MAP = "TOML file of `cmf recording new`; default the facility's columns"
 _OF = "name or TOML file; default that of the map, else the CMF"
 
 Recording = Annotated[Path, Argument(metavar="FILE", help=_FILE)]
@@ -41,7 +40,7 @@ def recording_new_command(
 @recordings.command("check")
 def recording_check_command(
     recording: Recording,
-    columns: Annotated[Path | None, Option(metavar="MAP", help=_MAP)] = None,
+    columns: options.Columns = None,
     machine: Annotated[str | None, options.name_or_file(options.MACHINES, "MACHINE", _OF)] = None,
     cab: Annotated[str | None, Option(metavar="CAB", help="default the machine's first")] = None,
 ) -> None:

@@ -195,6 +195,8 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
+_MAP = "TOML file of `cmf recording new`; default the facility's columns"
+Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
 Speed = Annotated[float | None, film(help="times real speed; default 1, of modes 0.05")]
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]

@@ -29,9 +29,9 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import legs_to_pose
-from cmf_mj.machine.machine import Machine, recorded_machine
+from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
 from cmf_mj.machine.models import CMF
-from cmf_mj.record.reader import read_recording
+from cmf_mj.record.columns import load_columns, read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
@@ -296,14 +296,23 @@ class RecordingMeasures(NamedTuple):
         }
 
 
-def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:
+def measure_recordings(
+    files: Sequence[Path],
+    dof: str,
+    estimator: str,
+    columns: Path | None = None,
+    machine: str = CMF,
+) -> RecordingMeasures:
     """Measure the response in recordings; several, or one of single sines, are rounds of one.
 
     The estimator of rounds is `h1` or `report`, as in `rounds_response`. Lines are read that the
     demand excites, by its band or else by `EXCITED_SHARE`, with a coherence of at least `CLEAR`.
+    `columns` maps those of the files; the machine is that of the map or files, else `machine`.
     """
     chosen = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
-    records = [read_recording(path) for path in files]
+    known = None if columns is None else load_columns(columns)
+    on = load_machine((known and known.machine) or machine)
+    records = [read_mapped(path, known, on) for path in files]
     if len(records) > 1 or records[0].signal.dwells:
         response = rounds_response(records, dof, estimator=chosen)
     else:

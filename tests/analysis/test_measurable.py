@@ -185,6 +185,32 @@ def test_a_recording_counts_once(swept: Record, tmp_path: Path) -> None:
         measure_recordings(names, "heave", "h1")
 
 
+@pytest.mark.parametrize("machine", ["cmf", "simona"])
+def test_a_recording_with_columns_of_its_own_is_measured_by_their_map(
+    swept: Record, machine: str, tmp_path: Path
+) -> None:
+    """The same samples as the facility's file, in mm and in under other names, say the same."""
+    table = {"t": 1e3 * swept.time}
+    for letter, channel, size in (("x", "leg_position", 1e-3), ("r", "leg_reference", 0.0254)):
+        table |= {f"{letter}{k + 1}": swept[channel][:, k] / size for k in range(6)}
+    file, mapped = tmp_path / "own.csv", tmp_path / "columns.toml"
+    rows = np.column_stack([*table.values()])
+    np.savetxt(file, rows, delimiter=",", header=",".join(table), comments="")
+    mapped.write_text(
+        f"""machine = "{machine}"
+        time = {{ column = "t", unit = "ms" }}
+        [channels]
+        leg_position = {{ columns = "x{{leg}}", unit = "mm" }}
+        leg_reference = {{ columns = "r{{leg}}", unit = "in" }}"""
+    )
+    what = ["measure", str(file), "--columns", str(mapped), "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, what).exit_code == 0
+    found = json.loads((tmp_path / "out" / "summary.json").read_text())
+    facility = write_facility_csv(swept, tmp_path / "swept.csv")
+    expected = bandwidths(measure_recordings([facility], "heave", "h1").response)
+    assert found["bandwidths"]["gain_hz"] == pytest.approx(expected.gain_hz, rel=1e-3)
+
+
 @pytest.mark.parametrize("estimator", ["h1", "h2", "hv", "report"])
 def test_only_lines_that_are_excited_and_cohere_are_read(estimator: str, tmp_path: Path) -> None:
     """A multisine up to 5 Hz of which no comment line tells: a lag has no peak, and nothing above
