@@ -308,7 +308,10 @@ def refresh(text: str, results: Path, root: Path = ROOT) -> str:
     def replace(match: re.Match[str]) -> str:
         for source in (results / f"{match[2]}.md", *(results / match[2] / n for n in TABLES)):
             if source.is_file():
-                return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
+                text = source.read_text(encoding="utf-8")
+                if text.startswith("# "):  # a page has titles and captions of its own
+                    text = "".join(line for line in text.splitlines(True) if line[0] == "|")
+                return f"{match[1]}\n{text}\n{match[3]}"
         return match[0]
 
     data = DATA | {"files": partial(files, root)}

@@ -163,10 +163,11 @@ class Table:
         return "".join("| " + " | ".join(row) + " |\n" for row in rows)
 
     def save(self, path: Path) -> Path:
-        """Write the table, its cells as text, as Markdown or CSV by the name's end."""
+        """Write cells as text: as CSV, or Markdown below its title and above its caption."""
         if path.suffix == ".csv":
             return write_csv(path, self.header, self.cells)
-        return write_text(path, self.markdown())
+        parts = (self.title and f"# {self.title}\n", self.markdown(), self.caption + "\n")
+        return write_text(path, "\n".join(part for part in parts if part.strip()))
 
 
 Row = TypeVar("Row")
@@ -329,7 +330,7 @@ class Result(Sequence[Row], Generic[Row]):
         rows = self.frame.to_pylist()
         match path.suffix:
             case ".md":
-                return write_text(path, self.table.markdown())
+                return self.table.save(path)
             case ".parquet":
                 return write_parquet(self.frame, path, (_KEY, about))
             case ".json":

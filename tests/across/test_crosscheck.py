@@ -334,7 +334,7 @@ def test_the_script_writes_table_data_and_figure(
     assert [(row["engine"], round(1.0 / float(row["step_s"]))) for row in rows] == [
         (engine, parts * 2048) for engine in ("mujoco", "exudyn") for parts in (1, 2, 4)
     ]
-    assert (tmp_path / "work_precision.md").read_text().count("\n") == 8
+    assert (tmp_path / "work_precision.md").read_text().count("\n|") == 8
     assert set(drawn) == {"work_precision.png"}
     monkeypatch.setattr(sys, "argv", ["crosscheck", "--finest", "6"])
     with pytest.raises(SystemExit, match="2"):

@@ -12,7 +12,7 @@ import pytest
 
 from cmf_mj import InputError
 from cmf_mj.core.files import read_table
-from cmf_mj.core.result import Field, Result, column, groups, where
+from cmf_mj.core.result import Field, Result, Table, column, groups, where
 
 
 class Load(NamedTuple):
@@ -51,7 +51,9 @@ def test_the_frame_has_what_is_named_and_the_table_what_is_printed() -> None:
 
 def test_files_hold_the_frame_with_titles_and_provenance(tmp_path: Path) -> None:
     paths = {end: RESULT.save(tmp_path / f"r.{end}") for end in ("md", "csv", "parquet", "json")}
-    assert paths["md"].read_text() == RESULT.table.markdown()
+    assert paths["md"].read_text() == f"# loads\n\n{RESULT.table.markdown()}"
+    noted = Table("", ("leg",), [("1",)], "of one leg").save(tmp_path / "noted.md")
+    assert noted.read_text() == "| leg |\n| --- |\n| 1 |\n\nof one leg\n"
     with paths["csv"].open(newline="") as file:
         assert list(csv.reader(file)) == [["leg", "load_n"], ["1", "12345.6"], ["2", ""], ["3", ""]]
     read = read_table(paths["parquet"])
