@@ -36,6 +36,7 @@ _CORNERS = (1.0, 2.0, 4.0, 8.0)  #: f [Hz]: the first that keeps a third of what
 _LONGEST = 2.0  #: Largest delay that is looked for [s].
 _LINES = 4  #: Least lines that both halves drive.
 _MOVES = 4.0  #: Motion, in r0, from which on something moves.
+_STILL = 1e-9  #: Motion that is rounding.
 _CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
 
 
@@ -63,6 +64,7 @@ def agree(
     """Compare the legs that both histories have; None if there are none.
 
     `floor` is r0 in the unit of both; without a `shift` d is 0; `centred` takes the means away.
+    Where one moves, the other is asked for its part; of `centred` ones both have to move.
     """
     legs = there(expected) & there(measured)
     if not legs.any():
@@ -76,8 +78,8 @@ def agree(
         low = smooth(values[:, legs], rate, corner)[::every]
         return low - low.mean(axis=0) if centred else low
 
-    moved = min(ready(values).std(axis=0).max() for values in (expected, measured))
-    moves = bool(moved > _MOVES * floor)
+    moved = [ready(values).std(axis=0).max() for values in (expected, measured)]
+    moves = bool((min if centred else max)(moved) > _MOVES * floor and min(moved) > _STILL)
 
     def fit(said: str, expected: Array, measured: Array) -> Agreement:
         e, m = ready(expected), ready(measured)
@@ -132,7 +134,7 @@ def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, f
     usual = 0.5 < abs(gain) < 2.0  # a loop's: a pose that is held is met
     apart = m - gain * (still if usual else e) - usual * np.sign(gain) * e.mean(axis=0)
     rms, whole = np.sqrt((apart**2).mean(axis=0)), np.sqrt(((parts if moves else m) ** 2).mean())
-    left = float(np.sqrt((apart**2).mean()) / max(whole, floor))
+    left = float(np.sqrt((apart**2).mean()) / (whole if moves else max(whole, floor)))
     return float(np.log(rms + floor).sum()), gain, left
 
 

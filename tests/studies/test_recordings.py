@@ -110,6 +110,8 @@ SLIPS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "feet": ({"leg_position": lambda v: v / FOOT}, "the file has ft where the map says m"),
     "mm": ({"leg_position": lambda v: 25.4 * v}, "the file has mm where the map says in"),
+    "in": ({"leg_position": lambda v: v / 25.4}, "the file has in where the map says mm"),
+    "still": ({"leg_position": np.zeros_like}, "leg_position: does not follow demand_pose"),
     "feet of the pose": (
         {"demand_pose": lambda v: v / np.where(np.arange(6) < 3, FOOT, 1.0)},
         "its lengths are in ft where the map says m",
