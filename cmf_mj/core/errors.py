@@ -104,14 +104,18 @@ def require(package: str, extra: str) -> Any:
         raise MissingExtraError(text, name=error.name) from error
 
 
+def similar(name: object, known: Iterable[str]) -> str:
+    """A question for the most similar of the known names, empty where none is."""
+    return "".join(f"; did you mean {one}?" for one in get_close_matches(str(name), known, 1))
+
+
 def unknown_name(field: str, name: object, known: Iterable[str], more: str = "") -> InputError:
     """The error for a name that is not known: it lists those that are, and the most similar.
 
     `more` says what else is allowed, e.g. ` nor a .toml file`.
     """
     known = list(known)
-    close = get_close_matches(str(name), known, 1)
-    guess = f"; did you mean {close[0]}?" if close else ""
+    guess = similar(name, known)
     return InputError(f"{field}: {name!r} is not one of {', '.join(known)}{more}{guess}")
 
 

@@ -21,7 +21,7 @@ from pydantic import (
     field_validator,
 )
 
-from cmf_mj.core.errors import InputError, reason, unknown_name
+from cmf_mj.core.errors import InputError, reason, similar, unknown_name
 from cmf_mj.core.units import LONGEST
 
 LARGEST = 1e20
@@ -354,7 +354,8 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
         return "\n".join(f"{where}: {line}" for line in message.splitlines())
     if error["type"] == "extra_forbidden":
         names = _field_names(model, location[:-1])
-        return f"{where}: {field}: is not a known field; allowed: {', '.join(names)}"
+        said = f"{', '.join(names)}{similar(location[-1], names)}"
+        return f"{where}: {field}: is not a known field; allowed: {said}"
     if error["type"] == "missing":
         return f"{where}: {field}: is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):

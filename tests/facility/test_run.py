@@ -81,7 +81,7 @@ def test_all_runs_share_one_compiled_loop() -> None:
 
 
 def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
-    said = "record_evry: is not a known field; allowed: .*record_every"
+    said = "record_evry: is not a known field; allowed: .*record_every.*; did you mean record_every"
     wrong: dict[str, Any] = {"record_evry": 2}
     for run in (
         lambda: simulate(PLANT, "velocity", STILL, **wrong),
