@@ -162,7 +162,9 @@ def test_a_law_that_only_friction_damps_breaks_the_limit_by_as_much_as_it_lacks(
     found = SearchResult(law, done, Requirements(0.25, 0.125, 0.0, 0.0, 0.0, 0.03), 0.0, 1)
     said = "limits not kept: peak by 0.25 dB, overshoot by 12.5 %, damping ratio by 0.030"
     assert found.verdict == said
-    assert found._replace(excess=Requirements(*[0.0] * 6)).verdict == "all limits kept"
+    assert found._replace(excess=Requirements(*[0.0] * 6)).verdict.startswith(
+        "all limits kept: peak, overshoot, "
+    )
 
 
 @pytest.mark.parametrize("friction", [0.02, 0.05, "stuck"])
@@ -203,7 +205,7 @@ def test_a_law_is_found_with_friction_and_confirmed() -> None:
     cab = rubbing(60.0)
     template = make_template("mine", "Mine", [cab], 0.05)
     found = search(template, evaluations=96)
-    assert found.verdict == "all limits kept"
+    assert found.verdict.startswith("all limits kept: ")
     assert least_damping(found.law, template.frictionless) >= Requirements().damping
     rows = confirm(found.law, [cab], 0.05)
     assert [row.dof for row in rows] == list(DOFS)

@@ -74,7 +74,9 @@ class SearchResult(NamedTuple):
         """Which limits are not kept, and by how much."""
         pairs = zip(_EXCESS, self.excess, strict=True)
         broken = ", ".join(text.format(over) for text, over in pairs if not over <= 0.0)
-        return f"limits not kept: {broken.replace('%', ' %')}" if broken else "all limits kept"
+        if broken:
+            return f"limits not kept: {broken.replace('%', ' %')}"
+        return f"all limits kept: {', '.join(text.split(' by ')[0] for text in _EXCESS)}"
 
 
 def judged(
