@@ -156,8 +156,7 @@ def guess_columns(path: str | Path) -> str:
                 take(channel, name, [name])
     lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
     lines += [f"not recognised: {', '.join(left)}"] if left else []
-    if not channels:
-        lines.append("no channel was recognised; name some of " + ", ".join(CHANNELS))
+    lines.append(f"other channels: {', '.join(one for one in CHANNELS if one not in channels)}")
     table = {"legs": [*legs]} if legs not in ("", _LABELS[0]) else {}
     text = tomlkit.dumps(table | {"time": time, "channels": channels})
     return "".join(f"# {line}\n" for line in lines) + "\n" + text

@@ -166,6 +166,7 @@ def test_guess_reads_names_units_and_labels(tmp_path: Path) -> None:
     assert made.columns("cap_pressure")[2] == ("p3 [bar]", "bar", 1, 0.0)
     assert made.channels["demand_pose"].unit == ("m", "m", "m", "rad", "rad", "rad")
     assert "# not recognised: oil [C]" in text
+    assert "# other channels: leg_velocity, " in text
     assert "no unit in 'dmd_x'" in text
 
 
