@@ -152,7 +152,7 @@ def _growth(study: LinearizationStudy) -> str:
 
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
-    """Write the state space as JSON, modes as CSV, all figures as PNG."""
+    """Write the state space as JSON, modes and the law's loops as CSV, all figures as PNG."""
     known = study.linear.plant.describe().items()
     description = {name: value for name, value in known if name != "hydraulic_parameters"}
     description |= {"pose": study.linear.pose, "operating_point": study.linear.point}
@@ -166,6 +166,12 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
             | entries("leg_{}", count(1), np.abs(m.leg_shape))
             for m in study.modes
         ],
+        "loop.csv": {"frequency_hz": FREQUENCIES}
+        | {
+            f"{dof}_{what}": getattr(loop, what)
+            for dof, loop in study.loops.items()
+            for what in ("gain_db", "phase_deg")
+        },
     }
     title = f"Position per command, all legs by J\n{_title(study)}"
     figure, gain, _ = look.bode_figure(title, study.responses)
