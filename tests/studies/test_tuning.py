@@ -209,6 +209,7 @@ def test_a_law_is_found_with_friction_and_confirmed() -> None:
     assert least_damping(found.law, template.frictionless) >= Requirements().damping
     rows = confirm(found.law, [cab], 0.05)
     assert [row.dof for row in rows] == list(DOFS)
+    assert "assumed: " in rows.caption
     for row in rows:
         assert abs(row.difference) < 0.05 and row.remark == ""
 

@@ -43,7 +43,8 @@ SHARE, STUCK, STROKE = 0.05, 0.1, 0.1
 _ABOUT = (
     "linear: of small motion on the linearised machine, as `cmf linearize` and, in brackets, `cmf "
     f"compare` have it; simulated: of sines that move legs at {SHARE:.0%} of their largest speed, "
-    "or as --friction says. The larger sweeps of `cmf compare` open the valves wider and read "
+    "or as --friction says; legs at: their speed then; assumed: that of the prediction, by which "
+    "friction counts. The larger sweeps of `cmf compare` open the valves wider and read "
     "another -90 deg. -3 dB and margins are linear too, as `cmf linearize` has them. All is at "
     "neutral, of the machine as its file has it: `cmf certify` asks how far it may be off, and in "
     "other poses."
