@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from cmf_mj import Record
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.plant.oil import density, enthalpy, stored
+from cmf_mj.plant.oil import Oil, density, enthalpy
 from cmf_mj.plant.plant import Plant
+
+
+def stored(oil: Oil, content: float, pressure: float, volume: float) -> float:
+    """U [J], energy of the oil in a volume, 0 for oil at atmospheric pressure."""
+    return float(content * enthalpy(oil, pressure) - pressure * volume)
 
 
 class PowerBalance(NamedTuple):

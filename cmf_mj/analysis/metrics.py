@@ -6,8 +6,6 @@ Amplitudes are peak values, `rms` is root mean square over whole cycles.
 
 Delays between two signals:
 
-- `correlation_delay`, lag of the largest cross-correlation: the mean delay over the band of a
-  stationary signal.
 - `transient_delay`, shift of the largest correlation coefficient: a slow transient, unlike a
   stationary signal, pulls the peak of a cross-correlation towards where more of it overlaps.
 - `phase_delay`, -arg(after / before) / w of complex amplitudes at w; adds up along a chain.
@@ -17,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, optimize, signal
+from scipy import interpolate, optimize
 
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core.errors import InputError
@@ -114,20 +112,6 @@ def describing_function(demand: Signal, response: Signal, rate: float, frequency
     return out.amplitude[0] / into.amplitude[0] * turn
 
 
-def acceleration_crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
-    """Undriven over driven acceleration of a run (N, 6), rms over rms, (6,); the driven entry is 1.
-
-    Between translations the figure is a ratio; between a rotation and a translation it is in
-    rad/s^2 per m/s^2 or the reverse. Six runs, one a row, make the crosstalk matrix. Means are
-    removed.
-    """
-    moving = accelerations - accelerations.mean(axis=0)
-    rms = np.sqrt(np.mean(moving**2, axis=0))
-    if rms[driven] == 0.0:
-        raise InputError(f"driven: degree of freedom {driven} does not move in this run")
-    return rms / rms[driven]
-
-
 def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) -> float:
     """Width of the response-over-demand loop of a very slow sine, over the demand's peak-to-peak.
 
@@ -205,26 +189,6 @@ def fit_second_order(frequency: Signal, response: NDArray[np.complex128]) -> Sec
     return SecondOrder(
         float(gain), float(np.exp(logarithm)), float(damping), float(delay), float(size)
     )
-
-
-def correlation_delay(demand: Signal, response: Signal, rate: float) -> float:
-    """Delay of the response [s]: lag of the largest cross-correlation, parabola through the peak.
-
-    Means are removed. It is looked for up to 2 s, less than the period of a periodic demand.
-    """
-    x, y = demand - demand.mean(), response - response.mean()
-    correlation = signal.correlate(y, x, method="fft")
-    lags = signal.correlation_lags(y.size, x.size)
-    near = np.abs(lags) <= min(round(2.0 * rate), x.size // 2)
-    # Over the samples that overlap: the sum alone would pull the peak towards no lag.
-    values = correlation[near] / (x.size - np.abs(lags[near]))
-    peak = int(values.argmax())
-    shift = 0.0
-    if 0 < peak < values.size - 1:
-        before, top, after = values[peak - 1 : peak + 2]
-        bend = before - 2.0 * top + after
-        shift = 0.5 * (before - after) / bend if bend != 0.0 else 0.0
-    return float((lags[near][peak] + shift) / rate)
 
 
 def transient_delay(demand: Signal, response: Signal, rate: float) -> float:

@@ -91,9 +91,3 @@ def enthalpy(oil, pressure):  # type: ignore[no-untyped-def]
         else:
             value += oil.entrained_gas * ATMOSPHERE * (ratio**share - 1.0) / share
     return value
-
-
-@compiled
-def stored(oil, content, pressure, volume):  # type: ignore[no-untyped-def]
-    """U [J], energy of the oil in a volume, 0 for oil at atmospheric pressure."""
-    return content * enthalpy(oil, pressure) - pressure * volume

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from cmf_mj.analysis.metrics import (
-    acceleration_crosstalk,
     acceleration_noise,
-    correlation_delay,
     describing_function,
     dynamic_threshold,
     fit_second_order,
@@ -72,16 +70,6 @@ def test_describing_function_of_a_saturation() -> None:
     np.testing.assert_allclose(result, [1.0, *exact], atol=2e-4)  # corners fall between samples
 
 
-def test_crosstalk_is_a_ratio_of_rms() -> None:
-    driven = wave(1.0, 8.0, 1.0)
-    others = np.column_stack([0.1 * driven, driven, 0.5 + 0.02 * driven, *[0 * driven] * 3])
-    np.testing.assert_allclose(
-        acceleration_crosstalk(others, 1), [0.1, 1.0, 0.02, 0, 0, 0], atol=1e-12
-    )
-    with pytest.raises(ValueError, match="driven: degree of freedom 5 does not move"):
-        acceleration_crosstalk(others, 5)
-
-
 @pytest.mark.parametrize("width", [0.02, 0.1])
 def test_hysteresis_of_a_backlash_is_its_width(width: float) -> None:
     """Play of +-w: the branches lie 2 w apart over a peak-to-peak of 2. 3 %: 40 harmonics."""
@@ -110,20 +98,6 @@ def test_dynamic_threshold_of_a_lag_is_its_time_constant() -> None:
     assert dynamic_threshold(lag, RATE, 0.4, 1.0) == pytest.approx(0.15, abs=1e-4)
     assert np.isnan(dynamic_threshold(0.5 * lag, RATE, 0.4, 1.0))
     assert dynamic_threshold(-lag, RATE, -0.4, 1.0) == pytest.approx(0.15, abs=1e-4)
-
-
-@pytest.mark.parametrize("samples", [0.0, 4.0, 4.4])
-def test_delay_of_a_shifted_signal(samples: float) -> None:
-    """Within a fiftieth of a sample: a parabola stands for the peak of a band-limited signal."""
-    time = np.arange(2560) / RATE
-    rest = np.random.default_rng(2)
-    terms = [(f, rest.uniform(0, 6)) for f in (0.3, 0.7, 1.1, 2.3)]
-
-    def motion(t: np.ndarray) -> np.ndarray:
-        return np.asarray(sum(np.sin(2 * np.pi * f * t + p) for f, p in terms))
-
-    result = correlation_delay(motion(time), motion(time - samples / RATE), RATE)
-    assert result == pytest.approx(samples / RATE, abs=0.02 / RATE)
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.5, 0.9])

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from hydraulic_equations import ATMOSPHERE, changed, content_ratio, slope
+from power_balance import stored
 from scipy import integrate
 
-from cmf_mj.plant.oil import density, enthalpy, least_pressure, make_oil, stored
+from cmf_mj.plant.oil import density, enthalpy, least_pressure, make_oil
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 
 PRESSURES = [-1.01e5, -9e4, -3e4, -10.0, 0.0, 5e3, 1e5, 3e6, 1e7, 4e7]
