@@ -363,3 +363,18 @@ def at_frame(histories, frame):  # type: ignore[no-untyped-def]
         histories.cap_pressure[frame],
         histories.rod_pressure[frame],
     )
+
+
+@allocating
+def _histories(sensors, state, truth, reading):  # type: ignore[no-untyped-def]
+    for frame in range(truth.position.shape[0]):
+        sense(sensors, state, frame, at_frame(truth, frame), at_frame(reading, frame))
+
+
+def sense_history(sensors: Sensors, truth: LegFeedback) -> LegFeedback:
+    """Readings of whole histories (N, n), frame 0 first, the sensors at rest before it."""
+    histories = LegFeedback(*(np.array(c, dtype=float, order="C") for c in truth))
+    state = sensor_state(sensors, LegFeedback(*(channel[0] for channel in histories)))
+    reading = LegFeedback(*(np.empty_like(channel) for channel in histories))
+    _histories(sensors, state, histories, reading)
+    return reading

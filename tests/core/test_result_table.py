@@ -29,7 +29,8 @@ def test_markdown_and_csv_hold_every_cell(tmp_path: Path) -> None:
         "| velocity | h | 4.00 | - |\n| velocity | m | 4.13 | -3.2 % |\n"
         "| force |  | - | unstable |\n"
     )
-    assert TABLE.save(tmp_path / "new" / "t.md").read_text() == TABLE.markdown()
+    saved = TABLE.save(tmp_path / "new" / "t.md").read_text()
+    assert saved == f"# bandwidths [Hz]\n\n{TABLE.markdown()}\nh [hardware]\n"
     lines = TABLE.save(tmp_path / "t.csv").read_text().splitlines()
     assert lines[2:] == ["velocity,h,4.00,-", "velocity,m,4.13,-3.2 %", "force,,-,unstable"]
 

@@ -8,20 +8,16 @@ from scipy import signal, stats
 
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.core.compiled import allocating
 from cmf_mj.electronics.sensors import (
     CHANNELS,
     ChannelSettings,
-    Sensors,
     SensorSettings,
-    at_frame,
     block,
     four_normals,
     key_schedule,
     load_sensors,
     make_sensors,
-    sense,
-    sensor_state,
+    sense_history,
     stream_key,
 )
 
@@ -43,21 +39,6 @@ def only(channel: str, **numbers: dict[str, object]) -> SensorSettings:
 def still(frames: int, legs: int = 6, **values: float) -> LegFeedback:
     zero = {field: 0.0 for field in LegFeedback._fields} | values
     return LegFeedback(*(np.full((frames, legs), zero[field]) for field in LegFeedback._fields))
-
-
-@allocating
-def _histories(sensors, state, truth, reading):  # type: ignore[no-untyped-def]
-    for frame in range(truth.position.shape[0]):
-        sense(sensors, state, frame, at_frame(truth, frame), at_frame(reading, frame))
-
-
-def sense_history(sensors: Sensors, truth: LegFeedback) -> LegFeedback:
-    """Readings of whole histories (N, n), frame 0 first, the sensors at rest before it."""
-    histories = LegFeedback(*(np.array(c, dtype=float, order="C") for c in truth))
-    state = sensor_state(sensors, LegFeedback(*(channel[0] for channel in histories)))
-    reading = LegFeedback(*(np.empty_like(channel) for channel in histories))
-    _histories(sensors, state, histories, reading)
-    return reading
 
 
 def test_blocks_are_numpys_philox() -> None:

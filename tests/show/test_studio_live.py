@@ -372,12 +372,12 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     screen.wait_for_time(0.5)
     session.pause(True)
     session.scenario().result()
-    for system in UNITS:
-        plots.show(screen.views[-1], 10.0, "heave", system, 2)
+    for dof, system in zip(("heave", ""), UNITS, strict=True):  # nothing else moves
+        plots.show(screen.views[-1], 10.0, dof, system, 2)
     session.close()
     of = {plot.title: plot for plot in drawn}
     for shown, hidden, factor in (
-        ("platform [mm]", "platform [in]", 25.4),
+        ("platform, heave [mm]", "platform, heave [in]", 25.4),
         ("manifolds [bar]", "manifolds [psi]", 0.0689476),
     ):
         assert of[shown].visible and not of[hidden].visible

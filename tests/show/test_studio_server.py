@@ -260,7 +260,7 @@ def test_units_change_what_is_shown_and_not_the_demand(tab: Tab) -> None:
     """An amplitude of 2 in is 50.8 mm; the signal stays as it was."""
     begun = tab.behind.live.scenario().result()
     tab.choose("units", "metric")
-    for title in ("amplitude [mm]", "platform [mm]", "manifolds [bar]"):
+    for title in ("amplitude [mm]", "platform, heave [mm]", "manifolds [bar]"):
         tab.page.get_by_text(title).first.wait_for()
     beside = "xpath=following::input[not(@type='hidden')][1]"  # viser gives it no label
     assert tab.page.get_by_text("amplitude [mm]").locator(beside).input_value() == "50.8"
@@ -283,6 +283,8 @@ def test_a_drive_goes_through_a_washout_that_is_exchanged_as_it_goes(
     tab.wait(lambda: len(sent()) == 2)
     begun = tab.time()
     tab.wait(lambda: tab.time() > begun + 8.0)
+    for said in ("signal slalom-optimal-cmf-gfd", "platform, sway"):
+        tab.page.get_by_text(said).first.wait_for()
     cued = cue(load_flight("slalom").motion, "optimal").stream
     files = [read_stream(tmp_path / name) for name in sent()]
     np.testing.assert_array_equal(files[1].values, cued.values)

@@ -2,6 +2,7 @@
 
 import math
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
@@ -53,6 +54,8 @@ _HERTZ = ("frequency", "start", "stop", "corner")
 
 NONE = "none"  #: Choice of no second law, and of no flight.
 
+_cueing = threading.Lock()
+
 CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
@@ -100,7 +103,8 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
             ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
             done = any(until in mark.text for mark in seen)
-            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {answer if done else ''}"
+            then = answer if done else "*The answer comes some seconds after you did it.*"
+            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {then}"
         text.content, text.visible = said, bool(said)
         onward.visible = done and at + 1 < len(prompts)
 
@@ -231,23 +235,35 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     return lambda: (dof.value, system.value)
 
 
-def cueing_controls(desk: Desk) -> None:
-    """A flight or drive through a washout as the demand; both can be exchanged as it goes."""
+def cueing_controls(desk: Desk) -> Callable[[], bool]:
+    """A flight or drive through a washout as the demand; says whether one is chosen.
+
+    Both can be exchanged as it goes. One is made at a time, of all tabs.
+    """
     gui = desk.client.gui
     flown = gui.add_dropdown(
         "flight", (NONE, *names()), hint="what the pilot's aircraft or car does; from its start"
     )
     washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
+    said = gui.add_markdown("")
     carried = load_cab(None)
 
     def send(_: Any) -> None:
         """Write the host's frames, for the scenario that names them, and let them take over."""
         if flown.value == NONE:
             return desk.apply(change_of({"signal": []}, "signal"))
-        cued = cue(load_flight(flown.value).motion, washout.value, cab=carried)
-        name = f"{flown.value}-{washout.value}-{carried.machine.name}-{carried.name}.csv"
-        file = write_stream(cued.stream, CUED.resolve() / name)
-        desk.apply(change_of({"signal": [{"kind": "host", "file": str(file)}]}, "signal"))
+        said.content = "*computing ...*"
+        try:
+            with _cueing:
+                chosen = flown.value, washout.value
+                cued = cue(load_flight(chosen[0]).motion, chosen[1], cab=carried)
+                name = f"{'-'.join(chosen)}-{carried.machine.name}-{carried.name}.csv"
+                file = write_stream(cued.stream, CUED.resolve() / name)
+                desk.apply(change_of({"signal": [{"kind": "host", "file": str(file)}]}, "signal"))
+        except (ValueError, OSError) as error:
+            desk.tell(error)
+        finally:
+            said.content = ""
 
     def follow(scenario: Run) -> None:
         nonlocal carried
@@ -257,6 +273,7 @@ def cueing_controls(desk: Desk) -> None:
 
     by_hand(send, flown, washout)
     desk.follow(follow)
+    return lambda: flown.value != NONE
 
 
 def law_controls(desk: Desk) -> None:

@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple, TypeVar
 
@@ -27,6 +28,7 @@ from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.session import Live
 from cmf_mj.facility.settings import Change
+from cmf_mj.facility.signal import HostFile
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
@@ -134,7 +136,9 @@ def _texts(change: Change) -> list[str]:
     """What a change changes besides failures."""
     texts = [] if change.law is None else [f"law {change.law}"]
     texts += ["gain"] if change.gains else []
-    texts += [] if change.signal is None else ["signal"]
+    if change.signal is not None:
+        files = [f" {Path(one.file).stem}" for one in change.signal if isinstance(one, HostFile)]
+        texts.append("signal" + "".join(files))
     if (push := change.push) is not None:
         texts.append("push" if any((*push.force, *push.torque)) else "push ends")
     return texts + ([] if change.request is None else [f"request {change.request}"])

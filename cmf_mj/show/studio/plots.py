@@ -101,13 +101,18 @@ class Plots:
         }
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
-        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0."""
+        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0.
+
+        Without one the translation that moves most.
+        """
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
         beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:
             return
         length, angle, pressure = UNITS[system]
+        if not dof:
+            dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:
@@ -128,6 +133,7 @@ class Plots:
         ):
             for name, plot in plots.items():
                 plot.visible = name == drawn
+        self._response[unit].title = f"platform, {dof} [{unit}]"
         self._response[unit].data = (time, of("demand", unit)[index], *responses, *marked)
         self._force.data = (time, *of("force", "kN"), *marked)
         self._valve.data = (time, *of("valve_command", "%"), *marked)

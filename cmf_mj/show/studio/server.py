@@ -56,7 +56,7 @@ class Page:
         with gui.add_folder("Signal"):
             self._shown = controls.signal_controls(desk)
         with gui.add_folder("Flight"):
-            controls.cueing_controls(desk)
+            self._flying = controls.cueing_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
@@ -90,7 +90,9 @@ class Page:
             self._scene.show_push(view.push / units.to_si("kN", LARGEST_PUSH))
         if self._turn % _PLOTS_EVERY == 0 and self._drawn.value:
             leg = int(self._leg.value) - 1
-            self._plots.show(view, float(self._window.value), *self._shown(), leg)
+            dof, system = self._shown()
+            dof = "" if self._flying() else dof
+            self._plots.show(view, float(self._window.value), dof, system, leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
             self._prompt(view)
