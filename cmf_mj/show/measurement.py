@@ -182,7 +182,7 @@ def _pictures(master: Master, new: Master | None, names: Sequence[str]) -> dict[
                 for when, of in (("", own), (", now", now))
                 if of
             }
-            title = f"Frequency response, {master.bench.of[name].title.lower()}: first repetition"
+            title = f"Gain and phase, first repetition: {master.bench.of[name].title.lower()}"
             drawn[f"{name}_bode.png"] = look.bode_figure(title, curves, limits=True)[0]
     return drawn
 
