@@ -54,7 +54,7 @@ _HERTZ = ("frequency", "start", "stop", "corner")
 
 NONE = "none"  #: Choice of no second law, and of no flight.
 
-_cueing = threading.Lock()
+_cueing = threading.Lock()  #: One flight is made at a time, of all tabs.
 
 CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
 
@@ -236,14 +236,9 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
 
 
 def cueing_controls(desk: Desk) -> Callable[[], bool]:
-    """A flight or drive through a washout as the demand; says whether one is chosen.
-
-    Both can be exchanged as it goes. One is made at a time, of all tabs.
-    """
+    """A flight through a washout as the demand, exchanged as it goes; says whether there is one."""
     gui = desk.client.gui
-    flown = gui.add_dropdown(
-        "flight", (NONE, *names()), hint="what the pilot's aircraft or car does; from its start"
-    )
+    flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; begins anew")
     washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
     said = gui.add_markdown("")
     carried = load_cab(None)
