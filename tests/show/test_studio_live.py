@@ -384,7 +384,9 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
         np.testing.assert_allclose(of[shown].data[1], factor * of[hidden].data[1], rtol=1e-6)
     lines = [line for plot in drawn for line in plot.data]
     assert len(lines) > 20 and np.isfinite(np.concatenate(lines)).all()
-    _, demand, second, response, *_ = next(plot.data for plot in drawn if "[in]" in plot.title)
+    _, demand, second, response, *_ = next(
+        plot.data for plot in drawn if "heave [in]" in plot.title
+    )
     assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
     assert np.array_equal(second, response) == (not beside)
 

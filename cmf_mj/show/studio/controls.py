@@ -238,7 +238,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
 def cueing_controls(desk: Desk) -> Callable[[], bool]:
     """A flight through a washout as the demand, exchanged as it goes; says whether there is one."""
     gui = desk.client.gui
-    flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; begins anew")
+    flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; from its start")
     washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
     said = gui.add_markdown("")
     carried = load_cab(None)

@@ -82,9 +82,11 @@ class Plots:
         mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
         both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
+        # One for each title: a plot whose title changes loses its time axis in the browser.
         self._response = {
-            unit: _add_plot(client, f"platform [{unit}]", both, -least, least)
-            for unit, least in (("in", 0.05), ("mm", 1.0), ("deg", 0.05))
+            f"{dof} [{unit}]": _add_plot(client, f"platform, {dof} [{unit}]", both, -least, least)
+            for dof in DOFS
+            for unit, least in by_kind(dof, (("in", 0.05), ("mm", 1.0)), (("deg", 0.05),))
         }
         self._force = _add_plot(client, "leg forces [kN]", legs, 20.0, 40.0)
         self._valve = _add_plot(client, "valve commands [%]", legs, -2.0, 2.0)
@@ -114,6 +116,7 @@ class Plots:
         if not dof:
             dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
+        shown = f"{dof} [{unit}]"
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:
             """A signal, column by column."""
@@ -127,14 +130,13 @@ class Plots:
         poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
         responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
         for plots, drawn in (
-            (self._response, unit),
+            (self._response, shown),
             (self._pressure, pressure),
             (self._supply, pressure),
         ):
             for name, plot in plots.items():
                 plot.visible = name == drawn
-        self._response[unit].title = f"platform, {dof} [{unit}]"
-        self._response[unit].data = (time, of("demand", unit)[index], *responses, *marked)
+        self._response[shown].data = (time, of("demand", unit)[index], *responses, *marked)
         self._force.data = (time, *of("force", "kN"), *marked)
         self._valve.data = (time, *of("valve_command", "%"), *marked)
         pressures = of("cap_pressure", pressure)[leg], of("rod_pressure", pressure)[leg]
