@@ -65,12 +65,14 @@ HERTZ = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
 HELD = 8  # frames that a force is held
 
 
-def pushed(law: str | Law, axis: int, force: NDArray[np.float64]) -> NDArray[np.float64]:
+def pushed(
+    law: str | Law, axis: int, force: NDArray[np.float64], plant: Hexapod = PLANT
+) -> NDArray[np.float64]:
     """Motion (N,) along an axis in the simulation, of a wrench (N,) about the centroid."""
-    run = Run(plant=PLANT, law=law, source=from_table(np.zeros((1, 6))), record_every=HELD)
+    run = Run(plant=plant, law=law, source=from_table(np.zeros((1, 6))), record_every=HELD)
     session = run.but(duration=force.size * HELD / 2048).session()
-    body = PLANT.model.body("platform").id
-    data, wrench = PLANT.data, np.zeros(6)
+    body = plant.model.body("platform").id
+    data, wrench = plant.data, np.zeros(6)
     for now in force:
         wrench[axis] = now * FLIP[axis % 3]
         arm = data.xpos[body] - data.xipos[body]
@@ -80,22 +82,37 @@ def pushed(law: str | Law, axis: int, force: NDArray[np.float64]) -> NDArray[np.
     return session.history()[1]["platform_pose"][:, axis]
 
 
-@pytest.mark.parametrize("axis", [0, 3, 4])
-@pytest.mark.parametrize("law", ["velocity", "modal_plan"])
+@pytest.mark.parametrize(
+    ("cab", "law", "axis", "off"),
+    [
+        *(("ifd", law, axis, 0.03) for law in ("velocity", "modal_plan") for axis in (0, 3, 4)),
+        ("gfd", "velocity", 0, 0.05),
+        ("gfd", "velocity", 2, 0.10),
+        ("gfd", "velocity", 4, 0.05),
+        ("gfd", "modal_plan", 2, 0.10),
+    ],
+)
 def test_a_force_on_the_simulated_cab_moves_it_as_the_linear_compliance_says(
-    law: str, axis: int
+    cab: str, law: str, axis: int, off: float
 ) -> None:
-    """Six sines at once, 0.5 to 5 Hz, of 100 N or N m each, that move it by micrometres: 3 %."""
+    """Six sines at once, 0.5 to 5 Hz, of 100 N or N m each, that move it by micrometres.
+
+    Within 5 % on the cab that is farthest off, the GFD, 10 % in heave; measuring.md says so.
+    """
+    plant, linearised = PLANT, LINEAR
+    if cab != "ifd":
+        plant = Hexapod(cab, load_hydraulics("hardware"))
+        linearised = Linear(plant)
     time, last = (np.arange(8 * RATE // HELD) + 0.5) * HELD * FRAME, 2 * RATE // HELD
     phases = np.pi * np.arange(HERTZ.size) ** 2 / HERTZ.size
     waves = np.exp(1j * (2.0 * np.pi * time[:, None] * HERTZ + phases))
-    moved = pushed(law, axis, 100.0 * waves.imag.sum(axis=1))[-last:]
+    moved = pushed(law, axis, 100.0 * waves.imag.sum(axis=1), plant)[-last:]
     found = 2.0 * (moved - moved.mean()) @ waves[-last:].conj() / last
     found *= np.exp(1j * np.pi * HERTZ * HELD * FRAME)  # rows stand at the start of what is held
-    back = np.linalg.inv(LINEAR.jacobian)
-    linear = (back @ LINEAR.compliance(law, HERTZ) @ back.T)[:, axis, axis]
+    back = np.linalg.inv(linearised.jacobian)
+    linear = (back @ linearised.compliance(law, HERTZ) @ back.T)[:, axis, axis]
     expected = -1j * 100.0 * linear * np.sinc(HERTZ * HELD * FRAME)
-    np.testing.assert_allclose(found, expected, rtol=0.03)
+    np.testing.assert_allclose(found, expected, rtol=off)
 
 
 def test_a_force_that_stays_moves_the_simulated_cab_by_the_stiffness_at_rest() -> None:
