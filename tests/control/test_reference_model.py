@@ -198,6 +198,18 @@ def test_the_factor_finds_the_speed_of_the_leg(share: float) -> None:
     assert far[ADAPTIVE.name] < 0.2 * far[FIXED.name]
 
 
+@pytest.mark.parametrize(("hertz", "least", "most"), [(2.0, 0.0, 0.02), (3.0, 0.10, 0.16)])
+def test_sustained_surge_above_2_hz_biases_the_factor(
+    hertz: float, least: float, most: float
+) -> None:
+    """The legs are as fast as the law takes them to be; laws.md says where that is no longer found.
+
+    0.33 in for 20 s."""
+    command = signals.sine("surge", 0.33 * INCH, hertz, cycles=20.0 * hertz)
+    factor = replay(simulate(Hexapod(), ADAPTIVE, command), ADAPTIVE).factor[-1]
+    assert least <= np.abs(factor - 1.0).max() <= most
+
+
 def test_nothing_drifts_at_rest_and_the_leak_forgets() -> None:
     """Noise on every sensor and a demand at rest: d is 0 to the bit, and one of 0.3 fades as
     exp(-leak t)."""

@@ -255,8 +255,11 @@ def test_the_supply_sags_as_much_as_the_pumps_swing_back(plant, cycle):
 def test_oil_and_energy_are_accounted_for(plant, cycle):
     balance = power_balance(plant, cycle)
     assert balance.oil == pytest.approx(balance.oil[0], rel=1e-9)
-    assert np.abs(balance.residual).max() < 1e-3 * balance.delivered[-1]
-    assert balance.delivered[-1] > 1e6
+    # Near its stop, from 7 s on, the bucket's piston works on a volume that stays.
+    given, open_by = balance.delivered[-1], np.abs(balance.residual)
+    assert given > 1e6
+    assert open_by[cycle.time <= 7.0].max() < 2e-8 * given
+    assert open_by.max() < 5e-5 * given
     # What reaches the rods lifts the machine; at rest between two strokes nothing is in its motion.
     friction = cycle["energy"][:, ENERGIES.index("friction")]
     for time in (6.0, 10.5, 14.5):
