@@ -21,7 +21,7 @@ LINES = {
     "fly": "fly gusts --no-delay --out {out}",
     "learn": "learn gusts --trials 1 --out {out}",
     "flight": "flight gusts --file {out}/x.csv",
-    "cue": "cue {motion} --share 0.8 --out {out}",
+    "cue": "cue {motion} --out {out}",
     "omct": "omct --laws none --quick --dofs heave --out {out}",
     "study": "study ablation --laws velocity --dofs heave --quick --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",

@@ -217,9 +217,6 @@ def cue_command(
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
-    share: Annotated[float | None, Option(help="of the machine's limits to use: tune")] = None,
-    dofs: options.Dofs = options.ALL,
-    largest_gain: Annotated[float, Option(help="no tuned gain goes above it")] = 1.0,
     rate: Rate = 80.0,
     limits: LimitsFile = None,
     senses: Annotated[Path | None, file(help="TOML changes to canals, otoliths")] = None,
@@ -228,43 +225,33 @@ def cue_command(
     seed: options.Seed = 5,
     out: options.Out = Path("out/cue"),
 ) -> None:
-    """Turn a flight into host frames and what the pilot senses; first find gains for --share.
+    """Turn a flight into host frames and what the pilot senses.
 
     With `tune` for a flight: tune the washout, of any family, on the drives and flights of
     `cmf_mj.pilot.judgement.TUNED`.
     """
     from cmf_mj.machine.motion_limits import load_motion_limits
-    from cmf_mj.pilot.cueing import cue, tune
+    from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.washout_settings import load_washout, save_washout
     from cmf_mj.show import cueing as report
 
-    settings, bounds = (
-        load_washout(washout),
-        load_motion_limits(limits, cmf_mj.load_cab(cab).machine),
-    )
-    how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
-    thresholds, paths = None if senses is None else str(senses), []
+    settings = load_washout(washout)
+    bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
+    how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate, "senses": senses}
     if flight == "tune":
         from cmf_mj.pilot.judgement import search
 
         how |= {"evaluations": evaluations, "workspace": workspace, "seed": seed}
         with progress_bar(f"tuning {settings.name}") as update:
-            found = search(settings, progress=update, senses=thresholds, **how)
+            found = search(settings, progress=update, **how)
         show(
             f"cost {found.cost:.4g} in place of {found.start:.4g} after {found.tried} settings",
             written([save_washout(found.settings, out / "washout.toml")]),
         )
         return
-    motion = load_flight(flight).motion
-    if share is not None:
-        aim: dict[str, Any] = {"dofs": tuple(dofs), "share": share, "largest_gain": largest_gain}
-        tuned = tune(motion, settings, **aim, **how)
-        show(report.tuned_table(tuned, settings.gains))
-        settings = tuned.settings
-        paths.append(save_washout(settings, out / "washout.toml"))
-    flown = cue(motion, settings, senses=thresholds, **how)
-    paths += report.save_cue(flown, out)
+    flown = cue(load_flight(flight).motion, settings, **how)
+    paths = report.save_cue(flown, out)
     excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
     plans = [] if flown.plans is None else [flown.plans]
     show(report.error_table(flown), excursion, *plans, written(paths))

@@ -1,4 +1,4 @@
-"""A flight in the simulator: washout, limits of the machine, what is sensed; and gains for it.
+"""A flight in the simulator: washout, limits of the machine, what is sensed.
 
 `excursion` compares the peaks of pose and legs, their velocities and accelerations, with the limits
 of `motion_limits`. `within_limits` lets the DCL's rate limiters, at the host's rate, hold a
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
-from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
@@ -27,15 +26,13 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.pilot.washout import Washout
-from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
+from cmf_mj.pilot.washout_settings import WashoutSettings
 
 LIMITS = (
     *("displacement", "velocity", "acceleration"),
     *("leg_displacement", "leg_velocity", "leg_acceleration"),
 )
 """What a motion may use up: of the degrees of freedom, and of the legs."""
-
-_HALVINGS = 20  #: Bisections for the factor on the gains, which resolve it to 1e-6.
 
 
 class Excursion(NamedTuple):
@@ -123,17 +120,6 @@ class Cue(NamedTuple):
     plans: str | None  #: See `Washout.plans`.
 
 
-def _algorithm(
-    washout: str | WashoutSettings,
-    cab: Cab,
-    rate: float,
-    limits: MotionLimits | None,
-    lead: float = 0.0,
-) -> Washout:
-    how = {"station": cab.station, "rate": rate, "machine": cab.machine, "limits": limits}
-    return Washout(washout, **how, lead=lead)  # type: ignore[arg-type]
-
-
 def cue(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
@@ -150,7 +136,8 @@ def cue(
     delay `lead` [s] that a predictive one makes up for.
     """
     carried = load_cab(cab)
-    algorithm = _algorithm(washout, carried, rate, limits, lead)
+    at = {"station": carried.station, "machine": carried.machine, "limits": limits}
+    algorithm = Washout(washout, rate=rate, lead=lead, **at)  # type: ignore[arg-type]
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
     stream, limited = within_limits(demanded, limits, carried.machine)
@@ -166,64 +153,3 @@ def cue(
         carried.machine,
         algorithm.plans,
     )
-
-
-class Tuned(NamedTuple):
-    """Gains that just use the envelope."""
-
-    settings: WashoutSettings
-    factor: float  #: On the gains that were tuned.
-    excursion: Excursion  #: Of the flight with them.
-    binding: str  #: What limits the gains: a limit of the machine, or the largest gain allowed.
-
-
-def tune(
-    motion: PilotMotion,
-    washout: str | WashoutSettings = "simona",
-    *,
-    cab: str | Path | Cab | None = None,
-    dofs: tuple[str, ...] = DOFS,
-    share: float = 1.0,
-    largest_gain: float = 1.0,
-    limits: MotionLimits | None = None,
-    rate: float = MOST_RATE,
-) -> Tuned:
-    """Scale gains by one factor so that a flight just uses its share of the machine's limits.
-
-    Bisection on the largest share of any limit, which mostly grows with the gains; where it does
-    not, the result is a factor at which it crosses, not always the largest. Only the gains of
-    `dofs` are scaled, and none of them above `largest_gain`. Refuses what cannot reach the share.
-    """
-    for name, value in (("share", share), ("largest_gain", largest_gain)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name}: {value} must be greater than 0")
-    settings = load_washout(washout)
-    for dof in dofs:
-        check_name("dofs", dof, DOFS)
-    scaled = np.array([dof in dofs for dof in DOFS])
-    if not (settings.gains[scaled] > 0.0).any():
-        raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
-    carried = load_cab(cab)
-
-    def tried(factor: float) -> Tuned:
-        changed = settings.with_gains(np.where(scaled, factor, 1.0) * settings.gains)
-        demanded = _algorithm(changed, carried, rate, limits).run(motion)
-        use = excursion(demanded, limits, carried.machine)
-        return Tuned(changed, factor, use, use.binding)
-
-    top = tried(largest_gain / float(settings.gains[scaled].max()))
-    if top.excursion.largest <= share:
-        return top._replace(binding="largest gain")
-    high, best = top.factor, tried(0.0)
-    if best.excursion.largest > share:
-        raise InputError(
-            f"dofs: the gains left alone use {best.excursion.largest:.3g} of {best.binding}; "
-            f"allowed: {share}"
-        )
-    for _ in range(_HALVINGS):
-        middle = tried(0.5 * (best.factor + high))
-        if middle.excursion.largest <= share:
-            best = middle
-        else:
-            high = middle.factor
-    return best

@@ -14,7 +14,7 @@ from cmf_mj.core.units import DEGREE, INCH, STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion, Tuned
+from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError
@@ -129,16 +129,6 @@ def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
     caption = f"frames held back: {changed_frames}" if changed_frames else "no frame held back"
     columns = ("limit", ("largest", ".1f %"), ("where", ""), ("at [s]", ".2f"))
     return Table("use of the machine", columns, rows, caption)
-
-
-def tuned_table(tuned: Tuned, before: NDArray[np.float64]) -> Table:
-    """Gains before and after."""
-    return Table(
-        f"gains of {tuned.settings.name}",
-        ("gain of", ("before", ".3f"), ("after", ".3f")),
-        list(zip(DOFS, before, tuned.settings.gains, strict=True)),
-        f"factor {tuned.factor:.4f}; bound by {tuned.binding}",
-    )
 
 
 def motion_figure(flown: Cue) -> Figure:

@@ -97,7 +97,7 @@ FILES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     ),
     "stream.csv": (read_stream, ("operate {file}", "host {file} --to 127.0.0.1:9")),
     "flight.csv": (load_flight, ("fly {file}", "learn {file}")),
-    "motion.csv": (load_flight, ("cue {file}", "cue {file} --share 1")),
+    "motion.csv": (load_flight, ("cue {file}",)),
 }
 
 

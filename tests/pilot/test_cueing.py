@@ -1,4 +1,4 @@
-"""Washout parameters, the machine's envelope, tuning and the command line."""
+"""Washout parameters, the machine's envelope and the command line."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing import cue, excursion, tune, within_limits
+from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout, save_washout
@@ -81,32 +81,6 @@ def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
     )
 
 
-def test_tuning_just_uses_the_machine_and_no_more():
-    tuned = tune(PUSH)
-    assert 1.0 - 1e-4 < tuned.excursion.largest <= 1.0
-    assert "displacement" in tuned.binding
-    np.testing.assert_allclose(tuned.settings.gains, tuned.factor * load_washout().gains)
-    assert not cue(PUSH, tuned.settings).limited.any()
-    half = tune(PUSH, share=0.5, dofs=("surge",))
-    assert half.excursion.largest <= 0.5
-    np.testing.assert_array_equal(half.settings.gains[1:], load_washout().gains[1:])
-
-
-def test_tuning_of_a_small_motion_ends_at_the_largest_gain():
-    tuned = tune(pushed(0, sustained(0.2, seconds=20.0)))
-    assert tuned.binding == "largest gain"
-    assert tuned.settings.gains.max() == pytest.approx(1.0)
-
-
-def test_tuning_refuses_what_it_cannot_do():
-    with pytest.raises(ValueError, match="share: 0"):
-        tune(PUSH, share=0.0)
-    with pytest.raises(ValueError, match="dofs: 'up'"):
-        tune(PUSH, dofs=("up",))
-    with pytest.raises(ValueError, match="gains left alone use"):
-        tune(PUSH, dofs=("yaw",))
-
-
 def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):
     path = pushed(0, sustained(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
     header, _, rows = path.read_text().partition("\n")
@@ -116,7 +90,7 @@ def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):
     np.testing.assert_array_equal(one, other)
 
 
-def test_cue_writes_its_files_and_tunes_first(tmp_path):
+def test_cue_writes_its_files(tmp_path):
     flight = PUSH.save(tmp_path / "flight.csv")
     said = cmf("cue", flight, "--out", tmp_path / "run")
     assert "held back" in said and "threshold" in said
@@ -124,8 +98,3 @@ def test_cue_writes_its_files_and_tunes_first(tmp_path):
     np.testing.assert_allclose(stream.pose, cue(PUSH).stream.pose, atol=1e-12)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"host.csv", "simulator.csv", "error.csv", "motion.png", "senses.png"}
-    cmf("cue", flight, "--share", "0.8", "--out", tmp_path / "tune")
-    flown = cue(PUSH, load_washout(tmp_path / "tune" / "washout.toml"))
-    assert 0.79 < flown.excursion.largest <= 0.8
-    stream = read_stream(tmp_path / "tune" / "host.csv")
-    np.testing.assert_allclose(stream.pose, flown.stream.pose, atol=1e-12)
