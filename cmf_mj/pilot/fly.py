@@ -2,10 +2,9 @@
 
     aircraft -> washout -> frames within the limits -> DCU -> DCL -> valves -> cab -> pilot
 
-`fly` takes a host in aircraft mode through all of it, or one in direct mode through what comes
-after the washout, and compares three motions at the pilot's station, all at the host's times: that
-of the aircraft, that which the host's frames ask of the platform, and the true one of the cab. The
-first two differ by the washout, the last two by delay, law and machine.
+`fly` compares three motions at the pilot's station, all at the host's times: that of the aircraft,
+that which the host's frames ask of the platform, and the true one of the cab. The first two differ
+by the washout, the last two by delay, law and machine.
 
 `transport_delay` says where the time from host to pilot goes, at one frequency. A slow sine in one
 degree of freedom runs through the whole facility. With c the complex amplitude of a signal at w, a
@@ -42,9 +41,9 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing import cue, within_limits
+from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, pilot_station
-from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
+from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
@@ -78,13 +77,13 @@ class FlightResult(NamedTuple):
 
     law: str
     cab: str
-    aircraft: PilotMotion | None  #: At the pilot's station of the aircraft; None in direct mode.
+    aircraft: PilotMotion  #: At the pilot's station of the aircraft.
     stream: HostStream  #: What the host sends to the DCU.
     limited: NDArray[np.bool_]  #: Frames that the limits held back before they were sent, (N,).
     asked: PilotMotion
     """At the pilot's station of the cab, if the machine followed the frames at once."""
     simulator: PilotMotion  #: At the pilot's station of the cab, in truth.
-    cueing: CueingError | None  #: Sensed in the aircraft less sensed in the cab.
+    cueing: CueingError  #: Sensed in the aircraft less sensed in the cab.
     machine: CueingError  #: Sensed if the machine followed at once less sensed in the cab.
     use: EnvelopeUse  #: Of the envelope.
     host_delay: float
@@ -94,9 +93,9 @@ class FlightResult(NamedTuple):
     plans: str | None = None  #: See `Washout.plans`.
 
     @property
-    def washout_error(self) -> CueingError | None:
-        """Perceived error of a machine that follows the frames at once; None in direct mode."""
-        return None if self.aircraft is None else cueing_error(self.aircraft, self.asked)
+    def washout_error(self) -> CueingError:
+        """Perceived error of a machine that follows the frames at once."""
+        return cueing_error(self.aircraft, self.asked)
 
     @property
     def fault(self) -> str | None:
@@ -106,19 +105,17 @@ class FlightResult(NamedTuple):
 
 
 def fly(
-    host: PilotMotion | HostStream,
+    motion: PilotMotion,
     law: str | Path | Law = "velocity",
     *,
     cab: str | Path | Cab | None = None,
     washout: str | WashoutSettings = "simona",
     hydraulics: str | HydraulicParameters | None = None,
-    senses: Senses | str | None = None,
     **options: Any,
 ) -> FlightResult:
-    """Fly a motion at a pilot's station, or in direct mode platform frames, through the facility.
+    """Fly a motion at a pilot's station through the facility.
 
-    Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `options`
-    are those of `operate`. Refuses more than 80 platform frames a second.
+    Law, washout and hydraulics are names, TOML files or loaded; `options` are those of `operate`.
 
     >>> from cmf_mj.pilot.flight import load_flight
     >>> from cmf_mj.pilot.fly import fly
@@ -126,24 +123,13 @@ def fly(
     True
     """
     carried = load_cab(cab)
-    machine = carried.machine
-    limits = load_motion_limits(options.get("limits"), machine)
-    aircraft, plans, plant = None, None, Hexapod(carried, hydraulics)
-    if isinstance(host, PilotMotion):
-        lead = law_delay(plant, law, washout)
-        cued = cue(host, washout, cab=carried, limits=limits, senses=senses, lead=lead)
-        aircraft, stream, limited, plans = cued.aircraft, cued.stream, cued.limited, cued.plans
-    else:
-        step = np.diff(host.time)
-        if step.size and 1.0 / step.mean() > MOST_RATE * (1.0 + 1e-6):
-            rate = 1.0 / step.mean()
-            raise InputError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")
-        if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
-            host = resample(host, MOST_RATE)
-        stream, limited = within_limits(host, limits, machine)
-    operation = operate(plant, law, stream, record_every=RECORD_EVERY, **options)
-    ride = flight_result(plant, aircraft, stream, operation, limits, limited, senses)
-    return ride._replace(plans=plans)
+    limits = load_motion_limits(options.get("limits"), carried.machine)
+    plant = Hexapod(carried, hydraulics)
+    lead = law_delay(plant, law, washout)
+    cued = cue(motion, washout, cab=carried, limits=limits, lead=lead)
+    operation = operate(plant, law, cued.stream, record_every=RECORD_EVERY, **options)
+    ride = flight_result(plant, cued.aircraft, cued.stream, operation, limits)
+    return ride._replace(limited=cued.limited, plans=cued.plans)
 
 
 def law_delay(plant: Hexapod, law: str | Path | Law, washout: str | WashoutSettings) -> float:
@@ -160,14 +146,12 @@ def law_delay(plant: Hexapod, law: str | Path | Law, washout: str | WashoutSetti
 
 def flight_result(
     plant: Hexapod,
-    aircraft: PilotMotion | None,
+    aircraft: PilotMotion,
     stream: HostStream,
     operation: Operation,
     limits: MotionLimits,
-    limited: NDArray[np.bool_] | None = None,
-    senses: Senses | str | None = None,
 ) -> FlightResult:
-    """What an operation on some frames, of an aircraft or in direct mode, was to the pilot."""
+    """What an operation on the frames of an aircraft was to the pilot, none of them held back."""
     asked = PilotMotion.from_platform(stream, pilot_station(plant.cab_parameters))
     record = operation.record
     simulator = crew_motion(record, asked.time)
@@ -177,11 +161,11 @@ def flight_result(
         plant.cab,
         aircraft,
         stream,
-        np.zeros(stream.time.size, dtype=bool) if limited is None else limited,
+        np.zeros(stream.time.size, dtype=bool),
         asked,
         simulator,
-        None if aircraft is None else cueing_error(aircraft, simulator, senses),
-        cueing_error(asked, simulator, senses),
+        cueing_error(aircraft, simulator),
+        cueing_error(asked, simulator),
         envelope_use(record, limits),
         *_delays(legs, record),
         operation,

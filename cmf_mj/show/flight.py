@@ -1,6 +1,6 @@
 """Tables, figures and files of flights in the cab, and of manoeuvres that were learnt."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
+from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.cueing import (
@@ -37,14 +37,9 @@ _MOTIONS = {
 """Motions at the pilot's station, and how they are drawn."""
 
 
-def ride_motions(ride: FlightResult) -> dict[str, PilotMotion]:
-    """Those of a ride; in direct mode it has no aircraft."""
-    return {name: getattr(ride, name) for name in _MOTIONS if getattr(ride, name) is not None}
-
-
-def flight_traces(motions: Mapping[str, PilotMotion]) -> Panels:
-    """Specific force and angular rate at the pilot's station as traces of a film."""
-    return motion_panels(*_drawn(motions))
+def drawn(ride: FlightResult) -> list[DrawnMotion]:
+    """Those of a ride."""
+    return [DrawnMotion(getattr(ride, name), *style) for name, style in _MOTIONS.items()]
 
 
 def saved_traces(records: Sequence[Path]) -> list[Panels]:
@@ -53,13 +48,13 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
     Of the axes along which a motion changes by more than 0.01 m/s^2 or 0.01 deg/s.
     """
     files = [{name: path.with_name(f"{name}.parquet") for name in _MOTIONS} for path in records]
-    if not all(beside["simulator"].exists() for beside in files):
+    if not all(path.exists() for beside in files for path in beside.values()):
         return []
     flights = [
-        {name: load_flight(path).motion for name, path in beside.items() if path.exists()}
+        [DrawnMotion(load_flight(path).motion, *_MOTIONS[name]) for name, path in beside.items()]
         for beside in files
     ]
-    every = list(zip(*map(flight_traces, flights), strict=True))
+    every = list(zip(*(motion_panels(*motions) for motions in flights), strict=True))
     moved = [
         any(np.ptp(curve.y) > 0.01 for panel in panels for curve in panel.curves)
         for panels in every
@@ -67,23 +62,16 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
     return [tuple(compress(panels, moved)) for panels in zip(*every, strict=True)]
 
 
-def _drawn(motions: Mapping[str, PilotMotion]) -> list[DrawnMotion]:
-    return [DrawnMotion(motion, *_MOTIONS[name]) for name, motion in motions.items()]
-
-
 def flight_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
-    figure, _ = motion_axes(*_drawn(ride_motions(ride)))
+    figure, _ = motion_axes(*drawn(ride))
     figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
 
 def sensed_figure(ride: FlightResult) -> Figure:
     """What is sensed in aircraft and cab, and the error within its threshold."""
-    error, reference = ride.machine, "if followed at once"
-    if ride.cueing is not None:
-        error, reference = ride.cueing, "sensed in the aircraft"
-    figure = perceived_figure(error, reference, "sensed in the cab")
+    figure = perceived_figure(ride.cueing, "sensed in the aircraft", "sensed in the cab")
     figure.suptitle(f"Motion sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
     return figure
 
@@ -93,11 +81,9 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
     figure, first = look.new_figure(12.0, 10.5), rides[0]
     axes = figure.subplot_mosaic([[*"aabbcc"], [*"ddeeff"], [*"ggghhh"]])
     *panels, machine, flight = axes.values()
-    curves: list[tuple[PilotMotion, PilotMotion, str, str, float]] = []
-    if first.aircraft is not None:
-        curves.append((first.aircraft, first.asked, "washout: aircraft less asked", look.GREY, 2.5))
-    for ride, colour in zip(rides, look.COLOURS, strict=False):
-        curves.append((ride.asked, ride.simulator, ride.law, colour, 1.2))
+    coloured = list(zip(rides, look.COLOURS, strict=False))
+    curves = [(first.aircraft, first.asked, "washout: aircraft less asked", look.GREY, 2.5)]
+    curves += [(r.asked, r.simulator, r.law, colour, 1.2) for r, colour in coloured]
     for reference, motion, label, colour, width in curves:
         frequency, density = error_spectra(reference, motion)
         for axis, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
@@ -109,11 +95,9 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
         axis.set(
             xlim=(frequency[1], 30.0), yscale="log", xlabel="frequency [Hz]" if index > 2 else ""
         )
-    colours = list(zip(rides, look.COLOURS, strict=False))
-    _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in colours])
-    bars = [(r.law, c, r.cueing) for r, c in colours if r.cueing is not None]
-    if first.washout_error is not None:
-        bars.insert(0, ("machine that follows at once", look.GREY, first.washout_error))
+    _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in coloured])
+    bars = [("machine that follows at once", look.GREY, first.washout_error)]
+    bars += [(r.law, colour, r.cueing) for r, colour in coloured]
     _bars(flight, "of the flight: aircraft less cab", bars)
     look.legend(figure)
     title = "error spectra (asked of the platform less cab)"
@@ -130,9 +114,8 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
     axes.set_xticks(range(6), NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}")
-    if bars:
-        least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
-        axes.set_ylim(bottom=0.5 * max(least, 1e-4))
+    least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
+    axes.set_ylim(bottom=0.5 * max(least, 1e-4))
 
 
 def flight_table(rides: Sequence[FlightResult]) -> Table:
@@ -143,15 +126,11 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
 
-    def rms(error: CueingError | None) -> list[Cell]:
-        if error is None:
-            return [None] * 6
+    def rms(error: CueingError) -> list[Cell]:
         return list(error.rms / SCALE * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0]))
 
-    rows: list[list[Cell]] = []
-    ideal = rides[0].washout_error
-    if ideal is not None:
-        rows.append(["machine that follows at once", *["0"] * 6, *rms(ideal)[:2], "0", None, None])
+    ideal = rms(rides[0].washout_error)[:2]
+    rows = [["machine that follows at once", *["0"] * 6, *ideal, "0", None, None]]
     for ride in rides:
         row = [ride.law, *rms(ride.machine), *rms(ride.cueing)[:2], 1e3 * ride.loop_delay]
         rows.append([*row, 100 * ride.use.leg_position, ride.fault or "none"])
@@ -175,7 +154,7 @@ def delay_table(delay: TransportDelay) -> Table:
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
-    motions = {f"{name}.parquet": motion.save for name, motion in ride_motions(ride).items()}
+    motions = {f"{name}.parquet": getattr(ride, name).save for name in _MOTIONS}
     figures = {"motion.png": flight_figure(ride), "perceived.png": sensed_figure(ride)}
     return look.save_files(motions | figures, folder)
 

@@ -308,7 +308,7 @@ def test_live_telemetry_drives_the_cab_and_bad_telemetry_does_not() -> None:
     ended = sending([xplane((0.0, G, pull)) for pull in pulled], port)
     try:
         ride = flown(port)
-        assert ride.fault is None and ride.aircraft is not None
+        assert ride.fault is None
         assert ride.stream.time.size > 100
         assert ride.operation.counts["accepted"] > 0
     finally:
