@@ -10,9 +10,9 @@ point at the lever arm r from another has
     a_p = a_cg + dw/dt x r + w x (w x r),    and since g is the same at both,
     f_p = f_cg + dw/dt x r + w x (w x r)
 
-so that specific force and acceleration may be moved alike but never mixed. `PilotMotion` holds the
-specific force at the pilot's station; its constructors take the centre of gravity of an aircraft,
-the platform of the simulator or a record of a run.
+so that specific force and acceleration may be moved alike (`at_lever_arm`) but never mixed.
+`PilotMotion` holds the specific force at the pilot's station, also that of a simulator's platform
+or of a record of a run.
 """
 
 from dataclasses import dataclass
@@ -94,35 +94,6 @@ class PilotMotion:
         time = self.time[0] + np.arange(int(np.floor(span * rate + 1e-9)) + 1) / rate
         channels = (getattr(self, name) for name in COLUMNS)
         return PilotMotion(time, *(interpolated(time, self.time, values) for values in channels))
-
-    @staticmethod
-    def from_centre_of_gravity(
-        time: ArrayLike,
-        *,
-        angular_rate: ArrayLike,
-        angular_acceleration: ArrayLike,
-        attitude: ArrayLike,
-        lever_arm: ArrayLike,
-        specific_force: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
-    ) -> "PilotMotion":
-        """The motion at a station of a rigid aircraft, from that of its centre of gravity.
-
-        All in SI and body axes, (N, 3); the lever arm from the centre of gravity to the station is
-        (3,). Takes either the specific force or the acceleration against inertial space.
-        """
-        if (specific_force is None) == (acceleration is None):
-            raise InputError("specific_force, acceleration: give exactly one of them")
-        count = np.size(time)
-        turned = _rows("attitude", attitude, count)
-        if specific_force is not None:
-            force = _rows("specific_force", specific_force, count)
-        else:
-            force = _rows("acceleration", acceleration, count) - gravity_in_body(turned)
-        rates = _rows("angular_rate", angular_rate, count)
-        changes = _rows("angular_acceleration", angular_acceleration, count)
-        moved = force + at_lever_arm(rates, changes, lever_arm)
-        return PilotMotion(np.asarray(time, dtype=float), moved, rates, turned)
 
     @staticmethod
     def from_platform(stream: HostStream, station: ArrayLike) -> "PilotMotion":

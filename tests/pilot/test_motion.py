@@ -9,6 +9,7 @@ from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.motion import (
     PilotMotion,
+    at_lever_arm,
     body_rates,
     gravity_in_body,
     pilot_station,
@@ -19,48 +20,18 @@ G = 9.80665
 LEVEL = np.zeros((1, 3))
 
 
-def still(count: int = 1) -> dict[str, np.ndarray]:
-    zero = np.zeros((count, 3))
-    return {
-        "time": np.arange(float(count)),
-        "angular_rate": zero,
-        "angular_acceleration": zero,
-        "attitude": zero,
-    }
-
-
 def test_level_rest_reads_one_g_upwards_and_free_fall_nothing():
-    arm = (7.0, 0.5, -1.0)
-    rest = PilotMotion.from_centre_of_gravity(**still(), lever_arm=arm, acceleration=LEVEL)
+    rest = PilotMotion(np.zeros(1), LEVEL - gravity_in_body(LEVEL), LEVEL, LEVEL)
     np.testing.assert_array_equal(rest.specific_force, [[0.0, 0.0, -G]])
-    fall = PilotMotion.from_centre_of_gravity(
-        **still(), lever_arm=arm, acceleration=LEVEL + [0.0, 0.0, G]
-    )
-    np.testing.assert_array_equal(fall.specific_force, LEVEL)
+    np.testing.assert_array_equal(rest.acceleration, LEVEL)
+    fall = PilotMotion(np.zeros(1), LEVEL, LEVEL, LEVEL)
     np.testing.assert_array_equal(fall.acceleration, [[0.0, 0.0, G]])
 
 
-def test_taking_one_for_the_other_is_off_by_gravity_to_the_bit():
-    """The classic error: the same numbers as acceleration and as specific force."""
-    values = np.array([[1.0, -0.5, -9.0]])
-    as_force, as_acceleration = (
-        PilotMotion.from_centre_of_gravity(**still(), lever_arm=np.zeros(3), **{name: values})
-        for name in ("specific_force", "acceleration")
-    )
-    np.testing.assert_array_equal(as_force.specific_force, values)
-    difference = as_acceleration.specific_force - as_force.specific_force
-    np.testing.assert_allclose(difference, [[0.0, 0.0, -G]], rtol=1e-15)
-    np.testing.assert_allclose(as_acceleration.acceleration, values, rtol=1e-15)
-
-
 def test_pitched_on_the_ground_it_feels_a_push_in_the_back():
-    attitude = np.array([[0.0, np.radians(10.0), 0.3]])
-    arguments = still() | {"attitude": attitude}
-    rest = PilotMotion.from_centre_of_gravity(
-        **arguments, lever_arm=np.zeros(3), acceleration=LEVEL
-    )
+    pitched = gravity_in_body(np.array([[0.0, np.radians(10.0), 0.3]]))
     expected = [[G * np.sin(np.radians(10.0)), 0.0, -G * np.cos(np.radians(10.0))]]
-    np.testing.assert_allclose(rest.specific_force, expected, rtol=1e-15)
+    np.testing.assert_allclose(-pitched, expected, rtol=1e-15)
     banked = gravity_in_body(np.array([np.radians(30.0), 0.0, 1.0]))
     np.testing.assert_allclose(banked, rotation(np.radians(30.0), 0.0, 1.0).T @ [0.0, 0.0, G])
 
@@ -68,31 +39,20 @@ def test_pitched_on_the_ground_it_feels_a_push_in_the_back():
 def test_pilot_ahead_of_the_centre_of_gravity():
     """Pitch acceleration lifts the nose, -q' x; a steady pitch rate pulls inwards, -q^2 x. The
     error of taking the centre of gravity for the pilot is the whole of it."""
-    arm = np.array([20.0, 0.0, -3.0])
-    arguments = still() | {
-        "angular_rate": np.array([[0.0, 0.2, 0.0]]),
-        "angular_acceleration": np.array([[0.0, 0.1, 0.0]]),
-    }
-    pilot = PilotMotion.from_centre_of_gravity(
-        **arguments, lever_arm=arm, specific_force=LEVEL - [0.0, 0.0, G]
-    )
-    expected = [[0.1 * -3.0 - 0.04 * 20.0, 0.0, -G - 0.1 * 20.0 + 0.04 * 3.0]]
-    np.testing.assert_allclose(pilot.specific_force, expected, rtol=1e-14)
+    rate, change = np.array([[0.0, 0.2, 0.0]]), np.array([[0.0, 0.1, 0.0]])
+    moved = at_lever_arm(rate, change, np.array([20.0, 0.0, -3.0]))
+    expected = [[0.1 * -3.0 - 0.04 * 20.0, 0.0, -0.1 * 20.0 + 0.04 * 3.0]]
+    np.testing.assert_allclose(moved, expected, rtol=1e-14)
 
 
 def test_coordinated_turn_has_no_side_force():
     """Bank 30 deg at turn rate g tan(bank) / V: f = (0, 0, -g / cos(bank)) in body axes."""
     bank, speed = np.radians(30.0), 120.0
     turn = G * np.tan(bank) / speed
-    attitude = np.array([[bank, 0.0, 0.0]])
-    rates = np.array([[0.0, turn * np.sin(bank), turn * np.cos(bank)]])
     # Inertial acceleration points to the right, speed times turn rate; in body axes:
-    acceleration = (rotation(bank, 0.0, 0.0).T @ [0.0, speed * turn, 0.0])[None]
-    arguments = still() | {"attitude": attitude, "angular_rate": rates}
-    felt = PilotMotion.from_centre_of_gravity(
-        **arguments, lever_arm=np.zeros(3), acceleration=acceleration
-    )
-    np.testing.assert_allclose(felt.specific_force, [[0.0, 0.0, -G / np.cos(bank)]], atol=1e-14)
+    acceleration = rotation(bank, 0.0, 0.0).T @ [0.0, speed * turn, 0.0]
+    felt = acceleration - gravity_in_body(np.array([bank, 0.0, 0.0]))
+    np.testing.assert_allclose(felt, [0.0, 0.0, -G / np.cos(bank)], atol=1e-14)
 
 
 def motion(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -181,10 +141,8 @@ def test_refusals_name_the_field():
         PilotMotion(np.array([0.0, 1.0]), zero, zero, zero[:1])
     with pytest.raises(ValueError, match="specific_force: row 1"):
         PilotMotion(np.array([0.0, 1.0]), zero + [[0.0], [np.nan]], zero, zero)
-    with pytest.raises(ValueError, match="exactly one"):
-        PilotMotion.from_centre_of_gravity(**still(), lever_arm=np.zeros(3))
     with pytest.raises(ValueError, match="lever_arm"):
-        PilotMotion.from_centre_of_gravity(**still(), lever_arm=[1.0], acceleration=LEVEL)
+        at_lever_arm(zero, zero, [1.0])
     uneven = PilotMotion(np.array([0.0, 1.0, 3.0]), *np.zeros((3, 3, 3)))
     with pytest.raises(ValueError, match="intervals"):
         _ = uneven.rate
