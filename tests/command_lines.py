@@ -37,7 +37,7 @@ LINES = {
     "machine show": "machine show cmf --file {out}/x.png",
     "machine build": "machine build cmf --out {out}",
     "export": "export library --out {out}",
-    "video": "video heave_step --seconds 0.5 --file {out}/x.gif",
+    "video": "video heave_step --seconds 0.5 --file {out}/x.mp4",
 }
 """Lines by the words of their commands."""
 

@@ -61,7 +61,7 @@ def run_command(
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
     from cmf_mj.facility.scenario import scenario_names
-    from cmf_mj.show.film import save_run
+    from cmf_mj.show.operation import save_run
 
     if schema:
         print(json.dumps(cmf_mj.Run.model_json_schema(), indent=2))
@@ -74,9 +74,7 @@ def run_command(
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
         record = chosen.record(progress=progress)
-    with progress_bar("drawing") as progress:
-        paths = save_run(record, chosen, folder, progress=progress)
-    show(written(paths))
+    show(written(save_run(record, chosen, folder)))
 
 
 @drawing("compare")
@@ -241,9 +239,7 @@ def video_command(
     ] = None,
     machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
-    file: Annotated[Path, new_file(help="MP4 or GIF file, or HTML page to play")] = Path(
-        "out/video.mp4"
-    ),
+    file: Annotated[Path, new_file(help="MP4 file, or HTML page to play")] = Path("out/video.mp4"),
     fps: options.Fps = 30,
     speed: options.Speed = None,
     camera: options.Camera = "overview",
@@ -255,14 +251,14 @@ def video_command(
     stroke: Stroke = None,
     periods: Periods = 1.0,
 ) -> None:
-    """Show runs side by side, or modes of a cab, as MP4, GIF or an HTML page; needs no display."""
+    """Show runs side by side, or modes of a cab, as MP4 or an HTML page; needs no display."""
     from cmf_mj.show.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 
     given = [name for name in ("fps", "width", "height") if explicit(context, name)]
     if given and file.suffix == ".html":
         text = "a page is as large as its window and draws as fast as its browser"
-        raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4 or .gif")
+        raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4")
     names = sources or ["heave_sine"]
     kept = [Path(name) / "record.parquet" for name in names]  # of folders of runs
     names = [str(path) if path.is_file() else name for name, path in zip(names, kept, strict=True)]
@@ -327,6 +323,7 @@ def studio_command(
     # A picture on its way to a tab that has just been closed is nothing to tell of.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     begun = cmf_mj.load_scenario(scenario) if scenario else first_scenario()
+    print("compiling the loop: up to a minute the first time", flush=True)
     studio = Studio(host, port, _changed(begun, machine=machine, law=law, cab=cab))
     try:
         # A shell that starts it in the background would have it ignore Ctrl-C for good.

@@ -169,8 +169,6 @@ class Run(Arguments):
             check_change(change, self.plant, self.operation is not None)
             named = None if change.law is None else load(change.law)
             law = bound(changed_law(law, change, named), self._bound_to)
-        if self.outputs.video is not None:
-            self.outputs.video.check(self.plant, self.frames, self.record_every)
 
     def table(self) -> dict[str, Any]:
         """The run as a file has it, defaults left out."""

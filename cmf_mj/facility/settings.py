@@ -235,23 +235,6 @@ def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> 
     return load_dcu(machine.dcu if source is None else source, fitting(machine))
 
 
-class VideoChoice(Settings):
-    """A film of the run."""
-
-    file: Annotated[str, _ending(".mp4", ".gif", ".html")] = "video.mp4"  #: Name.
-    camera: str = "overview"  #: Camera of the model.
-    fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Frame rate [1/s].
-    speed: Annotated[float, Field(ge=0.01, le=100.0)] = 1.0
-    """Times real speed; below 1 is slow motion."""
-
-    def check(self, plant: str | Plant, frames: int | None, every: int) -> None:
-        """Refuse a film of one row, or with a camera that there is not."""
-        if frames is not None and frames <= every:
-            allowed = f"allowed for a film: below {frames}"
-            raise InputError(f"record_every: {every} leaves one row; {allowed}")
-        check_name("outputs.video.camera", self.camera, names_of(plant, "camera"))
-
-
 class SessionSettings(NamedTuple):
     """Settings of a run, loaded."""
 
@@ -270,7 +253,6 @@ class Outputs(Settings):
     """All signals, or false."""
     plot: Annotated[str, _ending(".png", ".svg", ".pdf")] | Literal[False] = "overview.png"
     """Figure of demand, response, valves and pressures, or false."""
-    video: VideoChoice | None = None  #: Film.
 
 
 @lru_cache
@@ -278,11 +260,10 @@ def _model(plant: str) -> mujoco.MjModel:
     return make_plant(plant).drawn_model
 
 
-def names_of(plant: str | Plant, kind: Literal["body", "camera"]) -> tuple[str, ...]:
-    """Names of a plant's bodies or cameras."""
+def bodies_of(plant: str | Plant) -> tuple[str, ...]:
+    """Names of a plant's bodies, the world apart."""
     model = _model(plant) if isinstance(plant, str) else plant.drawn_model
-    one, count = (model.body, model.nbody) if kind == "body" else (model.camera, model.ncam)
-    return tuple(one(i).name for i in range(kind == "body", count))
+    return tuple(model.body(i).name for i in range(1, model.nbody))
 
 
 def check_leg(failure: Failure) -> None:
@@ -296,7 +277,7 @@ def check_change(change: Change, plant: str | Plant, hosted: bool) -> None:
     for failure in change.failure:
         check_leg(failure)
     if change.push is not None and change.push.body:
-        check_name("body", change.push.body, names_of(plant, "body"))
+        check_name("body", change.push.body, bodies_of(plant))
     if change.request is not None and not hosted:
         raise InputError(f"change: request {change.request!r} needs [operation]")
 

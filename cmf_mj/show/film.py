@@ -17,22 +17,13 @@ from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
-from cmf_mj.facility.run import Run
-from cmf_mj.facility.scenario import save_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
 from cmf_mj.record.record import Record
 from cmf_mj.show.linearization import mode_table, title_of
-from cmf_mj.show.look import save_figure
-from cmf_mj.show.operation import overview_figure
 from cmf_mj.show.player.writer import write_page
 from cmf_mj.show.stage import FilmStage, Panels, Reel, Strip, busiest_leg, traces_of
-
-CODECS = ("libx264", "libopenh264", "mpeg4")
-"""Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
-
-GIF_FPS = 50  #: Largest frame rate at which programs show a GIF file [1/s].
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
@@ -61,7 +52,7 @@ def film(
     traces: Sequence[Panels] = (),
     progress: Progress | None = None,
 ) -> Path:
-    """Show runs side by side in an MP4, GIF or HTML file; it appears only when it is complete.
+    """Show runs side by side in an MP4 or HTML file; it appears only when it is complete.
 
     An HTML file is a page that plays them in three dimensions. A film of t seconds of a run has
     t / speed x fps pictures, each of the last row before its time; a shorter run rests at its end
@@ -91,12 +82,10 @@ def film(
 def check_settings(path: str | Path, settings: FilmSettings) -> None:
     """Refuse a file name or settings that no film can have."""
     target, fps, speed = Path(path), settings.fps, settings.speed
-    if target.suffix not in (".mp4", ".gif", ".html"):
-        raise InputError(f"out: {target.name} must end in .mp4, .gif or .html")
+    if target.suffix not in (".mp4", ".html"):
+        raise InputError(f"out: {target.name} must end in .mp4 or .html")
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
         raise InputError(f"speed, fps: {speed}, {fps} must be greater than 0")
-    if target.suffix == ".gif" and fps > GIF_FPS:
-        raise InputError(f"fps: {fps} frames a second of a GIF file must be at most {GIF_FPS}")
     for name in ("width", "height", "strip"):
         if getattr(settings, name) % 2:
             raise InputError(f"{name}: {getattr(settings, name)} pixels must be even")
@@ -139,9 +128,8 @@ def write_reels(
             if progress is not None:
                 progress(number, count)
 
-    write = _write_gif if target.suffix == ".gif" else _write_mp4
     with whole_file(target) as partial:
-        write(counted(), partial, settings.fps)
+        _write_mp4(counted(), partial, settings.fps)
     return target
 
 
@@ -182,10 +170,10 @@ def _titled(scene: Picture, *texts: str) -> Picture:
 
 
 def _write_mp4(pictures: Iterator[Picture], target: Path, fps: int) -> None:
-    codec, av = _mp4_codec(), require("av", "video")
+    av = require("av", "video")
     first = next(pictures)
     with av.open(str(target), "w", format="mp4") as container:
-        stream = container.add_stream(codec, rate=Fraction(fps))
+        stream = container.add_stream("h264", rate=Fraction(fps))
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
         stream.bit_rate = 4_000_000
@@ -193,31 +181,6 @@ def _write_mp4(pictures: Iterator[Picture], target: Path, fps: int) -> None:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
-
-
-def _mp4_codec() -> str:
-    """The first encoder of MP4 files that opens; refused without PyAV or without encoders."""
-    av = require("av", "video")
-    for name in CODECS:
-        try:
-            av.codec.Codec(name, "w")
-        except (av.codec.codec.UnknownCodecError, ValueError):
-            continue
-        return name
-    raise InputError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
-
-
-def _write_gif(pictures: Iterator[Picture], target: Path, fps: int) -> None:
-    # The legend of the first picture has the colours of all traces.
-    palette = (first := Image.fromarray(next(pictures))).quantize(method=Image.Quantize.MAXCOVERAGE)
-    begun, *others = (
-        image.quantize(palette=palette, dither=Image.Dither.NONE)
-        for image in chain([first], map(Image.fromarray, pictures))
-    )
-    # The file counts time in hundredths of a second.
-    ends = 10 * np.round(100.0 / fps * np.arange(len(others) + 2)).astype(int)
-    pace = {"duration": np.diff(ends).tolist(), "loop": 0}
-    begun.save(target, format="GIF", save_all=True, append_images=others, **pace)
 
 
 LEAST_PICTURES = 4  #: Pictures in a period of the fastest mode, at least.
@@ -233,7 +196,7 @@ def swing_film(
     periods: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render the modes at a pose, for `periods` of the lowest, to an MP4, GIF or HTML file.
+    """Render the modes at a pose, for `periods` of the lowest, to an MP4 or HTML file.
 
     In each mode the legs swing by `stroke` [m], default 0.32 of the working stroke (12 in of the
     CMF), or by what that leaves.
@@ -272,29 +235,3 @@ def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
     named, hertz, mass, moving = mode_table(modes).cells[mode]
     first = f"{named}: {hertz} Hz, {mass} lbm a leg"
     return f"{first}\n{moving.split(',')[0]}, legs ±{units.from_si('in', motion):.1f} in"
-
-
-def save_run(
-    record: Record,
-    scenario: Run,
-    folder: Path,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Path]:
-    """Write what a scenario asks for under `outputs`, and the scenario itself.
-
-    The scenario goes to `scenario.toml`, with absolute names of the files in it.
-    """
-    outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
-    if outputs.record:
-        paths.append(record.save(folder / outputs.record))
-    if outputs.plot:
-        changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
-        events = [event.at for event in scenario.events]
-        figure = overview_figure(record, scenario.title, changes, events)
-        paths.append(save_figure(figure, folder / outputs.plot))
-    if outputs.video is not None:
-        video = outputs.video
-        settings = FilmSettings(fps=video.fps, speed=video.speed, camera=video.camera)
-        paths.append(film([record], folder / video.file, settings, progress=progress))
-    return paths

@@ -19,6 +19,8 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.facility.replay import Replay
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.scenario import save_scenario
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -68,6 +70,22 @@ def overview_figure(
     of = title or f"{record.metadata['plant']}, {record.metadata['law']}"
     figure.suptitle(f"Motion, valves and pressures: {of}")
     return figure
+
+
+def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
+    """Write what a scenario asks for under `outputs`, and the scenario itself.
+
+    The scenario goes to `scenario.toml`, with absolute names of the files in it.
+    """
+    outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
+    if outputs.record:
+        paths.append(record.save(folder / outputs.record))
+    if outputs.plot:
+        changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
+        events = [event.at for event in scenario.events]
+        figure = overview_figure(record, scenario.title, changes, events)
+        paths.append(look.save_figure(figure, folder / outputs.plot))
+    return paths
 
 
 def _operating(axis: Axes, record: Record) -> None:

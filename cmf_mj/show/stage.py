@@ -160,8 +160,8 @@ class Reel(NamedTuple):
     traces: Panels = ()  #: Under the picture.
 
 
-UNITS = {"US": ("in", "deg", "psi"), "metric": ("mm", "deg", "bar")}
-"""Units of lengths, angles and pressures, by their system."""
+UNITS = {"US": ("in", "deg", "psi", "lbf"), "metric": ("mm", "deg", "bar", "kN")}
+"""Units of lengths, angles, pressures and forces, by their system."""
 
 
 def busiest_leg(*records: Record) -> int:
@@ -175,7 +175,7 @@ def traces_of(record: Record, system: str = "US", leg: int | None = None) -> Pan
     It is the one whose demand moves most, lengths against 1 in and angles against 1 deg. The system
     is one of `UNITS`.
     """
-    length, angle, pressure = UNITS[system]
+    length, angle, pressure, _ = UNITS[system]
     scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
     dof = int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())
     leg = busiest_leg(record) if leg is None else leg

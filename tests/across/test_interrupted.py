@@ -43,7 +43,7 @@ def whole(path: Path) -> bool:
         read_recording(path)
     elif path.suffix in (".parquet", ".csv") and not content.startswith(b"#"):
         read_table(path)
-    elif path.suffix in (".png", ".gif"):
+    elif path.suffix == ".png":
         with Image.open(path) as picture:
             picture.load()
     elif path.suffix == ".json":

@@ -203,9 +203,9 @@ def test_one_tab_too_many_is_refused_until_another_closes(studio: Studio) -> Non
         ("cab", 3, "allowed: gfd, rfd, ifd"),
         ("leg", "9", "allowed: 1, 2, 3, 4, 5, 6"),
         ("speed", "1e300", "allowed: 1, 1/2"),
-        ("force [kN]", 1e300, "allowed: 1 to 100"),
-        ("force [kN]", math.nan, "allowed: 1 to 100"),
-        ("force [kN]", "all", "allowed: 1 to 100"),
+        ("force [%]", 1e300, "allowed: 1 to 75"),
+        ("force [%]", math.nan, "allowed: 1 to 75"),
+        ("force [%]", "all", "allowed: 1 to 75"),
         ("push now", "yes", "allowed: true, false"),
         ("export scenario", "x", "allowed: true, false"),
     ],
@@ -229,7 +229,7 @@ def test_only_the_value_of_a_control_can_be_set(tab: ClientConnection, studio: S
     command(tab, studio, "law", value="force")
     wait(lambda: studio.pages[0].live.scenario().result().change)
     with pytest.raises(InputError, match="True is refused"):
-        check_value(control(studio.pages[0], "force [kN]"), {"value": True})
+        check_value(control(studio.pages[0], "force [%]"), {"value": True})
 
 
 def test_what_the_page_has_no_use_for_is_dropped(

@@ -32,7 +32,8 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio import controls, desk
-from cmf_mj.show.studio.controls import lamp, session_page
+from cmf_mj.show.studio.controls import lamp
+from cmf_mj.show.studio.desk import session_page
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
     LARGEST,
@@ -311,7 +312,9 @@ def test_what_the_lesson_on_surge_says_is_seen(
     if prompt == 0:
         assert "twice the step, three times a second" in answer
     if prompt in (1, 2):
-        assert {1: "to about 1.5 in, but as fast", 2: "overshoot of 14 %"}[prompt] in answer
+        assert {1: "to about 1.5 times the step, but as fast", 2: "overshoot of 14 %"}[
+            prompt
+        ] in answer
 
 
 def test_what_the_lesson_on_the_pump_says_is_seen() -> None:
@@ -324,7 +327,7 @@ def test_what_the_lesson_on_the_pump_says_is_seen() -> None:
 
 
 def test_lessons_are_of_ready_scenarios_and_wait_for_what_can_happen() -> None:
-    happens = {"signal", "tripped", *(f"law {name}" for name in law_names("all"))}
+    happens = {"", "signal", "tripped", *(f"law {name}" for name in law_names("all"))}
     happens |= {words(kind, None) for kind in KINDS}
     for name, prompts in LESSONS.items():
         assert name in desk.ready_scenarios()

@@ -80,7 +80,7 @@ def write_page(
         page = page.replace(f"{{{{{name}}}}}", text)
     if len(page.encode()) > MOST_BYTES:
         text = f"{len(page.encode()) / 1e6:.1f} MB must be at most {MOST_BYTES / 1e6:g} MB"
-        raise InputError(f"file: {path.name} with {text}; film it as .mp4 or .gif")
+        raise InputError(f"file: {path.name} with {text}; film it as .mp4")
     with whole_file(path) as partial:
         partial.write_text(page, encoding="utf-8")
     return path

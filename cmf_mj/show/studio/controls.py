@@ -3,7 +3,7 @@
 import math
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from typing import Any, get_args
@@ -19,7 +19,6 @@ from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
 from cmf_mj.facility.signal import HostFile
 from cmf_mj.machine import models
-from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.flight import load_flight, names
@@ -27,8 +26,7 @@ from cmf_mj.pilot.washout_settings import WASHOUTS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
 from cmf_mj.record.record import Record
-from cmf_mj.show.film import FilmSettings, film
-from cmf_mj.show.stage import UNITS, traces_of
+from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import (
     DIRECTIONS,
     LARGEST_PUSH,
@@ -38,10 +36,12 @@ from cmf_mj.show.studio.desk import (
     largest_amplitude,
     pick,
     ready_scenarios,
+    session_page,
     signal_settings,
     signal_table,
+    weight,
 )
-from cmf_mj.show.studio.live import Mark, View, words
+from cmf_mj.show.studio.live import View, words
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -60,9 +60,9 @@ CUED = Path("out/studio")  #: Folder of the frames of flights, which exported sc
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
-_LISTED = 3  #: Marks that the lamp lists at most.
-
 _WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
+
+_FADE = 3.0  #: Time in which a flight takes over [s]: it begins at neutral.
 
 
 def lamp(view: View) -> str:
@@ -75,7 +75,7 @@ def lamp(view: View) -> str:
         colour, says = _TRIPPED, f"tripped: {words(fault.name, fault.leg)}"
     elif harm or view.live.late:
         colour, says = _FAILED, "failed" if harm else "host late"
-    marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_LISTED:])
+    marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-3:])
     dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
     return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{marks}</div>"
 
@@ -95,6 +95,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
         pick(chosen, ready.setdefault(scenario.title, scenario).title)
         if prompts is not (now := of.get(scenario.title, [])):
             at, prompts = 0, now  # in this order: the session's thread reads both
+            desk.wait = bool(now)
         since = 0
 
     def show(view: View) -> None:
@@ -103,6 +104,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
             ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
             done = any(until in mark.text for mark in seen)
+            done = done if until else view.live.time > _WATCHED
             then = answer if done else "*The answer comes some seconds after you did it.*"
             said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {then}"
         text.content, text.visible = said, bool(said)
@@ -169,7 +171,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     )
     folder = gui.add_folder("settings")
     settings: dict[str, Any] = {}
-    machine, shown = models.CMF, 1.0
+    shown = 1.0
 
     def size() -> float:
         """The amplitude in in or deg."""
@@ -183,7 +185,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     def limit(chosen: float) -> None:
         """Show an amplitude [in or deg] and its limit in the units of the page."""
         nonlocal shown
-        largest = largest_amplitude(dof.value, machine)
+        largest = largest_amplitude(dof.value, desk.carried.machine.name)
         unit = by_kind(dof.value, *UNITS[system.value][:2])
         shown = units.from_si(unit, units.to_si(dof_unit(dof.value), 1.0))
         amplitude.label, amplitude.max = f"amplitude [{unit}]", round(shown * largest, 1)
@@ -199,8 +201,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
 
     def follow(scenario: Run) -> None:
         """Show the signal of a scenario, where the page has such a one."""
-        nonlocal machine
-        machine, begun, chosen = scenario.machine, size(), dict[str, Any]()
+        begun, chosen = size(), dict[str, Any]()
         if not scenario.signal:
             kind.value = "rest"
         if len(scenario.signal) == 1 and isinstance(signal := scenario.signal[0], SingleSignal):
@@ -240,31 +241,41 @@ def cueing_controls(desk: Desk) -> Callable[[], bool]:
     gui = desk.client.gui
     flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; from its start")
     washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
-    said = gui.add_markdown("")
-    carried = load_cab(None)
+    sent = (NONE, "")
 
-    def send(_: Any) -> None:
-        """Write the host's frames, for the scenario that names them, and let them take over."""
-        if flown.value == NONE:
-            return desk.apply(change_of({"signal": []}, "signal"))
-        said.content = "*computing ...*"
+    def send(handle: Any) -> None:
+        """Let a flight take over, unless another choice has been made meanwhile."""
+        nonlocal sent
+        with _cueing:
+            chosen = flown.value, washout.value
+            if chosen == sent or (flown.value == NONE and handle is washout):
+                return
+            signals = frames(*chosen)
+            if signals is not None and chosen == (flown.value, washout.value):
+                sent = chosen
+                desk.apply(change_of({"signal": signals, "fade": _FADE}, "signal"))
+
+    def frames(flight: str, by: str) -> list[dict[str, str]] | None:
+        """Signals of a file of host frames, none to rest; None where they are refused."""
+        if flight == NONE:
+            return []
+        expect = "is being computed: some ten seconds, the first time half a minute"
+        note = desk.client.add_notification(f"{flight}, {by}", expect, loading=True)
         try:
-            with _cueing:
-                chosen = flown.value, washout.value
-                cued = cue(load_flight(chosen[0]).motion, chosen[1], cab=carried)
-                name = f"{'-'.join(chosen)}-{carried.machine.name}-{carried.name}.csv"
-                file = write_stream(cued.stream, CUED.resolve() / name)
-                desk.apply(change_of({"signal": [{"kind": "host", "file": str(file)}]}, "signal"))
+            cued = cue(load_flight(flight).motion, by, cab=desk.carried)
+            name = f"{flight}-{by}-{desk.carried.machine.name}-{desk.carried.name}.csv"
+            file = write_stream(cued.stream, CUED.resolve() / name)
+            return [{"kind": "host", "file": str(file)}]
         except (ValueError, OSError) as error:
             desk.tell(error)
+            return None
         finally:
-            said.content = ""
+            note.remove()
 
     def follow(scenario: Run) -> None:
-        nonlocal carried
-        carried = scenario.carried
+        nonlocal sent
         if not any(isinstance(signal, HostFile) for signal in scenario.signal):
-            flown.value = NONE
+            flown.value, sent = NONE, (NONE, "")
 
     by_hand(send, flown, washout)
     desk.follow(follow)
@@ -327,9 +338,7 @@ def disturbance_controls(desk: Desk) -> None:
     direction = gui.add_dropdown(
         "push", tuple(DIRECTIONS), hint="force on the platform's centre of mass"
     )
-    size = gui.add_slider(
-        "force [kN]", 1.0, LARGEST_PUSH, 1.0, 20.0, hint="100 kN: 3/4 of the weight"
-    )
+    size = gui.add_slider("force [%]", 1.0, LARGEST_PUSH, 1.0, 15.0, hint="of the weight")
     on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
     kind = gui.add_dropdown(
         "failure", KINDS, initial_value="pump_lost", hint="lasts until the run is reset"
@@ -338,7 +347,8 @@ def disturbance_controls(desk: Desk) -> None:
     fail = gui.add_button("fail now", color="red", hint="let it fail in the next frame")
 
     def push() -> None:
-        x, y, z = (units.to_si("kN", size.value) * part for part in DIRECTIONS[direction.value])
+        force = 0.01 * size.value * weight(desk.carried)
+        x, y, z = (force * part for part in DIRECTIONS[direction.value])
         desk.apply(Change(push=Push(force=(x, y, z)) if on.value else Push()))
 
     def moved(handle: Any) -> None:
@@ -357,43 +367,33 @@ def disturbance_controls(desk: Desk) -> None:
 
 def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
     """The session as a scenario, its record, and a page that plays it in the units shown."""
-    gui, send = desk.client.gui, desk.client.send_file_download
+    client, gui = desk.client, desk.client.gui
     export = gui.add_button(
         "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
     )
     save = gui.add_button(
-        "save record", icon="download", hint="what the session has kept, as Parquet"
+        "save record", icon="download", hint="the last ten minutes at 128 Hz, as Parquet"
     )
     page = gui.add_button("save page", icon="download", hint="the session as a page that plays it")
 
     @export.on_click
     def _(_: Any) -> None:
         text = scenario_toml(desk.live.scenario().result())
-        send("session.toml", text.encode("utf-8"), save_immediately=True)
+        client.send_file_download("session.toml", text.encode("utf-8"), save_immediately=True)
 
-    def kept(name: str, write: Callable[[Record, Path], Path]) -> None:
+    def keep(name: str, write: Callable[[Record, Path], Path]) -> None:
         try:
             record = desk.live.record().result()
             with tempfile.TemporaryDirectory() as folder:
                 content = write(record, Path(folder) / name).read_bytes()
-            send(name, content, save_immediately=True)
+            client.send_file_download(name, content, save_immediately=True)
+            kept = f"{name}: {record.time[0]:.1f} to {record.time[-1]:.1f} s"
+            client.add_notification("Saved", kept, auto_close_seconds=10.0)
         except ValueError as error:
             desk.tell(error)
 
     def played(record: Record, path: Path) -> Path:
         return session_page(record, path, desk.live.marks().result(), shown()[1])
 
-    save.on_click(lambda _: kept("session.parquet", Record.save))
-    page.on_click(lambda _: kept("session.html", played))
-
-
-def session_page(record: Record, path: Path, marks: Sequence[Mark], system: str) -> Path:
-    """Write a page that plays what a session has kept, in one of `UNITS`.
-
-    Its title is the law it began with and what happened since, but for signals, which its traces
-    show.
-    """
-    said = [f"{mark.time:.1f} s: {mark.text}" for mark in marks if mark.text != "signal"]
-    title = "\n".join([str(record.metadata["law"]), *said])
-    begun = FilmSettings(start=float(record.time[0]))  # of a long session the end is kept
-    return film([record], path, begun, titles=[title], traces=[traces_of(record, system)])
+    save.on_click(lambda _: keep("session.parquet", Record.save))
+    page.on_click(lambda _: keep("session.html", played))

@@ -1,13 +1,9 @@
 """A session of one browser tab: a thread that advances the closed loop to wall-clock time.
 
 Everything that touches the run happens in the thread: whoever wants something of it asks, and the
-thread does it between two parts. Nothing here knows the page.
-
-Real time in parts: which control frames are due, and an account of those that were not run.
-
-A tab's thread asks at every turn which frames are due by the wall clock, runs them and reports how
-long it was busy. It never runs more than `LARGEST` at once: a machine that cannot keep up falls
-behind, and the time given up so is counted and stated, not dropped in silence.
+thread does it between two parts. Nothing here knows the page. At every turn the thread runs the
+frames that are due by the wall clock, never more than `LARGEST` at once: a machine that cannot keep
+up falls behind, and the time given up so is counted and stated, not dropped in silence.
 """
 
 import threading
@@ -31,6 +27,7 @@ from cmf_mj.facility.settings import Change
 from cmf_mj.facility.signal import HostFile
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import SingleSignal
 
 LARGEST = 0.25  #: Wall time made up for at most in one turn [s].
 
@@ -136,9 +133,13 @@ def _texts(change: Change) -> list[str]:
     """What a change changes besides failures."""
     texts = [] if change.law is None else [f"law {change.law}"]
     texts += ["gain"] if change.gains else []
-    if change.signal is not None:
-        files = [f" {Path(one.file).stem}" for one in change.signal if isinstance(one, HostFile)]
-        texts.append("signal" + "".join(files))
+    for signal in () if change.signal is None else change.signal or (None,):
+        if isinstance(signal, HostFile):
+            texts.append("host frames " + Path(signal.file).stem.replace("-", ", "))
+        elif isinstance(signal, SingleSignal):
+            texts.append(f"signal {signal.kind.replace('_', ' ')} in {signal.dof}")
+        else:
+            texts.append("signal " + ("rest" if signal is None else signal.kind))
     if (push := change.push) is not None:
         texts.append("push" if any((*push.force, *push.torque)) else "push ends")
     return texts + ([] if change.request is None else [f"request {change.request}"])
@@ -209,11 +210,8 @@ class LiveSession:
         def build() -> None:
             run, second = _open_run(scenario), None
             if beside:
-                same = {
-                    "law": beside,
-                    "gains": {},
-                    "change": (*map(_without_law, scenario.change),),
-                }
+                changes = tuple(map(_without_law, scenario.change))
+                same = {"law": beside, "gains": {}, "change": changes}
                 second = _open_run(scenario.model_copy(update=same))
             self._run, self._beside, self._end = run, second, ""
             self._past.clear()
@@ -355,5 +353,6 @@ def _open_run(scenario: Run) -> SignalSession:
     """A run without end, on the hexapod."""
     if scenario.plant != "hexapod":
         raise InputError(f"plant: {scenario.plant!r} has no platform to show; allowed: hexapod")
-    keep = KEPT_ROWS * scenario.record_every / RATE
-    return SignalSession(scenario.model_copy(update={"duration": "open"}), keep=keep)
+    every = max(scenario.record_every, 16)  # 128 Hz, the facility's recorder
+    begun = scenario.model_copy(update={"duration": "open", "record_every": every})
+    return SignalSession(begun, keep=KEPT_ROWS * every / RATE)

@@ -16,9 +16,15 @@ from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
 from cmf_mj.show.stage import UNITS
+from cmf_mj.show.studio.desk import LARGEST_PUSH, weight
 from cmf_mj.show.studio.live import PLOT_RATE, Mark, View
 
 _DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
+
+_MOTION, _FORCE, _VALVE = "platform, {} [{}]", "leg forces [{}]", "valve commands [%]"
+_PRESSURE, _SUPPLY = "pressures of the leg [{}]", "manifolds [{}]"
+_SCALES = (("in", 0.05, "psi", 1000.0, "lbf"), ("mm", 1.0, "bar", 70.0, "kN"))
+"""By `UNITS`: of translations, pressures and forces, with what an axis reaches to at least."""
 
 
 def _add_plot(
@@ -82,25 +88,16 @@ class Plots:
         mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
         both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
-        # One for each title: a plot whose title changes loses its time axis in the browser.
-        self._response = {
-            f"{dof} [{unit}]": _add_plot(client, f"platform, {dof} [{unit}]", both, -least, least)
-            for dof in DOFS
-            for unit, least in by_kind(dof, (("in", 0.05), ("mm", 1.0)), (("deg", 0.05),))
-        }
-        self._force = _add_plot(client, "leg forces [kN]", legs, 20.0, 40.0)
-        self._valve = _add_plot(client, "valve commands [%]", legs, -2.0, 2.0)
         sides = [("cap", BLUE, False), ("rod", ORANGE, False)]
         manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
-        tops = (("psi", 1000.0), ("bar", 70.0))
-        self._pressure = {
-            unit: _add_plot(client, f"pressures of the leg [{unit}]", sides, 0.0, top)
-            for unit, top in tops
-        }
-        self._supply = {
-            unit: _add_plot(client, f"manifolds [{unit}]", manifolds, 0.0, 2.0 * top)
-            for unit, top in tops
-        }
+        # One for each title: a plot whose title changes loses its time axis in the browser.
+        drawn = {_MOTION.format(dof, "deg"): (both, -0.05, 0.05) for dof in DOFS[3:]}
+        for length, least, pressure, top, force in _SCALES:
+            drawn |= {_MOTION.format(dof, length): (both, -least, least) for dof in DOFS[:3]}
+            drawn |= {_FORCE.format(force): (legs, 0.0, 1.0), _VALVE: (legs, -2.0, 2.0)}
+            drawn[_PRESSURE.format(pressure)] = sides, 0.0, top
+            drawn[_SUPPLY.format(pressure)] = manifolds, 0.0, 2.0 * top
+        self._plots = {title: _add_plot(client, title, *how) for title, how in drawn.items()}
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
         """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0.
@@ -112,11 +109,10 @@ class Plots:
         beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:
             return
-        length, angle, pressure = UNITS[system]
+        length, angle, pressure, force = UNITS[system]
         if not dof:
             dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
-        shown = f"{dof} [{unit}]"
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:
             """A signal, column by column."""
@@ -129,40 +125,40 @@ class Plots:
         lives = [second or live for second, live in zip(beside, past, strict=True)] + past
         poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
         responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
-        for plots, drawn in (
-            (self._response, shown),
-            (self._pressure, pressure),
-            (self._supply, pressure),
-        ):
-            for name, plot in plots.items():
-                plot.visible = name == drawn
-        self._response[shown].data = (time, of("demand", unit)[index], *responses, *marked)
-        self._force.data = (time, *of("force", "kN"), *marked)
-        self._valve.data = (time, *of("valve_command", "%"), *marked)
-        pressures = of("cap_pressure", pressure)[leg], of("rod_pressure", pressure)[leg]
-        self._pressure[pressure].data = (time, *pressures, *marked)
-        manifolds = *of("supply_pressure", pressure), *of("return_pressure", pressure)
-        self._supply[pressure].data = (time, *manifolds, *marked)
+        drawn = {
+            _MOTION.format(dof, unit): (of("demand", unit)[index], *responses),
+            _FORCE.format(force): of("force", force),
+            _VALVE: of("valve_command", "%"),
+            _PRESSURE.format(pressure): [
+                of(f"{side}_pressure", pressure)[leg] for side in ("cap", "rod")
+            ],
+            _SUPPLY.format(pressure): of("supply_pressure", pressure)
+            + of("return_pressure", pressure),
+        }
+        for title, plot in self._plots.items():
+            plot.visible = title in drawn
+            if plot.visible:
+                plot.data = (time, *drawn[title], *marked)
 
 
-_PUSH_LENGTH = 5.0  #: Length of the arrow of the largest push [m].
+_AIM, _FROM = np.array([0.0, 0.0, -0.115]), np.array([1.63, -1.6, 0.245])
+"""Where the first view looks and from where, the right front, in extents of the machine."""
 
-_CAB_CENTRE = np.array([0.0, 0.0, 1.7])  #: Where the arrow points, from the platform [m].
+_PUSH_LENGTH = 0.77  #: Length of the arrow of the largest push [extents].
 
-_CLEAR = 2.4  #: Distance of its tip from there, outside the cab [m].
+_CAB_CENTRE = np.array([0.0, 0.0, 0.26])  #: Where the arrow points, from the platform [extents].
+
+_CLEAR = 0.37  #: Distance of its tip from there, outside the cab [extents].
 
 _HEIGHT, _WIDTH = 0.62, 0.85
 """Angles that hold the machine with its longest cab, seen from the first view [rad]."""
 
 
-def place_camera(client: viser.ClientHandle) -> None:
-    """Put a tab's camera at the first view; it holds the machine in a picture of any shape."""
-    camera = client.camera
-    # From the right front, a little above the platform [m, rad].
-    camera.position, camera.look_at = (10.6, -10.4, 1.6), (0.0, 0.0, -0.75)
+def widen_camera(client: viser.ClientHandle) -> None:
+    """Let a tab's camera hold the machine in a picture of any shape."""
 
-    @camera.on_update
-    def _(_: viser.CameraHandle) -> None:
+    @client.camera.on_update
+    def _(camera: viser.CameraHandle) -> None:
         narrow = np.tan(0.5 * _WIDTH) / camera.aspect
         angle = 2.0 * float(np.arctan(max(np.tan(0.5 * _HEIGHT), narrow)))
         if abs(camera.fov - angle) > 0.01:
@@ -172,8 +168,8 @@ def place_camera(client: viser.ClientHandle) -> None:
 class MachineScene:
     """The hexapod with one cab in one tab, and the push on it."""
 
-    def __init__(self, client: viser.ClientHandle, cab: Cab) -> None:
-        """Send the geometry, in the place of all that the tab showed."""
+    def __init__(self, client: viser.ClientHandle, cab: Cab, seen: float = 0.0) -> None:
+        """Send the geometry, in the place of all that the tab showed, of an extent `seen` [m]."""
         self.cab = cab
         """The cab in the scene."""
         self._client = client
@@ -182,6 +178,10 @@ class MachineScene:
         # A new model: the scene scales the looks of its model.
         self._model = hexapod_model(cab)
         self._data = mujoco.MjData(self._model)
+        self.extent = float(self._model.stat.extent)
+        """Size of the machine, by which the first view and the arrows are made [m]."""
+        if self.extent != seen:
+            client.camera.position, client.camera.look_at = self.extent * _FROM, self.extent * _AIM
         with client.atomic():
             self._machine = ViserMujocoScene(client, self._model, num_envs=1)
             # Lights alone: mirroring an environment takes seconds where no GPU helps.
@@ -190,6 +190,7 @@ class MachineScene:
         self._platform = self._model.body("platform").id
         self._push: viser.SceneNodeHandle | None = None
         self._pushed = np.zeros(3)
+        self._most = 0.01 * LARGEST_PUSH * weight(cab)
         self.show(self._data.qpos)
 
     @property
@@ -203,21 +204,22 @@ class MachineScene:
         mujoco.mj_kinematics(self._model, self._data)
         self._machine.update_from_mjdata(self._data)
 
-    def show_push(self, share: ArrayLike) -> None:
-        """Draw the push, a share (3,) of the largest, as an arrow that points at the cab."""
-        along = np.asarray(share, dtype=float)
+    def show_push(self, force: NDArray[np.float64]) -> None:
+        """Draw a push (3,) [N] as an arrow that points at the cab."""
+        along = force / self._most
         if not np.array_equal(along, self._pushed):
             self._pushed, self._push = along, None
             self._client.scene.remove_by_name("/push")
             if along.any():
                 tip = _CAB_CENTRE - _CLEAR * along / np.linalg.norm(along)
+                ends = self.extent * np.array([[tip - _PUSH_LENGTH * along, tip]])
                 self._push = self._client.scene.add_arrows(
                     "/push",
-                    points=np.array([[tip - _PUSH_LENGTH * along, tip]], dtype=np.float32),
+                    points=ends.astype(np.float32),
                     colors=(214, 39, 40),
-                    shaft_radius=0.07,
-                    head_radius=0.18,
-                    head_length=0.4,
+                    shaft_radius=0.011 * self.extent,
+                    head_radius=0.028 * self.extent,
+                    head_length=0.06 * self.extent,
                 )
         if self._push is not None:
             self._push.position = self.platform_position

@@ -9,13 +9,12 @@ from contextlib import suppress
 
 import viser
 
-from cmf_mj.core import units
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.show.studio import controls
-from cmf_mj.show.studio.desk import LARGEST_PUSH, Desk, check_commands, ready_scenarios
+from cmf_mj.show.studio.desk import Desk, check_commands, ready_scenarios
 from cmf_mj.show.studio.door import Door, scenario_in
 from cmf_mj.show.studio.live import View
-from cmf_mj.show.studio.plots import MachineScene, Plots, place_camera
+from cmf_mj.show.studio.plots import MachineScene, Plots, widen_camera
 
 _PLOTS_EVERY = 4  #: Turns from drawing of the plots to drawing: 7.5 a second.
 
@@ -38,7 +37,7 @@ class Page:
         """Build the page and set its session going with a scenario, unless the tab is gone."""
         self._lock = threading.Lock()
         self._turn = 0
-        place_camera(client)
+        widen_camera(client)
         self._scene = MachineScene(client, scenario.carried)
         if gone():
             raise TabClosed
@@ -87,7 +86,7 @@ class Page:
         self._turn += 1
         with self._lock:
             self._scene.show(view.live.qpos)
-            self._scene.show_push(view.push / units.to_si("kN", LARGEST_PUSH))
+            self._scene.show_push(view.push)
         if self._turn % _PLOTS_EVERY == 0 and self._drawn.value:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
@@ -100,7 +99,7 @@ class Page:
     def _show_cab(self, scenario: Run) -> None:
         with self._lock:
             if self._scene.cab != scenario.carried:
-                self._scene = MachineScene(self.desk.client, scenario.carried)
+                self._scene = MachineScene(self.desk.client, scenario.carried, self._scene.extent)
 
 
 _ARENA_MAX, _MMAP_THRESHOLD = -8, -3  #: Options of glibc's mallopt.
