@@ -181,6 +181,19 @@ def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None
     assert begun.change == () and begun.events == () and begun.duration == "open"
 
 
+@pytest.mark.parametrize("machine", ["cmf", "simona", "lab"])
+def test_a_machine_s_own_law_is_listed_by_name_and_can_be_chosen_again(machine: str) -> None:
+    begun = scenario_of({"machine": machine, **SHORT}, "test")
+    name = desk.law_of(begun)
+    assert name == {"cmf": "velocity"}.get(machine, f"{machine}_plan")
+    session = SignalSession(begun)
+    session.apply(Change(law="force"))
+    session.run(64)
+    session.apply(Change(law=name))
+    session.run(64)
+    assert session.look().law == name
+
+
 # Sessions.
 
 

@@ -34,6 +34,7 @@ from cmf_mj.show.studio.desk import (
     Desk,
     by_hand,
     largest_amplitude,
+    law_of,
     pick,
     ready_scenarios,
     session_page,
@@ -300,7 +301,7 @@ def law_controls(desk: Desk) -> None:
 
     by_hand(lambda _: desk.apply(Change(law=chosen.value)), chosen)
     by_hand(compare, second)
-    desk.follow(lambda scenario: pick(chosen, str(scenario.law)))
+    desk.follow(lambda scenario: pick(chosen, law_of(scenario)))
 
 
 def machine_controls(desk: Desk) -> None:

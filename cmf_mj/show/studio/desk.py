@@ -12,6 +12,7 @@ from typing import Any, get_args
 import viser
 from viser import _messages as messages
 
+from cmf_mj.control.law import law_on
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
@@ -62,6 +63,13 @@ def largest_amplitude(dof: str, machine: str = CMF) -> float:
     """Operational excursion of a degree of freedom that both ends have, in in or deg."""
     low, high = load_motion_limits(None, machine).operational[DOFS.index(dof)]
     return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
+
+
+def law_of(scenario: Run) -> str:
+    """The law a run begins with as the page lists it: a machine's own by name, others by file."""
+    name = scenario.begun_law().name
+    own = law_on(scenario.carried.machine, name) == str(scenario.law)
+    return name if own else str(scenario.law)
 
 
 def signal_settings(kind: str) -> dict[str, Any]:
