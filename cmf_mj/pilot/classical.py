@@ -45,9 +45,9 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
 
-Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Array = NDArray[np.float64]
+Matrices = tuple[Array, Array, Array, Array]
 """A, B, C, D."""
-
 
 _ITERATIONS = 8  #: Of the implicit step of the tilt, which contracts by at most T / (2 tau) each.
 
@@ -56,8 +56,8 @@ class Filter(NamedTuple):
     """A linear filter at work; its arrays are overwritten by each sample."""
 
     system: Held
-    state: NDArray[np.float64]  #: (n,).
-    inputs: NDArray[np.float64]  #: Of the last sample, (m,).
+    state: Array  #: (n,).
+    inputs: Array  #: Of the last sample, (m,).
 
 
 def at_work(system: Held) -> Filter:
@@ -66,24 +66,22 @@ def at_work(system: Held) -> Filter:
     return Filter(system, np.zeros(states), np.zeros(inputs))
 
 
-def settle(filtering: Filter, inputs: NDArray[np.float64]) -> None:
-    """Put a filter into the state after a long time at constant inputs (m,)."""
+def settle(filtering: Filter, inputs: Array) -> Array:
+    """Put a filter into the state after a long time at constant inputs (m,); its outputs (p,)."""
     filtering.state[:] = settled(filtering.system, inputs)
     filtering.inputs[:] = inputs
+    out = np.empty(len(filtering.system.output))
+    read(filtering.system, filtering.state, filtering.inputs, out)
+    return out
 
 
 @allocating
-def push_sample(filtering, inputs):  # type: ignore[no-untyped-def]
-    """Move a filter to the next sample, with inputs (m,)."""
+def push_sample(filtering, inputs, out):  # type: ignore[no-untyped-def]
+    """Move a filter to the next sample, with inputs (m,), and write its outputs (p,)."""
     work = np.empty(filtering.state.size)
     advance(filtering.system, filtering.state, filtering.inputs, inputs, work)
     filtering.inputs[:] = inputs
-
-
-@allocating
-def outputs(filtering, out):  # type: ignore[no-untyped-def]
-    """Write the outputs (p,) of a filter."""
-    read(filtering.system, filtering.state, filtering.inputs, out)
+    read(filtering.system, filtering.state, inputs, out)
 
 
 class Classical(NamedTuple):
@@ -93,21 +91,26 @@ class Classical(NamedTuple):
     """Euler rates (3) and their slopes (3) to angles, rates and accelerations (9)."""
     low_pass: Filter  #: Specific force x, y (2) to its low-passed part and two derivatives (6).
     translation: Filter  #: T f1 + g (3) to displacement, velocity and acceleration (9).
-    tilt: NDArray[np.float64]  #: Pitch and roll tilt with two derivatives, (2, 3).
-    demand: NDArray[np.float64]  #: Their demands, (2, 3).
+    tilt: Array  #: Pitch and roll tilt with two derivatives, (2, 3).
+    demand: Array  #: Their demands, (2, 3).
     tilt_force: float  #: Limit before the low-pass [m/s^2].
     tilt_rate: float  #: R [rad/s].
     recovery: float  #: tau [s].
     interval: float  #: T [s].
 
-    def settle(self, euler_rates: NDArray[np.float64], force: NDArray[np.float64]) -> None:
-        """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
-        settle(self.low_pass, np.clip(force[:2], -self.tilt_force, self.tilt_force))
-        _tilt_demands(self.low_pass, self.demand)
+    def settle(self, euler_rates: Array, force: Array, angular: Array, linear: Array) -> None:
+        """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time.
+
+        Overwrites attitude and displacement as `move_classical` does.
+        """
+        pushing = np.clip(force[:2], -self.tilt_force, self.tilt_force)
+        _tilt_demands(settle(self.low_pass, pushing), self.demand)
         self.tilt[:] = self.demand
         turn = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
         settle(self.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
         settle(self.rotation, np.concatenate([euler_rates, np.zeros(3)]))
+        # A step with the same inputs changes nothing; it reads the outputs.
+        move_classical(self, euler_rates, np.zeros(3), force, angular, linear)
 
 
 def rotation_filter(axis: HighPass) -> Matrices:
@@ -150,40 +153,30 @@ def side_by_side(systems: list[Matrices], interval: float) -> Held:
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
     """The algorithm at samples `interval` [s] apart; `settle` starts it."""
-    turns = (settings.roll, settings.pitch, settings.yaw)
-    tilts = (settings.surge, settings.sway)
-    rotations = side_by_side([rotation_filter(axis) for axis in turns], interval)
-    low_pass = side_by_side([low_pass_filter(axis) for axis in tilts], interval)
-    moves = [translation_filter(axis) for axis in (*tilts, settings.heave)]
+    turns = [rotation_filter(axis) for axis in (settings.roll, settings.pitch, settings.yaw)]
+    tilts = [low_pass_filter(axis) for axis in (settings.surge, settings.sway)]
+    moves = [translation_filter(axis) for axis in (settings.surge, settings.sway, settings.heave)]
+    most = settings.inputs
     return Classical(
-        at_work(rotations),
-        at_work(low_pass),
+        at_work(side_by_side(turns, interval)),
+        at_work(side_by_side(tilts, interval)),
         at_work(side_by_side(moves, interval)),
-        np.zeros((2, 3)),
-        np.zeros((2, 3)),
-        settings.inputs.tilt_force_limit.si,
-        settings.inputs.tilt_rate.si,
-        settings.inputs.tilt_recovery.si,
+        *(np.zeros((2, 3)), np.zeros((2, 3))),
+        *(most.tilt_force_limit.si, most.tilt_rate.si, most.tilt_recovery.si),
         interval,
     )
 
 
 @allocating
-def tilt_demand(force, out):  # type: ignore[no-untyped-def]
-    """Write A_d, A_d', A_d'' (3,) of f, f', f'' (3,) [m/s^2, m/s^3, m/s^4]; |f| below 1 g."""
-    sine = force[0] / STANDARD_GRAVITY
-    cosine = np.sqrt(1.0 - sine * sine)
-    out[0] = np.arcsin(sine)
-    out[1] = force[1] / (STANDARD_GRAVITY * cosine)
-    out[2] = (force[2] / STANDARD_GRAVITY + out[1] * out[1] * sine) / cosine
-
-
-@allocating
-def _tilt_demands(low_pass, demand):  # type: ignore[no-untyped-def]
-    passed = np.empty(6)
-    outputs(low_pass, passed)
+def _tilt_demands(passed, demand):  # type: ignore[no-untyped-def]
+    """Write A_d, A_d', A_d'' of pitch and roll (2, 3) of f, f', f'' along x and y (6,)."""
     for axis in range(2):
-        tilt_demand(passed[axis::2], demand[axis])
+        force, out = passed[axis::2], demand[axis]
+        sine = force[0] / STANDARD_GRAVITY
+        cosine = np.sqrt(1.0 - sine * sine)
+        out[0] = np.arcsin(sine)
+        out[1] = force[1] / (STANDARD_GRAVITY * cosine)
+        out[2] = (force[2] / STANDARD_GRAVITY + out[1] * out[1] * sine) / cosine
 
 
 @allocating
@@ -234,15 +227,13 @@ def move_classical(classical, euler_rates, slopes, force, angular, linear):  # t
     """
     turning = np.empty(6)
     turning[:3], turning[3:] = euler_rates, slopes
-    push_sample(classical.rotation, turning)
-    outputs(classical.rotation, angular.reshape(9))
+    push_sample(classical.rotation, turning, angular.reshape(9))
 
-    pushing = np.empty(2)
-    demand = np.empty((2, 3))
+    pushing, passed, demand = np.empty(2), np.empty(6), np.empty((2, 3))
     for axis in range(2):
         pushing[axis] = min(max(force[axis], -classical.tilt_force), classical.tilt_force)
-    push_sample(classical.low_pass, pushing)
-    _tilt_demands(classical.low_pass, demand)
+    push_sample(classical.low_pass, pushing, passed)
+    _tilt_demands(passed, demand)
     limits = (classical.tilt_rate, classical.recovery, classical.interval)
     for axis in range(2):
         follow(classical.tilt[axis], classical.demand[axis], demand[axis], *limits)
@@ -253,5 +244,4 @@ def move_classical(classical, euler_rates, slopes, force, angular, linear):  # t
 
     moving = rotation(angular[0, 0], angular[0, 1], angular[0, 2]) @ force
     moving[2] += STANDARD_GRAVITY
-    push_sample(classical.translation, moving)
-    outputs(classical.translation, linear.reshape(9))
+    push_sample(classical.translation, moving, linear.reshape(9))

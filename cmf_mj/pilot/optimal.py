@@ -35,7 +35,7 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.pilot.classical import Filter, Matrices, at_work, outputs, push_sample, settle
+from cmf_mj.pilot.classical import Filter, Matrices, at_work, push_sample, settle
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
 from cmf_mj.pilot.washout_settings import OptimalSettings, TiltingSizes
 
@@ -53,14 +53,6 @@ class WashoutMode(NamedTuple):
     """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
     sensed: Matrix  #: e of x, less what u adds at once, (rate and force, n).
 
-    @property
-    def residual(self) -> float:
-        """Norm of the Riccati equation's residual over that of its largest term."""
-        (a, b), (q, n, r), p = self.plant, self.cost, self.riccati
-        cross = p @ b + n
-        terms = (a.T @ p, p @ a, -cross @ np.linalg.solve(r, cross.T), q)
-        return float(np.linalg.norm(sum(terms)) / max(np.linalg.norm(term) for term in terms))
-
 
 class Optimal(NamedTuple):
     """The algorithm at work; its arrays are overwritten by each sample."""
@@ -70,10 +62,11 @@ class Optimal(NamedTuple):
     and the force (6) to angles and displacements with two derivatives (18)."""
     interval: float  #: T [s].
 
-    def settle(self, euler_rates: Matrix, force: Matrix) -> None:
+    def settle(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
         """As `Classical.settle`."""
         beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
         settle(self.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
+        move_optimal(self, euler_rates, np.zeros(3), force, angular, linear)
 
 
 def _solve(
@@ -303,14 +296,9 @@ def condense(mode: WashoutMode, times: Matrix, smooth: Iterable[float] = ()) -> 
 def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample; arguments as for `move_classical`."""
     inputs, out = np.empty(12), np.empty(18)
-    for axis in range(3):
-        inputs[axis] = euler_rates[axis]
-        inputs[3 + axis] = force[axis]
-        inputs[6 + axis] = slopes[axis]
+    inputs[:3], inputs[3:6], inputs[6:9] = euler_rates, force, slopes
     inputs[5] += STANDARD_GRAVITY
-    for axis in range(3):
-        inputs[9 + axis] = (inputs[3 + axis] - optimal.filter.inputs[3 + axis]) / optimal.interval
-    push_sample(optimal.filter, inputs)
-    outputs(optimal.filter, out)
+    inputs[9:] = (inputs[3:6] - optimal.filter.inputs[3:6]) / optimal.interval
+    push_sample(optimal.filter, inputs, out)
     angular[:] = out[:9].reshape(3, 3)
     linear[:] = out[9:].reshape(3, 3)

@@ -229,7 +229,7 @@ class Predictive:
         """Let the solver take so long and no longer [s]; 0 counts its iterations alone."""
         self._program.settings = {"time_limit": seconds}
 
-    def settle(self, euler_rates: Matrix, force: Matrix) -> None:
+    def settle(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
         """As `Classical.settle`: at rest, tilted by what costs least for a sustained force."""
         self._v = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
         self._now = self._v
@@ -255,6 +255,7 @@ class Predictive:
                 driven += turned * np.clip(angle, -most, most)
             self._state[name] = driven[:n]
             self._plan[name], self._turn[name] = np.zeros((len(self.times), m)), np.zeros(m)
+        self._read(angular, linear)
 
     def move(
         self,
@@ -297,7 +298,7 @@ class Predictive:
             plan = np.vstack([before, u.reshape(len(times) - 1, -1)])
             self._plan[name] = self._shift.T @ plan
             self._turn[name] = (plan[1] - plan[0]) / times[1]
-        self.read(angular, linear)
+        self._read(angular, linear)
         felt = np.empty(3)
         turn_to_body(angular[0], linear[2] - [0.0, 0.0, STANDARD_GRAVITY], felt)
         tilt = STANDARD_GRAVITY * np.array([angular[0, 1], -angular[0, 0], -1.0])
@@ -306,7 +307,7 @@ class Predictive:
         self.solves.iterations.append(iterations)
         self.solves.bridged.append(z is None)
 
-    def read(self, angular: Matrix, linear: Matrix) -> None:
+    def _read(self, angular: Matrix, linear: Matrix) -> None:
         """Write attitude and displacement of the head with two derivatives, (3, 3) each."""
         motion = np.zeros((3, 6))
         for name, (place, angle) in _MOVES.items():

@@ -56,14 +56,13 @@ _WARM = 3  #: Frames before the first.
 
 
 class RunningWashout(NamedTuple):
-    """What compiled code has of a washout; arrays of its state are overwritten by each frame."""
+    """What all washouts have at work; arrays of their state are overwritten by each frame."""
 
     gain: NDArray[np.float64]  #: Gains of specific force and angular rate, (6,).
     force_limit: float  #: [m/s^2].
     rate_limit: float  #: [rad/s].
     station: NDArray[np.float64]  #: r [m], (3,).
     interval: float  #: Between samples [s].
-    algorithm: Classical | Optimal | None  #: None if it is not compiled.
     angular: NDArray[np.float64]  #: Attitude of the simulator and two derivatives, (3, 3).
     linear: NDArray[np.float64]  #: Displacement of the pilot's station and two derivatives, (3, 3).
     euler_rates: NDArray[np.float64]  #: Of the last frame [rad/s], (3,).
@@ -143,27 +142,29 @@ def expect(running, ahead):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def step(running, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
-    """One host frame of the specific force and angular rate at the pilot's station, (3,) each.
-
-    Overwrites pose, velocity and acceleration of the platform, (3, 6).
-    """
-    force, rate, euler_rates, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+def take(running, specific_force, angular_rate, force):  # type: ignore[no-untyped-def]
+    """Take in a sample at the pilot's station, (3,) each; write f1, and return the slopes of e."""
+    rate, before = np.empty(3), running.euler_rates.copy()
     scaled(running, specific_force, angular_rate, force, rate)
     roll, pitch = coming_attitude(running)
-    euler_rates_of(roll, pitch, rate, euler_rates)
-    for axis in range(3):
-        slopes[axis] = (euler_rates[axis] - running.euler_rates[axis]) / running.interval
-    running.euler_rates[:] = euler_rates
-    move(running.algorithm, euler_rates, slopes, force, running.angular, running.linear)
+    euler_rates_of(roll, pitch, rate, running.euler_rates)
+    return (running.euler_rates - before) / running.interval
+
+
+@allocating
+def step(running, algorithm, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+    """One host frame of a compiled algorithm; overwrites the platform's motion, (3, 6)."""
+    force = np.empty(3)
+    slopes = take(running, specific_force, angular_rate, force)
+    move(algorithm, running.euler_rates, slopes, force, running.angular, running.linear)
     place_platform(running, motion)
 
 
 @allocating
-def _run(running, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+def _run(running, algorithm, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
     place_platform(running, motion[0])
     for row in range(1, specific_force.shape[0]):
-        step(running, specific_force[row], angular_rate[row], motion[row])
+        step(running, algorithm, specific_force[row], angular_rate[row], motion[row])
 
 
 class Washout:
@@ -195,35 +196,33 @@ class Washout:
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.rate, most = rate, self.settings.inputs
-        algorithm: Classical | Optimal | None = None
         self.predictive: Predictive | None = None
+        self._algorithm: Classical | Optimal | Predictive
         if isinstance(self.settings, PredictiveSettings):
             base = load_machine(machine)
             bounds, where = load_motion_limits(limits, base), self.station
             self.predictive = Predictive(self.settings, 1.0 / rate, where, base, bounds, lead)
+            self._algorithm = self.predictive
         elif isinstance(self.settings, ClassicalSettings):
-            algorithm = make_classical(self.settings, 1.0 / rate)
+            self._algorithm = make_classical(self.settings, 1.0 / rate)
         else:
-            algorithm = make_optimal(self.settings, 1.0 / rate)
+            self._algorithm = make_optimal(self.settings, 1.0 / rate)
         self._running = RunningWashout(
             self.settings.gains,
             most.force_limit.si,
             most.rate_limit.si,
             self.station,
             1.0 / rate,
-            algorithm,
-            np.empty((3, 3)),
-            np.empty((3, 3)),
-            np.empty(3),
+            *(np.empty((3, 3)), np.empty((3, 3)), np.empty(3)),
         )
         self._sequence: int | None = None
         self.solving = _SOLVING
         """Share of a live frame that the solver may take; 0 counts its iterations alone."""
         if self.predictive is not None:  # the first frames compile and allocate: now, not in flight
-            rest = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-            self.start(rest, np.zeros(3))
+            rest = np.array([0.0, 0.0, -STANDARD_GRAVITY]), np.zeros(3)
+            self.start(*rest)
             for _ in range(_WARM):
-                self._predict(rest, np.zeros(3), np.empty((3, 6)))
+                self._step(*rest, np.empty((3, 6)))
             self.predictive.solves = Solves([], [], [])
             self._sequence = None
 
@@ -232,43 +231,39 @@ class Washout:
 
         The algorithm's frames: `within_limits` brings them within the machine's limits.
         """
-        flown = self.flown(motion)
-        if self.predictive is not None:
-            self.predictive.bound(0.0)
+        flown, own = self.flown(motion), self.predictive
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
-        if self.predictive is None:
-            _run(self._running, flown.specific_force, flown.angular_rate, out)
+        if own is None:
+            _run(self._running, self._algorithm, flown.specific_force, flown.angular_rate, out)
         else:
+            own.bound(0.0)
             place_platform(self._running, out[0])
-            felt, ahead = np.hstack([flown.specific_force, flown.angular_rate]), None
-            since, whole = flown.time + self.predictive.lead, felt
-            if self.predictive.reference == "known":
-                felt = interpolated(since, flown.time, whole)
+            whole, ahead = np.hstack([flown.specific_force, flown.angular_rate]), None
+            since, known = flown.time + own.lead, own.reference == "known"
+            felt = interpolated(since, flown.time, whole) if known else whole
             for row in range(1, len(out)):
-                if self.predictive.reference == "known":
-                    at = since[row - 1] + self.predictive.times[2:]
-                    ahead = interpolated(at, flown.time, whole)
-                self._predict(felt[row, :3], felt[row, 3:], out[row], ahead)
+                if known:
+                    ahead = interpolated(since[row - 1] + own.times[2:], flown.time, whole)
+                self._step(felt[row, :3], felt[row, 3:], out[row], ahead)
         return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
 
-    def _predict(
+    def _step(
         self,
-        force: NDArray[np.float64],
-        rate: NDArray[np.float64],
+        specific_force: NDArray[np.float64],
+        angular_rate: NDArray[np.float64],
         motion: NDArray[np.float64],
         ahead: NDArray[np.float64] | None = None,
     ) -> None:
-        """As `step`, with the force and rate ahead at the knots of the horizon, (N - 1, 6)."""
-        running, predictive = self._running, self.predictive
-        now, turning = np.empty(3), np.empty(3)
+        """One host frame; what is known `ahead`, at the knots 2 .. N (N - 1, 6), is overwritten."""
+        running, own, force = self._running, self.predictive, np.empty(3)
+        if own is None:
+            step(running, self._algorithm, specific_force, angular_rate, motion)
+            return
         if ahead is not None:
-            ahead = ahead.copy()
             expect(running, ahead)
-        scaled(running, force, rate, now, turning)
-        euler_rates_of(*coming_attitude(running), turning, running.euler_rates)
-        arguments = running.euler_rates, now, running.angular, running.linear, ahead
-        predictive.move(*arguments)  # type: ignore[union-attr]
+        take(running, specific_force, angular_rate, force)
+        own.move(running.euler_rates, force, running.angular, running.linear, ahead)
         place_platform(running, motion)
 
     @property
@@ -292,14 +287,7 @@ class Washout:
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), running.angular[0, :2]):
             euler_rates_of(roll, pitch, rate, running.euler_rates)
-            if self.predictive is not None:
-                self.predictive.settle(running.euler_rates, force)
-                self.predictive.read(running.angular, running.linear)
-                continue
-            running.algorithm.settle(running.euler_rates, force)  # type: ignore[union-attr]
-            # At rest a step with the same inputs changes nothing; it reads the outputs.
-            rest = (running.euler_rates, np.zeros(3), force)
-            move(running.algorithm, *rest, running.angular, running.linear)
+            self._algorithm.settle(running.euler_rates, force, running.angular, running.linear)
         self._sequence = 0
         motion = np.empty((3, 6))
         place_platform(running, motion)
@@ -310,19 +298,16 @@ class Washout:
 
         Specific force [m/s^2] and angular rate [rad/s] are at the pilot's station, body axes, (3,).
         """
-        if self.predictive is not None and self.predictive.reference == "known":
+        own, motion = self.predictive, np.empty((3, 6))
+        if own is not None and own.reference == "known":
             raise InputError(
                 "prediction.reference: 'known' needs a flight; allowed: constant, guess"
             )
         if self._sequence is None:
-            if self.predictive is not None:
-                self.predictive.bound(self.solving / self.rate)
+            if own is not None:
+                own.bound(self.solving / self.rate)
             return self.start(specific_force, angular_rate)
-        motion = np.empty((3, 6))
         felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
-        if self.predictive is None:
-            step(self._running, *felt, motion)
-        else:
-            self._predict(*felt, motion)
+        self._step(*felt, motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)
