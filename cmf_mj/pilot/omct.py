@@ -43,7 +43,7 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import recorded_machine
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body, pilot_station
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
@@ -67,8 +67,8 @@ ANGLE = 6.0 * DEGREE  #: Largest amplitude of an angle [rad]; recalled.
 
 ANGULAR_RATE = 1.0 * DEGREE  #: Largest amplitude of an angle's rate [rad/s]; recalled.
 
-STAGES = ("washout", "demand")
-"""Places without a machine: the host's frames, and the platform demand behind the DCU."""
+STAGES = ("washout", "ideal")
+"""Places without a machine: the host's frames, and an ideal one's motion behind the DCU."""
 
 _SETTLE = 20.0  #: Least time before the cycles that are measured [s].
 _MEASURE = 5.0  #: Least time measured [s].
@@ -93,7 +93,7 @@ class Omct(NamedTuple):
     def share(self, law: str) -> NDArray[np.complex128]:
         """Response of the machine under a law over that of an ideal one, (10, K)."""
         with np.errstate(invalid="ignore"):
-            return self.responses[law] / self.responses["demand"]
+            return self.responses[law] / self.responses["ideal"]
 
 
 def amplitude(dof: str, frequency: float) -> float:
@@ -101,14 +101,15 @@ def amplitude(dof: str, frequency: float) -> float:
     return by_kind(dof, FORCE, min(ANGLE, ANGULAR_RATE / frequency))
 
 
-def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotion, float]:
-    """The aircraft's motion of one run, and when its measured cycles begin [s].
+def measured_from(frequency: float) -> float:
+    """When the measured cycles of a frequency [rad/s] begin [s]."""
+    return max(2.0 * np.pi / frequency, _SETTLE)
 
-    The frequency is in rad/s, the amplitude `size` in m/s^2 or rad.
-    """
-    period = 2.0 * np.pi / frequency
-    begin = max(period, _SETTLE)
-    end = begin + period * np.ceil(_MEASURE / period)
+
+def aircraft_motion(dof: str, frequency: float) -> PilotMotion:
+    """The aircraft's motion of one run at a frequency [rad/s]."""
+    period, size = 2.0 * np.pi / frequency, amplitude(dof, frequency)
+    end = measured_from(frequency) + period * np.ceil(_MEASURE / period)
     time = np.arange(int(np.ceil((end + 0.5) * MOST_RATE))) / MOST_RATE
     span = min(period, _FADE)
     inside = np.clip(time / span, 0.0, 1.0)
@@ -122,12 +123,7 @@ def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotio
         force[:, axis] = value
     else:
         attitude[:, axis], turning[:, axis] = value, rate
-    return PilotMotion(time, force - gravity_in_body(attitude), turning, attitude), begin
-
-
-def outputs_of(dof: str) -> list[int]:
-    """Tests that an input drives, as places in `TESTS`."""
-    return [place for place, (driven, _) in enumerate(TESTS) if driven == dof]
+    return PilotMotion(time, force - gravity_in_body(attitude), turning, attitude)
 
 
 def omct(
@@ -150,7 +146,6 @@ def omct(
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
     chosen = load_cab(cab)
-    station = pilot_station(chosen)
     for dof in dofs:
         check_name("dofs", dof, sorted(DOFS))
     if not frequencies:
@@ -170,51 +165,49 @@ def omct(
     def run(case: tuple[str, int, Law | None]) -> None:
         dof, column, law = case
         frequency = float(frequencies[column])
-        size = amplitude(dof, frequency)
-        flown, begin = aircraft_motion(dof, frequency, size)
-        stream = Washout(settings, station=station, machine=chosen.machine).run(flown)
-        motions = _without_machine(stream, station) if law is None else {}
+        stream = _sent(settings, chosen, dof, frequency)
+        motions = _without_machine(stream, chosen.station) if law is None else {}
         if law is not None:
             plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}
             with suppress(OutOfBounds):
                 operation = operate(plant, law, stream, record_every=_EVERY, **ideal)
                 motions = {law.name: PilotMotion.from_record(operation.record)}
         for name, motion in motions.items():
-            for place in outputs_of(dof):
-                output = TESTS[place][1]
-                channel = by_kind(output, motion.specific_force, motion.attitude)
-                values = channel[:, dof_index(output) % 3]
-                responses[name][place, column], remainders[name][place, column] = _fundamental(
-                    motion.time, values, frequency, size, begin
-                )
+            for place, found in fundamentals(dof, frequency, motion).items():
+                responses[name][place, column], remainders[name][place, column] = found
 
     on_threads(run, cases, jobs, progress)
     driven = np.array(frequencies, dtype=float)
     return Omct(settings.name, chosen.name, parameters.name, driven, responses, remainders)
 
 
+def _sent(settings: WashoutSettings, cab: Cab, dof: str, frequency: float) -> HostStream:
+    washout = Washout(settings, station=cab.station, machine=cab.machine)
+    return washout.run(aircraft_motion(dof, frequency))
+
+
+def _demanded(stream: HostStream) -> NDArray[np.float64]:
+    """The DCU's demand of host frames, (N, 3, 6)."""
+    unit, frames = make_dcu(load_dcu()), int(stream.time[-1] * RATE)
+    return upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
+
+
 def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[str, PilotMotion]:
     """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
-    unit = make_dcu(load_dcu())
-    frames = int(stream.time[-1] * RATE)
-    played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
-    demand = make_stream(np.arange(frames)[::_EVERY] / RATE, *np.swapaxes(played[::_EVERY], 0, 1))
+    played = _demanded(stream)
+    time = np.arange(len(played))[::_EVERY] / RATE
+    demand = make_stream(time, *np.swapaxes(played[::_EVERY], 0, 1))
     motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
     return dict(zip(STAGES, motions, strict=True))
 
 
 def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
     """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
-    dof, frequency = str(table["dof"]), float(table["frequency"])
-    flown, _ = aircraft_motion(dof, frequency, amplitude(dof, frequency))
-    machine, station = plant.machine, pilot_station(plant.cab_parameters)
-    settings = load_washout(str(table.get("washout", "simona")))
-    stream = Washout(settings, station=station, machine=machine).run(flown)
-    unit = make_dcu(load_dcu())
-    frames = int(stream.time[-1] * RATE)
-    played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)[:, 0]
-    rows = np.arange(int(frames * machine.rate / RATE)) * RATE // machine.rate
-    return Command(played[rows], Other(**{**table, "rate": machine.rate}))
+    settings, rate = load_washout(str(table.get("washout", "simona"))), plant.machine.rate
+    driven = str(table["dof"]), float(table["frequency"])
+    played = _demanded(_sent(settings, load_cab(plant.cab_parameters), *driven))[:, 0]
+    rows = np.arange(int(len(played) * rate / RATE)) * RATE // rate
+    return Command(played[rows], Other(**{**table, "rate": rate}))
 
 
 def cueing(record: Record) -> dict[str, float]:
@@ -222,19 +215,27 @@ def cueing(record: Record) -> dict[str, float]:
 
     The station is that of the cab that the metadata name.
     """
-    said = record.metadata["command"]
+    said, machine = record.metadata["command"], recorded_machine(record.metadata)
     dof, frequency = str(said["dof"]), float(said["frequency"])
-    size, machine = amplitude(dof, frequency), recorded_machine(record.metadata)
-    _, begin = aircraft_motion(dof, frequency, size)
     stream = make_stream(record.time, legs_to_pose(record["leg_position"], machine))
-    station = pilot_station(load_cab(record.metadata["cab"], machine))
+    station = load_cab(record.metadata["cab"], machine).station
     motion, found = PilotMotion.from_platform(stream, station), {}
-    for output in (TESTS[place][1] for place in outputs_of(dof)):
-        values = by_kind(output, motion.specific_force, motion.attitude)[:, dof_index(output) % 3]
-        response, _ = _fundamental(motion.time, values, frequency, size, begin)
-        name = f"{dof} > {output} {frequency:g} rad/s"
+    for place, (response, _) in fundamentals(dof, frequency, motion).items():
+        name = f"{dof} > {TESTS[place][1]} {frequency:g} rad/s"
         found[f"{name} modulus"] = abs(response)
         found[f"{name} phase [deg]"] = float(np.degrees(np.angle(response)))
+    return found
+
+
+def fundamentals(
+    dof: str, frequency: float, motion: PilotMotion
+) -> dict[int, tuple[complex, float]]:
+    """By place in `TESTS` of all that an input drives: response and remainder."""
+    found, sine = {}, (frequency, amplitude(dof, frequency), measured_from(frequency))
+    for place, (driven, output) in enumerate(TESTS):
+        if driven == dof:
+            channel = by_kind(output, motion.specific_force, motion.attitude)
+            found[place] = _fundamental(motion.time, channel[:, dof_index(output) % 3], *sine)
     return found
 
 

@@ -197,11 +197,6 @@ def unit(place: int) -> tuple[str, float]:
     return ("m/s^2/deg", 1.0 / DEGREE) if driven in _ROTATIONS else ("deg/(m/s^2)", DEGREE)
 
 
-def title(stage: str) -> str:
-    """A stage or law as tables and figures call it."""
-    return "ideal" if stage == "demand" else stage
-
-
 def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Phase [deg] unwrapped along the frequencies that have a response, (K,)."""
     known, angle = np.isfinite(response), np.full(response.shape, np.nan)
@@ -218,11 +213,11 @@ def omct_table(result: Omct) -> Table:
             row = responses[place]
             if not np.isfinite(row).any():
                 continue
-            test = name if stage == "demand" else ""
+            test = name if stage == STAGES[1] else ""
             if stage == STAGES[0]:
                 test = f"{driven} > {output}"
             sizes = (number(size, ".3f") for size in np.abs(row) / scale)
-            rows.append([test, title(stage), "mod", *sizes])
+            rows.append([test, stage, "mod", *sizes])
             rows.append(["", "", "deg", *(number(angle, ".0f") for angle in phase(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
@@ -274,7 +269,7 @@ def omct_figure(result: Omct) -> Figure:
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
         for index, (stage, responses) in enumerate(result.responses.items()):
-            style: dict[str, Any] = {"color": colours[index % len(colours)], "label": title(stage)}
+            style: dict[str, Any] = {"color": colours[index % len(colours)], "label": stage}
             style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
             angle.plot(result.frequency, phase(responses[place]), **style)
@@ -317,7 +312,7 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
                 "share_modulus": np.abs(share),
                 "share_phase_deg": phase(share),
             }
-            of = {"test": f"{driven}>{output}", "stage": title(stage)}
+            of = {"test": f"{driven}>{output}", "stage": stage}
             for at in np.flatnonzero(np.isfinite(response)):
                 rows.append(of | {name: values[at] for name, values in columns.items()})
     files = {
