@@ -42,7 +42,7 @@ from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue
-from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, pilot_station
+from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated
 from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
@@ -152,7 +152,7 @@ def flight_result(
     limits: MotionLimits,
 ) -> FlightResult:
     """What an operation on the frames of an aircraft was to the pilot, none of them held back."""
-    asked = PilotMotion.from_platform(stream, pilot_station(plant.cab_parameters))
+    asked = PilotMotion.from_platform(stream, load_cab(plant.cab_parameters).station)
     record = operation.record
     simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)

@@ -29,7 +29,6 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
-from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.record.record import Record
 
@@ -99,7 +98,7 @@ class PilotMotion:
     def from_platform(stream: HostStream, station: ArrayLike) -> "PilotMotion":
         """The motion at a station on the simulator's platform that follows host frames exactly.
 
-        The station, such as `pilot_station`, counts from the platform's centroid in platform axes,
+        The station, such as `Cab.station`, counts from the platform's centroid in platform axes,
         z down [m], (3,).
         """
         poses, rates, changes = (np.ascontiguousarray(values) for values in stream[2:])
@@ -134,11 +133,6 @@ class PilotMotion:
     def save(self, path: str | Path) -> Path:
         """Write `columns` as CSV or Parquet, by the name's end; `load_flight` reads it."""
         return write_table(pa.table(self.columns()), Path(path))
-
-
-def pilot_station(cab: str | Path | Cab | None = None) -> NDArray[np.float64]:
-    """Where a cab's crew sits, from the platform's centroid, platform axes, z down [m], (3,)."""
-    return load_cab(cab).station
 
 
 def gravity_in_body(attitude: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from typing import Annotated, NamedTuple
 import control
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import history, hold, settled
@@ -70,20 +70,12 @@ class Thresholds(Settings):
         return np.array([getattr(self, name).si for name in QUANTITIES])
 
 
-class TiltThreshold(Settings):
-    """Smallest pitch tilt noticed at a frequency."""
-
-    frequency: Annotated[Quantity, positive_in("Hz", "rad/s")]
-    angle: Annotated[Quantity, positive_in("deg", "rad")]
-
-
 class Senses(Settings):
     """All parameters of the senses."""
 
     canals: Canals
     otoliths: Otoliths
     thresholds: Thresholds
-    tilt: tuple[TiltThreshold, ...] = Field(strict=False)
 
     @model_validator(mode="after")
     def _apart(self) -> "Senses":
@@ -147,13 +139,11 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
     ):
         a, b, c, d = control.ssdata(state_space(response))
         system = hold(a, b, c, d, 1.0 / motion.rate)
-        outputs = np.empty_like(inputs)
-        for axis in range(3):
-            column = np.ascontiguousarray(inputs[:, axis : axis + 1])
-            sensed = np.empty_like(column)
+        columns = np.ascontiguousarray(inputs.T)[:, :, None]
+        outputs = np.empty_like(columns)
+        for column, sensed in zip(columns, outputs, strict=True):
             history(system, settled(system, column[0]), column, sensed)
-            outputs[:, axis] = sensed[:, 0]
-        parts.append(outputs)
+        parts.append(np.ascontiguousarray(outputs[:, :, 0].T))
     return Sensed(motion.time, *parts)
 
 

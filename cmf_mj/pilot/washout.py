@@ -28,19 +28,13 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.machine import models
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.classical import Classical, make_classical, move_classical
-from cmf_mj.pilot.motion import (
-    MOST_RATE,
-    PilotMotion,
-    body_rates,
-    interpolated,
-    pilot_station,
-    vector,
-)
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated, vector
 from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
 from cmf_mj.pilot.predictive import Predictive, Solves
 from cmf_mj.pilot.washout_settings import (
@@ -85,12 +79,10 @@ def _compiled_move(algorithm, *sample):  # type: ignore[no-untyped-def]
 @allocating
 def scaled(running, specific_force, angular_rate, force, rate):  # type: ignore[no-untyped-def]
     """Write f1 and w1, (3,) each."""
-    for axis in range(3):
-        rest = -STANDARD_GRAVITY if axis == 2 else 0.0
-        beyond = running.gain[axis] * (specific_force[axis] - rest)
-        force[axis] = rest + min(max(beyond, -running.force_limit), running.force_limit)
-        turned = running.gain[3 + axis] * angular_rate[axis]
-        rate[axis] = min(max(turned, -running.rate_limit), running.rate_limit)
+    rest = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    beyond = running.gain[:3] * (specific_force - rest)
+    force[:] = rest + np.clip(beyond, -running.force_limit, running.force_limit)
+    rate[:] = np.clip(running.gain[3:] * angular_rate, -running.rate_limit, running.rate_limit)
 
 
 @allocating
@@ -110,14 +102,10 @@ def place_platform(running, motion):  # type: ignore[no-untyped-def]
     body_rates(angular[0], angular[1], angular[2], omega, alpha)
     turn = rotation(angular[0, 0], angular[0, 1], angular[0, 2])
     swing = np.cross(omega, station)
-    arms = (turn @ station - station, turn @ swing)
-    inward = turn @ (np.cross(alpha, station) + np.cross(omega, swing))
-    for axis in range(3):
-        motion[0, axis] = linear[0, axis] - arms[0][axis]
-        motion[1, axis] = linear[1, axis] - arms[1][axis]
-        motion[2, axis] = linear[2, axis] - inward[axis]
-        for order in range(3):
-            motion[order, 3 + axis] = angular[order, axis]
+    motion[0, :3] = linear[0] - (turn @ station - station)
+    motion[1, :3] = linear[1] - turn @ swing
+    motion[2, :3] = linear[2] - turn @ (np.cross(alpha, station) + np.cross(omega, swing))
+    motion[:, 3:] = angular
 
 
 @allocating
@@ -192,7 +180,7 @@ class Washout:
         `lead` of its law [s], see `law_delay`.
         """
         self.settings = load_washout(settings)
-        self.station = vector("station", pilot_station() if station is None else station, " [m]")
+        self.station = vector("station", load_cab().station if station is None else station, " [m]")
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.rate, most = rate, self.settings.inputs

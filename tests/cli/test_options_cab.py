@@ -11,7 +11,6 @@ from shared import cmf
 import cmf_mj
 from cmf_mj.core import units
 from cmf_mj.machine.cab import load_cab, recorded_cab
-from cmf_mj.pilot.motion import pilot_station
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.show.film import model_of
@@ -104,7 +103,7 @@ def test_run(mine: str, tmp_path: Path) -> None:
 
 
 def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:
-    assert np.array_equal(pilot_station(mine), pilot_station("gfd"))
+    assert np.array_equal(load_cab(mine).station, load_cab("gfd").station)
 
 
 @pytest.mark.parametrize(

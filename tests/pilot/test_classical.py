@@ -7,6 +7,7 @@ from cab_motions import G, level, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.filters import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.pilot.classical import (
     follow,
@@ -16,7 +17,7 @@ from cmf_mj.pilot.classical import (
     translation_filter,
 )
 from cmf_mj.pilot.cueing import cue
-from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import load_washout
 
@@ -257,7 +258,7 @@ def test_the_platform_turns_about_the_pilot():
     """Tilt about the centroid throws the head, 2.3 m above it, back at the onset of a surge."""
     motion = pushed(0, np.minimum(sustained(1.0), np.arange(4800) / 80.0))
     _, about_head = simulated(motion)
-    station = pilot_station()
+    station = load_cab().station
     stream = Washout(station=np.zeros(3)).run(motion)
     about_centroid = PilotMotion.from_platform(stream, station)
     early = slice(80, 120)

@@ -18,6 +18,7 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import HostStream, from_command, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine import kinematics
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.flight import Flight, load_flight
@@ -32,7 +33,7 @@ from cmf_mj.pilot.fly import (
     law_delay,
     transport_delay,
 )
-from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
@@ -109,7 +110,7 @@ def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -
 
 def platform_flown(stream: HostStream, law: str = "velocity") -> FlightResult:
     """A ride whose aircraft does what the frames ask of the platform, with ideal electronics."""
-    plant, aircraft = Hexapod(), PilotMotion.from_platform(stream, pilot_station())
+    plant, aircraft = Hexapod(), PilotMotion.from_platform(stream, load_cab().station)
     operation = operate(plant, law, stream, record_every=RECORD_EVERY, **IDEAL)
     return flight_result(plant, aircraft, stream, operation, load_motion_limits())
 

@@ -6,13 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.motion import (
     PilotMotion,
     at_lever_arm,
     body_rates,
     gravity_in_body,
-    pilot_station,
     turn_to_body,
 )
 
@@ -108,7 +108,7 @@ def test_record_of_a_run_agrees_with_the_platforms_own_motion():
     velocity = np.gradient(pose, step, axis=0)
     acceleration = (pose[2:] - 2 * pose[1:-1] + pose[:-2]) / step**2
     stream = make_stream(record.time[1:-1], pose[1:-1], velocity[1:-1], acceleration)
-    computed = PilotMotion.from_platform(stream, pilot_station())
+    computed = PilotMotion.from_platform(stream, load_cab().station)
     np.testing.assert_allclose(felt.time[1:-1], record.time[1:-2], atol=1e-12)
     inside = slice(200, -200)
     apart = felt.specific_force[1:][: computed.time.size] - computed.specific_force
@@ -120,9 +120,7 @@ def test_record_of_a_run_agrees_with_the_platforms_own_motion():
 
 
 def test_station_of_the_cab_is_above_and_ahead():
-    np.testing.assert_array_equal(pilot_station("gfd"), [0.6, 0.0, -2.3])
-    with pytest.raises(ValueError, match="'bus'"):
-        pilot_station("bus")
+    np.testing.assert_array_equal(load_cab("gfd").station, [0.6, 0.0, -2.3])
 
 
 def test_resampling_keeps_straight_lines():

@@ -79,4 +79,3 @@ def test_own_file_and_refusals(tmp_path):
     with pytest.raises(ValueError, match=r"canals.lead.*at least 0 s"):
         load_senses(path)
     assert SENSES.thresholds.x.status == "recalled"
-    assert {row.angle.status for row in SENSES.tilt} == {"published"}

@@ -7,6 +7,7 @@ from scipy import integrate, linalg
 from scipy.optimize import nnls
 
 from cmf_mj.core.filters import hold
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
@@ -14,7 +15,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.drives import drive
 from cmf_mj.pilot.judgement import judge
-from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.optimal import condense, knots, parts, span_cost, washout_modes
 from cmf_mj.pilot.perception import load_senses, otoliths_ahead, sense
 from cmf_mj.pilot.predictive import along
@@ -108,7 +109,7 @@ def test_knots_begin_with_a_frame_and_end_at_the_horizon():
 
 def test_legs_and_pose_along_a_motion_are_those_of_the_centroid():
     """Central differences of the kinematics along a path of the head."""
-    station, shape = pilot_station(), load_machine().geometry
+    station, shape = load_cab().station, load_machine().geometry
     q0, rate = (
         np.array([0.2, -0.1, 0.1, 0.1, -0.12, 0.2]),
         np.array([0.3, 0.2, -0.1, 0.1, 0.2, 0.1]),
