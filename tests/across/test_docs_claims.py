@@ -25,7 +25,7 @@ from cmf_mj import (
     simulate,
 )
 from cmf_mj.analysis.frequency_response import rounds_response
-from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.measures import least_damped_mode, measure_loop
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
@@ -250,6 +250,16 @@ def test_excitations_agree_as_far_as_measuring_md_says(dof: str, percent: int) -
     most = bandwidths(frequency_response(simulate(plant, "velocity", small), dof)).phase_hz
     assert least < most <= (1.0 + percent / 100.0) * least
     assert f"{percent} % in {dof}" in read("docs/how_to/measuring.md")
+
+
+def test_force_feedback_rings_at_25_hz_with_oil_as_stiff_as_deviations_md_says() -> None:
+    page = read("docs/explanation/deviations.md").replace("\n", " ")
+    (times,) = re.findall(r"25 Hz needs oil (\S+) times as stiff", page)
+    oil = load_hydraulics("report")
+    bulk = oil.bulk_modulus.model_copy(update={"value": float(times) * oil.bulk_modulus.value})
+    stiff = Linear(SingleLegs(oil.model_copy(update={"bulk_modulus": bulk})))
+    poles = stiff.loop("force", "leg_1").poles()
+    assert least_damped_mode(poles, 200.0, lowest_hz=4.0)[1] == pytest.approx(25.0, abs=0.2)
 
 
 def unknown_in(line: str, known: dict[tuple[str, ...], Any]) -> list[str]:
