@@ -13,6 +13,7 @@ import argparse
 import csv
 import io
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -26,10 +27,25 @@ from cmf_mj.machine.kinematics import leg_jacobian
 from cmf_mj.show.look import save_figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs/_static/course"))
-from by_hand import calm, fitted, given, leg, misfit, payload, peaks, series, surge, tops
+from by_hand import (
+    calm,
+    fitted,
+    given,
+    leg,
+    misfit,
+    payload,
+    peaks,
+    polynomial,
+    right,
+    series,
+    surge,
+    tops,
+)
 
 EVERY = 16  #: Frames from row to row of the time series: 128 a second.
 SECONDS = 4.0  #: Of each time series.
+COURSE = Path(__file__).resolve().parents[1] / "docs/_static/course"
+LESSONS = ("why_surge_shakes", "acceleration_feedback", "recording_to_law")
 COLUMNS = {
     "time_s": ("time", 0, "s", "Time; the step is demanded at 1 s"),
     "demand_m": ("demand_pose", None, "m", "Pose demanded, along the axis of the file"),
@@ -52,7 +68,7 @@ def legs(folder: Path) -> str:
     found, of = Hexapod("gfd").hydraulic_modes(), given()
     lines = [
         "leg,mass [kg],mass [lbm],rings at [Hz],-90 deg [Hz],peak [dB],swings at [Hz],damping,"
-        "margin [dB],counted [Hz],rests at [in]"
+        "margin [dB],counted [Hz],rests at [in],oil swings at [Hz],its damping"
     ]
     for name, mode in (("heave", 3), ("surge", 0)):
         mass = float(found.leg_mass[mode])
@@ -61,7 +77,10 @@ def legs(folder: Path) -> str:
         first, second, *_ = time[tops(response)]
         cells = f"{mass:.0f},{units.from_si('lbm', mass):.0f},{one['ring']:.2f},{one['lag90']:.2f}"
         cells += f",{one['peak']:.1f},{one['swing']:.2f},{one['damping']:.2f},{one['margin']:.1f}"
-        lines.append(f"{name},{cells},{1.0 / (second - first):.1f},{response[-1]:.2f}")
+        cells += f",{1.0 / (second - first):.1f},{response[-1]:.2f}"
+        fast = max(np.roots(polynomial(mass, of)), key=abs)
+        swing = f"{abs(fast.imag) / (2.0 * np.pi):.1f},{-fast.real / abs(fast):.2f}"
+        lines.append(f"{name},{cells},{swing}")
     return "\n".join(lines) + "\n"
 
 
@@ -82,7 +101,19 @@ def values() -> str:
         ("a", "gain on acceleration", f"{of.acceleration:.5f}", "%/(in/s²)"),
         ("b", "gain on force, over the mass", f"{of.load:.3e}", "%/(in/s²)/kg"),
     ]
-    return _csv([("symbol", "is", "value", "unit"), *rows])
+    scale = {
+        "psi": 1e-6 * units.PSI,
+        "in²": INCH**2,
+        "in": INCH,
+        "lbm": units.factor("lbm"),
+        "ms": 1e-3,
+    }
+    si = {"psi": "MPa", "in²": "m²", "in": "m", "lbm": "kg", "ms": "s"}
+    rows = [
+        (*row, f"{float(row[2]) * scale[row[3]]:.5g} {si[row[3]]}" if row[3] in si else "")
+        for row in rows
+    ]
+    return _csv([("symbol", "is", "value", "unit", "SI"), *rows])
 
 
 def cosine() -> float:
@@ -149,6 +180,43 @@ def fit() -> str:
     return f"{header}\nstep in surge,{cells},{law}\n"
 
 
+def exercises() -> str:
+    """The exercises of the notebooks with what is right, as the line of exercises.html."""
+    cells = [
+        "".join(cell["source"])
+        for name in LESSONS
+        for cell in json.loads((COURSE / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+        if cell["cell_type"] == "markdown"
+    ]
+    words = dict(re.findall(r"^(\d+): (.*)", "\n".join(cells), re.MULTILINE))
+    asked = re.findall(r"## (\d+)\n\n\*\*(.*?)\*\* (.*)", "\n".join(cells))
+    rows = [
+        {"number": int(number), "title": title, "question": question.replace("*", "")}
+        | dict(zip(("right", "unit", "hint"), right()[int(number)], strict=True))
+        | {"answer": words.get(number, "")}
+        for number, title, question in asked
+    ]
+    return f"const EXERCISES = {json.dumps(rows, ensure_ascii=False, default=float)};"
+
+
+def recorded() -> str:
+    """The simulated step in surge over where it rests, as the line of leg.html."""
+    time, response = series("surge")
+    swing, rest = (time > 1.0) & (time < 2.5), response[time > 3.5].mean()
+    points = [[round(t - 1.0, 6), round(x, 4)] for t, x in zip(time, response / rest, strict=True)]
+    kept = [point for point, inside in zip(points, swing, strict=True) if inside]
+    return f"const RESTS = {rest:.4f}, RECORDED = {json.dumps(kept)};"
+
+
+def pages(folder: Path) -> None:
+    """The pages of the course with their lines."""
+    for name, line in (("exercises", exercises()), ("leg", recorded())):
+        text = (COURSE / f"{name}.html").read_text(encoding="utf-8")
+        start = line.split(" = ")[0] + " ="
+        found = [line if one.startswith(start) else one for one in text.split("\n")]
+        (folder / f"{name}.html").write_text("\n".join(found), encoding="utf-8")
+
+
 def draw(folder: Path) -> None:
     """Peak over the gain on acceleration; the recorded step, the fitted one and what is left."""
     of, linear = given(), Linear(Hexapod("gfd"))
@@ -211,6 +279,7 @@ def main() -> None:
     for axis, name in ((0, "surge"), (2, "heave")):
         save_step(axis, name, folder)
     draw(folder)
+    pages(folder)
     made = {"legs": legs(folder), "leg_values": values(), "leg_mass": masses()}
     made |= {"leg_gains": gains(), "leg_fit": fit()}
     for name, text in made.items():

@@ -67,6 +67,7 @@ COPIES = {
         for name in ("surge", "heave")
         for end in ("", "-metadata.json")
     },
+    **{f"course/{name}.html": f"_static/course/{name}.html" for name in ("exercises", "leg")},
     "course/gains.png": "images/course_gains.png",
     "course/fit.png": "images/course_fit.png",
     "films/modes_gfd.mp4": "_static/films/modes.mp4",

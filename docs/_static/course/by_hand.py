@@ -25,6 +25,8 @@ from cmf_mj.machine.kinematics import leg_jacobian
 
 Array = NDArray[np.float64]
 
+LBM = 0.45359237  #: Of a pound [kg].
+
 
 class Given(NamedTuple):
     """What the sliders set, beside the mass, and what is fixed."""
@@ -163,24 +165,30 @@ def surge() -> float:
 
 
 @cache
-def _right() -> dict[int, tuple[float, str, str]]:
+def right() -> dict[int, tuple[float, str, str]]:
     """What is right in each exercise, its unit and a hint."""
     of, masses = given(), Hexapod("gfd").hydraulic_modes().leg_mass
-    heave, slow = leg(masses[3], of), leg(masses[0], of)
+    aired = of._replace(stiffness=0.5 * of.stiffness)
+    eased, soft = leg(masses[3], of._replace(gain=30.0)), leg(masses[0], aired)
     time, response = series("surge")
     stretch = leg_jacobian(np.zeros(6))[:, 0]
-    most = of.gain * 10.0 ** (slow["margin"] / 20.0)
+    heavy = 40000 * LBM / (stretch @ stretch)
+    most = of.gain * 10.0 ** (soft["margin"] / 20.0)
     slowed = leg(surge(), of._replace(acceleration=enough()))
     lowest = peaks(surge(), of, "acceleration", np.geomspace(of.acceleration, 1.0, 200)).min()
     return {
-        1: (of.stiffness / 1e6, "MN/m", "Both chambers push back, each with beta A^2 / V."),
-        2: (heave["ring"], "Hz", "omega is in rad/s; pounds are not kilograms."),
-        3: (payload() / (stretch @ stretch), "kg", "A leg stretches by sin(lean) cos(bearing)."),
-        4: (heave["lag90"], "Hz", "A quadratic in w^2; take its smaller root."),
+        1: (aired.stiffness / 1e6, "MN/m", "Both chambers push back, each with beta A^2 / V."),
+        2: (leg(masses[3], aired)["ring"], "Hz", "omega is in rad/s; pounds are not kilograms."),
+        3: (heavy, "kg", "A leg stretches by sin(lean) cos(bearing)."),
+        4: (eased["lag90"], "Hz", "A quadratic in w^2; take its smaller root."),
         5: (most, "%/in", "Routh bounds K; g is K / sigma."),
         6: (1.0 / np.diff(time[tops(response)])[0], "Hz", "From maximum to maximum is a period."),
-        7: (enough(), "%/(in/s^2)", "peaks(surge, law, 'acceleration', ...) is to be 7 dB."),
-        8: (slowed["lag90"], "Hz", "leg(surge, law._replace(acceleration=...))['lag90']."),
+        7: (
+            enough(),
+            "%/(in/s^2)",
+            "With it the largest gain is 7.0 dB: the last slider, or `peaks`.",
+        ),
+        8: (slowed["lag90"], "Hz", "The page has it beside that gain, as has `leg`."),
         9: (lowest, "dB", "Try gains from the law's own to 1: the peak falls, then rises."),
         10: (fitted(), "kg", "The least mean square of misfit; minimize_scalar finds it."),
         11: (100.0 * abs(fitted() / surge() - 1.0), "%", "Against the mass of the mode, surge."),
@@ -190,11 +198,11 @@ def _right() -> dict[int, tuple[float, str, str]]:
 
 def mark(number: int, answer: float | None) -> None:
     """Say whether the answer to an exercise is right within 2 %."""
-    right, unit, hint = _right()[number]
+    true, unit, hint = right()[number]
     if answer is None:
         verdict = "not answered yet"
-    elif abs(float(answer) / right - 1.0) < 0.02:
-        verdict = f"right: {right:.3g} {unit}"
+    elif abs(float(answer) / true - 1.0) < 0.02:
+        verdict = f"right: {true:.3g} {unit}"
     else:
         verdict = f"not {float(answer):.3g} {unit}. {hint}"
     print(f"{number}: {verdict}")
