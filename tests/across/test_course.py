@@ -102,7 +102,45 @@ def test_each_column_of_the_time_series_is_in_the_data_dictionary(name: str) -> 
     assert max(float(row[2]) for row in rows) > 0.0254  # it overshoots an inch
 
 
-# The page with sliders
+def test_the_pages_have_the_exercises_of_the_notebooks_and_the_step_of_the_series(
+    script: SimpleNamespace, hand: SimpleNamespace, tmp_path: Path
+) -> None:
+    script.pages(tmp_path)
+    for name in ("exercises", "leg"):
+        kept = (COURSE / f"{name}.html").read_text(encoding="utf-8")
+        assert (tmp_path / f"{name}.html").read_text(encoding="utf-8") == kept
+    line = script.exercises()
+    rows = json.loads(line[line.index("[") : -1])
+    assert [row["number"] for row in rows] == list(range(1, 13))
+    assert all(row["question"].endswith("?") and row["hint"] for row in rows)
+    assert [row["number"] for row in rows if row["answer"]] == [3, 6, 9, 11]
+
+
+# The pages
+
+
+@pytest.mark.slow
+def test_the_exercises_mark_themselves_within_two_per_cent(hand: SimpleNamespace) -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        page = browser.new_context(offline=True).new_page()
+        for lesson, numbers in ((1, range(1, 7)), (2, range(7, 10)), (3, range(10, 13))):
+            page.goto("about:blank")
+            page.goto((COURSE / "exercises.html").as_uri() + f"#{lesson}")
+            parts = page.locator("section")
+            assert parts.count() == len(numbers)
+            for part, number in zip(parts.all(), numbers, strict=True):
+                true, unit, hint = hand.right()[number]
+                for factor, good in ((1.015, True), (0.985, True), (1.03, False), (0.97, False)):
+                    part.get_by_role("textbox").fill(f"{factor * true:.6g}")
+                    part.get_by_role("button", name="mark").click()
+                    said = part.locator("p").last.inner_text()
+                    assert said.startswith("Right") == good and (good or hint in said)
+                part.get_by_role("button", name="answer").click()
+                assert unit in part.locator("p").last.inner_text()
+        browser.close()
 
 
 @pytest.mark.slow
@@ -141,6 +179,11 @@ def test_the_page_computes_what_python_does(hand: SimpleNamespace, size: tuple[i
             system = control.tf([a[-1]], a)
             _, expected = control.step_response(system, [0.0, 0.155, 0.31])
             assert stepped == pytest.approx(expected[-1], rel=1e-9, abs=1e-9)
+        recorded, of = hand.series("surge"), hand.given()
+        for mass in (hand.fitted(), 15000.0):
+            apart = page.evaluate("m => apart(leg({...values(), mass: m}))", mass)
+            left = np.sqrt(np.mean(hand.misfit(mass, of, *recorded) ** 2))
+            assert apart == pytest.approx(left, rel=2e-3)
         page.get_by_text("the leg in surge").click()
         peak = (ROOT / "docs/data/legs.csv").read_text(encoding="utf-8").splitlines()[2].split(",")
         shown = page.locator("#results").inner_text()
