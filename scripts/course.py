@@ -109,11 +109,11 @@ def values() -> str:
         "ms": 1e-3,
     }
     si = {"psi": "MPa", "in²": "m²", "in": "m", "lbm": "kg", "ms": "s"}
-    rows = [
-        (*row, f"{float(row[2]) * scale[row[3]]:.5g} {si[row[3]]}" if row[3] in si else "")
-        for row in rows
+    also = [
+        f"{float(row[2]) * scale[row[3]]:.5g} {si[row[3]]}" if row[3] in si else "" for row in rows
     ]
-    return _csv([("symbol", "is", "value", "unit", "SI"), *rows])
+    whole = [(*row, one) for row, one in zip(rows, also, strict=True)]
+    return _csv([("symbol", "is", "value", "unit", "SI"), *whole])
 
 
 def cosine() -> float:
