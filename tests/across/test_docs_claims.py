@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzzing import commands
+from shared import chirp_bandwidths
+from shared import printed as printed_row
 
 from cmf_mj import (
     Hexapod,
@@ -19,8 +21,10 @@ from cmf_mj import (
     attach_hydraulics,
     bandwidths,
     frequency_response,
+    load_cab,
     load_hydraulics,
     load_law,
+    pose_to_legs,
     signals,
     simulate,
 )
@@ -29,6 +33,7 @@ from cmf_mj.analysis.measures import least_damped_mode, measure_loop
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import about
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior import tables as posterior
 from cmf_mj.signals.composite import seven_sines, waypoints
@@ -292,16 +297,48 @@ def test_leg_speed_and_drive_lag_move_the_bandwidth_as_the_page_says() -> None:
     """Central differences of ln -90 deg in heave over ln of each number; leakage hardly counts."""
     oil, page = load_hydraulics("report"), read("docs/explanation/credibility.md")
 
-    def width(name: str, factor: float) -> float:
+    def width(law: str, name: str, factor: float) -> float:
         number = getattr(oil, name)
         changed = number.model_copy(update={"value": factor * number.value})
-        plant = SingleLegs(oil.model_copy(update={name: changed}))
-        loop = Linear(plant).loop("position_error_rate", "leg_1")
+        loop = Linear(SingleLegs(oil.model_copy(update={name: changed}))).loop(law, "leg_1")
         return measure_loop(loop, frequencies=np.geomspace(0.4, 15.0, 400)).phase_bandwidth_hz
 
+    def moved(law: str, name: str) -> float:
+        return float(50.0 * np.log(width(law, name, 1.01) / width(law, name, 0.99)))
+
     speed, lag, leak = (
-        50.0 * np.log(width(name, 1.01) / width(name, 0.99))
-        for name in ("leg_speed", "drive_lag", "leak_rate")
+        moved("position_error_rate", name) for name in ("leg_speed", "drive_lag", "leak_rate")
     )
     assert f"1 % of leg speed moves it by {speed:.2f} %, of drive lag by {lag:.2f} %" in page
     assert abs(leak) < 0.05
+    speed, lag = (moved("acceleration_d2", name) for name in ("leg_speed", "drive_lag"))
+    assert f"(`acceleration_d2` {speed:.1f} and {lag:.1f})" in page
+
+
+@pytest.mark.parametrize(
+    ("law", "dof", "table", "sentence"),
+    [
+        ("original", "heave", "3-5", "of the original law {:.1f} % above Table 3-5"),
+        ("position_error_rate", "roll", "D-1", "in roll {:.1f} % below Table D-1"),
+    ],
+)
+def test_report_md_has_the_bandwidths_nearest_to_their_limit(
+    law: str, dof: str, table: str, sentence: str
+) -> None:
+    found = chirp_bandwidths("single_legs", law, dof, hydraulics="report").phase_hz
+    off = abs(found / printed_row(table, law, dof=dof).phase_bandwidth_hz - 1.0)
+    assert sentence.format(100.0 * off) in read("docs/explanation/report.md")
+
+
+def test_a_tilt_about_the_centre_of_mass_moves_legs_as_limits_md_says() -> None:
+    """About any level axis, with the cab farthest off."""
+    turns = np.linspace(0.0, 2.0 * np.pi, 121)
+    tilts = np.zeros((turns.size, 6))
+    tilts[:, 3:5] = np.radians(1.0) * np.column_stack([np.cos(turns), np.sin(turns)])
+    apart = []
+    for cab in map(load_cab, models.CABS):
+        parts = (cab, cab.platform)
+        place, mass = [p.centre_of_mass.si for p in parts], [p.mass.si for p in parts]
+        centre = np.average(place, axis=0, weights=mass) * [1.0, -1.0, -1.0]
+        apart.append(np.abs(pose_to_legs(tilts) - pose_to_legs(tilts, about(centre))).max())
+    assert f"1 deg differ by up to {1e3 * max(apart):.0f} mm" in read("docs/explanation/limits.md")
