@@ -311,8 +311,11 @@ def test_leg_speed_and_drive_lag_move_the_bandwidth_as_the_page_says() -> None:
     )
     assert f"1 % of leg speed moves it by {speed:.2f} %, of drive lag by {lag:.2f} %" in page
     assert abs(leak) < 0.05
-    speed, lag = (moved("acceleration_d2", name) for name in ("leg_speed", "drive_lag"))
+    speed, lag, oil_too = (
+        moved("acceleration_d2", name) for name in ("leg_speed", "drive_lag", "bulk_modulus")
+    )
     assert f"(`acceleration_d2` {speed:.1f} and {lag:.1f})" in page
+    assert "`acceleration_d2`: the oil" in page and abs(oil_too) > 0.2
 
 
 @pytest.mark.parametrize(
