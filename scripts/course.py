@@ -28,6 +28,7 @@ from cmf_mj.show.look import save_figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs/_static/course"))
 from by_hand import (
+    WITHIN,
     calm,
     fitted,
     given,
@@ -87,10 +88,11 @@ def legs(folder: Path) -> str:
 def values() -> str:
     """What the closed form is given, as CSV."""
     oil, of, lean = load_hydraulics("hardware"), given(), np.degrees(np.arccos(cosine()))
-    beta, area = oil.bulk_modulus.si / units.PSI, (oil.cap_area + oil.rod_area) / INCH**2
+    beta = oil.bulk_modulus.si / units.PSI
     rows = [
         ("β", "bulk modulus of the oil", f"{beta:.0f}", "psi"),
-        ("A_c + A_r", "areas of the piston, cap and rod side", f"{area:.2f}", "in²"),
+        ("A_c", "area of the piston, cap side", f"{oil.cap_area / INCH**2:.2f}", "in²"),
+        ("A_r", "area of the piston, rod side", f"{oil.rod_area / INCH**2:.2f}", "in²"),
         ("h", "half stroke", f"{oil.half_stroke.si / INCH:.2f}", "in"),
         ("M", "platform and cab", f"{units.from_si('lbm', payload()):.0f}", "lbm"),
         ("θ", "lean of a leg from the vertical", f"{lean:.2f}", "deg"),
@@ -99,7 +101,7 @@ def values() -> str:
         ("σ", "speed of a leg for 1 % of command", f"{of.speed:.3f}", "in/s/%"),
         ("g", "gain on position", f"{of.gain:.2f}", "%/in"),
         ("a", "gain on acceleration", f"{of.acceleration:.5f}", "%/(in/s²)"),
-        ("b", "gain on force, over the mass", f"{of.load:.3e}", "%/(in/s²)/kg"),
+        ("b", "gain on force", f"{of.load:.3e}", "%/(in/s²)/kg"),
     ]
     scale = {
         "psi": 1e-6 * units.PSI,
@@ -193,7 +195,7 @@ def exercises() -> str:
     rows = [
         {"number": int(number), "title": title, "question": question.replace("*", "")}
         | dict(zip(("right", "unit", "hint"), right()[int(number)], strict=True))
-        | {"answer": words.get(number, "")}
+        | {"within": WITHIN.get(int(number), 0.02), "answer": words.get(number, "")}
         for number, title, question in asked
     ]
     return f"const EXERCISES = {json.dumps(rows, ensure_ascii=False, default=float)};"
@@ -225,7 +227,12 @@ def draw(folder: Path) -> None:
     machine = [linear.measures(changed(of.gain, gain))[0] for gain in tried]
     axis.semilogx(tried, peaks(surge(), of, "acceleration", tried), label="by hand")
     axis.semilogx(tried, [one.peak_gain_db for one in machine], label="machine, while stable")
+    ends = tried[[not one.stable for one in machine].index(True)]
+    axis.axvline(ends, color="0.6", linestyle=":", label="a mode at 14 Hz is unstable beyond")
     axis.set(xlabel="gain on acceleration [%/(in/s²)]", ylabel="peak in surge [dB]")
+    ticks = [0.013, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0]
+    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.minorticks_off()
     axis.legend()
     save_figure(figure, folder / "gains.png")
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")

@@ -61,6 +61,8 @@ COPIES = {
     "films/surge_heave.html": "_static/films/surge_heave.html",
     # cmf video surge_ring --laws velocity,position_error_rate --start 0.8 --seconds 3 --speed 0.25
     "films/surge_laws.html": "_static/films/surge_laws.html",
+    # cmf video surge.toml heave.toml of docs/_static/course, as the lesson says
+    "films/course.html": "_static/films/course.html",
     "films/cueing.html": "_static/films/cueing.html",
     **{
         f"course/step_{name}.csv{end}": f"_static/course/step_{name}.csv{end}"
