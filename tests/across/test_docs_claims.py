@@ -29,7 +29,7 @@ from cmf_mj import (
     simulate,
 )
 from cmf_mj.analysis.frequency_response import rounds_response
-from cmf_mj.analysis.measures import least_damped_mode, measure_loop
+from cmf_mj.analysis.measures import least_damped_mode, measure_loop, step_metrics
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
@@ -265,6 +265,22 @@ def test_force_feedback_rings_at_25_hz_with_oil_as_stiff_as_deviations_md_says()
     stiff = Linear(SingleLegs(oil.model_copy(update={"bulk_modulus": bulk})))
     poles = stiff.loop("force", "leg_1").poles()
     assert least_damped_mode(poles, 200.0, lowest_hz=4.0)[1] == pytest.approx(25.0, abs=0.2)
+
+
+def test_lines_and_manifolds_cost_what_hydraulics_md_says() -> None:
+    """The rise of a heave step of 30 in, the busiest valve of a sine of 24 in/s once it repeats."""
+    page = read("docs/explanation/hydraulics.md").replace("\n", " ")
+    oil, rises, shares = load_hydraulics("hardware"), [], []
+    sine = signals.sine("heave", 24.0 * units.INCH / (0.5 * np.pi), 0.25, cycles=3)
+    for supply in (oil, oil.model_copy(update={"supply": "constant"})):
+        plant = Hexapod("gfd", supply)
+        step = simulate(plant, "velocity", signals.step("heave", 30.0 * units.INCH))
+        rises.append(step_metrics(step, "heave").rise_time)
+        run = simulate(plant, "velocity", sine)
+        within = (run.time > 4.0) & (run.time < 8.0)
+        shares.append(100.0 * np.abs(run["valve_command"][within]).max())
+    assert f"rises in {rises[0]:.3f} s for {rises[1]:.3f}" in page
+    assert f"takes {shares[0]:.1f} % of the valves for {shares[1]:.1f} %" in page
 
 
 def unknown_in(line: str, known: dict[tuple[str, ...], Any]) -> list[str]:
