@@ -262,7 +262,9 @@ def test_a_word_is_obeyed_in_its_states_only(swift: StateSettings) -> None:
         for data in (command(PARK), command(RESET), command(140), command(INHIBIT)):
             tell(data)
         tell(command(ENGAGE))  # inhibited
+        ask(b"cut short")
         tell(command(RESET))
+        assert not base.latched
         tell(command(ENGAGE, raised))  # engage begins at neutral, start where it says in heave
         tell(command(START, aside))
         tell(command(START, raised))

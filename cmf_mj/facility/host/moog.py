@@ -234,11 +234,11 @@ class MoogBase:
             self._stopped = _STOPS[word]
         if word in (Word.ENGAGE, Word.START):
             self._begin = pose
+        if word == Word.RESET:
+            self.latched = Latched(0)
         if word == Word.RESET and inhibited:
             self._stopped = MachineState.IDLE
             return
-        if word == Word.RESET:
-            self.latched = Latched(0)
         if word in _ASKS:
             session.source.progress[0].request = _ASKS[word].value
 
