@@ -26,7 +26,8 @@ from search_amplification import DERIVATIVES, Host  # noqa: E402
 
 from cmf_mj import Hexapod, Record, signals  # noqa: E402
 from cmf_mj.cli.facility import _end  # noqa: E402
-from cmf_mj.control.dcu.play import upsample  # noqa: E402
+from cmf_mj.control.dcu.acceptance import play_delay  # noqa: E402
+from cmf_mj.control.dcu.play import Arrivals, feed, step, upsample  # noqa: E402
 from cmf_mj.control.dcu.state import resting  # noqa: E402
 from cmf_mj.control.states import State  # noqa: E402
 from cmf_mj.core.units import STANDARD_GRAVITY  # noqa: E402
@@ -126,6 +127,22 @@ def test_a_micrometre_stays_one(speed: float) -> None:
     given = arrivals(sine(1e-6, 80.0, 20.0), timing=HostTiming(speed))
     demand = upsample(search.DCU, resting(search.DCU), given, 20 * 2048)
     assert np.abs(demand[:, 0, 2]).max() <= MOST * 1e-6
+
+
+def test_the_clock_of_a_host_that_slows_is_off_as_far_as_dcu_md_says() -> None:
+    """A host of 80 Hz that stands still, from 1 s on at 0.9 of real time."""
+    sent = np.arange(240) / 80.0
+    when = np.where(sent < 1.0, sent, 1.0 + (sent - 1.0) / 0.9)
+    frame = np.ceil(2048.0 * when).astype(np.int64)
+    given = Arrivals(frame, np.arange(240), sent, np.zeros((240, 3, 6)))
+    state, demand, cursor, off = resting(search.DCU), np.empty((3, 6)), 0, []
+    for now in range(frame[-1]):
+        cursor = feed(search.DCU, state, given, cursor, now)
+        step(search.DCU, state, demand)
+        turn = state.clocks[0].play + play_delay(search.DCU, state)
+        off.append(turn - np.interp(now / 2048.0, when, sent))
+    page = (SCRIPTS.parent / "docs" / "reference" / "dcu.md").read_text(encoding="utf-8")
+    assert f"is off by {1e3 * max(off[2048:]):.0f} ms at most" in page
 
 
 def felt(record: Record) -> float:
