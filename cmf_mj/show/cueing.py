@@ -17,7 +17,7 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
-from cmf_mj.pilot.perception import QUANTITIES, CueingError
+from cmf_mj.pilot.perception import QUANTITIES, CueingError, Sensed
 from cmf_mj.show import look
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])  #: Plotted units in SI.
@@ -30,70 +30,61 @@ _LEAST_SPAN = 0.1  #: Of an axis, in its unit, so that round-off shows as the no
 class DrawnMotion(NamedTuple):
     """A motion and how it is drawn."""
 
-    motion: PilotMotion
+    motion: PilotMotion | Sensed
     label: str
     colour: str
     width: float = 1.0  #: [points].
 
 
-def six(motion: Any) -> NDArray[np.float64]:
-    """Specific force and angular rate of a motion or of its senses, in plotted units, (N, 6)."""
-    return np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
-
-
 def motion_panels(*motions: DrawnMotion) -> list[look.Panel]:
     """Specific force and angular rate of motions from their start."""
-    drawn = [(m.time - m.time[0], six(m), *style) for m, *style in motions]
-    panels = []
-    for index, name in enumerate(NAMES):
-        curves = (
-            look.Curve(label, time, values[:, index], colour, width=width)
-            for time, values, label, colour, width in drawn
-        )
-        panels.append(look.Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
-    return panels
+    curves = []
+    for motion, label, colour, width in motions:
+        time = motion.time - motion.time[0]
+        values = np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
+        curves.append([look.Curve(label, time, y, colour, width) for y in values.T])
+    titles = (f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]" for index, name in enumerate(NAMES))
+    return [look.Panel(*panel) for panel in zip(titles, zip(*curves, strict=True), strict=True)]
 
 
-def motion_axes(*motions: DrawnMotion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
-    """Draw forces at the left and rates at the right; further rows of the axes are left empty."""
+def motion_axes(
+    title: str, *motions: DrawnMotion, rows: int = 3
+) -> tuple[Figure, NDArray[Any], NDArray[Any]]:
+    """Draw forces at the left and rates at the right; the figure, those axes and empty rows."""
     figure = look.new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
+    figure.suptitle(title)
     panels = axes[:3].T.ravel()
     for axis, panel in zip(panels, motion_panels(*motions), strict=True):
         look.plot_panel(axis, panel)
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    _finish(figure, panels)
-    return figure, axes
-
-
-def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
-    """What is sensed in two motions, and the error of the second within its threshold."""
-    figure, axes = motion_axes()
-    panels = axes.T.ravel()
-    time, limits, apart = error.aircraft.time, error.threshold / SCALE, error.error / SCALE
-    sensed = ((six(error.aircraft), first, look.GREY), (six(error.simulator), second, look.BLUE))
-    for i, axis in enumerate(panels):
-        axis.axhspan(-limits[i], limits[i], color="0.92", label="threshold of the error")
-        for values, label, colour in sensed:
-            start = values[0, i] if i == 2 else 0.0  # less the weight
-            axis.plot(time, values[:, i] - start, color=colour, linewidth=1.2, label=label)
-        axis.plot(time, apart[:, i], color=look.ORANGE, linewidth=0.8, label="error")
-    panels[2].set_ylabel("f_z [m/s²]\nless the start")
-    _finish(figure, panels)
-    figure.suptitle("Specific force and angular rate as sensed")
-    return figure
-
-
-def _finish(figure: Figure, panels: NDArray[Any]) -> None:
-    """Widen what is flat, and write one legend."""
-    for axis in panels:
         low, high = axis.get_ylim()
-        if high - low < _LEAST_SPAN and axis.has_data():
+        if high - low < _LEAST_SPAN:
             middle = 0.5 * (low + high)
             axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
-    if panels[0].has_data():
-        look.legend(figure)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    look.legend(figure)
+    return figure, panels, axes[3:]
+
+
+def perceived_figure(title: str, error: CueingError, first: str, second: str) -> Figure:
+    """What is sensed in two motions, and the error of the second; its threshold is shaded."""
+    drawn = []
+    for sensed, label, colour in (
+        (error.aircraft, first, look.GREY),
+        (error.simulator, second, look.BLUE),
+    ):
+        weight = [0.0, 0.0, sensed.specific_force[0, 2]]
+        lighter = sensed._replace(specific_force=sensed.specific_force - weight)
+        drawn.append(DrawnMotion(lighter, label, colour, 1.2))
+    apart = Sensed(error.aircraft.time, error.error[:, 3:], error.error[:, :3])
+    drawn.append(DrawnMotion(apart, "error", look.ORANGE, 0.8))
+    figure, panels, _ = motion_axes(f"{title}; shaded: threshold of the error", *drawn)
+    for axis, limit in zip(panels, error.threshold / SCALE, strict=True):
+        axis.axhspan(-limit, limit, color=look.PALE, zorder=0.0)
+        axis.autoscale(axis="y")
+    panels[2].set_ylabel("f_z [m/s²]\nless the start")
+    return figure
 
 
 _LEGEND = (
@@ -133,7 +124,9 @@ def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
 
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
-    figure, axes = motion_axes(
+    figure, _, below = motion_axes(
+        "Specific force and angular rate of both pilots, pose and legs: "
+        f"washout {flown.settings.name}",
         DrawnMotion(flown.aircraft, "aircraft", look.GREY, 1.2),
         DrawnMotion(flown.simulator, "simulator", look.BLUE, 1.2),
         rows=5,
@@ -141,21 +134,17 @@ def motion_figure(flown: Cue) -> Figure:
     time, pose = flown.aircraft.time, flown.stream.pose
     legs = pose_to_legs(pose, flown.machine) / INCH
     for column, (unit, scale) in enumerate((("m", 1.0), ("deg", DEGREE))):
-        platform, leg = axes[3:, column]
+        platform, leg = below[:, column]
         for i in range(3 * column, 3 * column + 3):
             platform.plot(time, pose[:, i] / scale, lw=1.2, label=DOFS[i])
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
-    look.legend(*axes[3:].flat)
+    look.legend(*below.flat)
     if flown.limited.any():
-        for axis in axes[3:].flat:
+        for axis in below.flat:
             look.shade(axis, time, flown.limited)
-        axes[3, 0].set_title("shaded: held back by the limits")
-    figure.suptitle(
-        "Specific force and angular rate of both pilots, pose and legs: "
-        f"washout {flown.settings.name}"
-    )
+        below[0, 0].set_title("shaded: held back by the limits")
     return figure
 
 
@@ -171,7 +160,9 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
         "simulator.csv": flown.simulator,
         "error.csv": {"sensed": QUANTITIES, **sizes, "share_above": error.share_above},
         "motion.png": motion_figure(flown),
-        "senses.png": perceived_figure(error, "sensed in flight", "in the simulator"),
+        "senses.png": perceived_figure(
+            "Specific force and angular rate as sensed", error, "in flight", "in the simulator"
+        ),
     }
     return look.save_files(files, folder, 90)
 

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cmf_mj.core import units
 from cmf_mj.core.result import Cell, Column, Table
+from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
@@ -36,6 +36,9 @@ _MOTIONS = {
 }
 """Motions at the pilot's station, and how they are drawn."""
 
+_SCALE = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
+"""What is shown of one SI unit: mm or mm/s^2, and deg or deg/s."""
+
 
 def drawn(ride: FlightResult) -> list[DrawnMotion]:
     """Those of a ride."""
@@ -60,20 +63,6 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
         for panels in every
     ]
     return [tuple(compress(panels, moved)) for panels in zip(*every, strict=True)]
-
-
-def flight_figure(ride: FlightResult) -> Figure:
-    """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
-    figure, _ = motion_axes(*drawn(ride))
-    figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
-    return figure
-
-
-def sensed_figure(ride: FlightResult) -> Figure:
-    """What is sensed in aircraft and cab, and the error within its threshold."""
-    figure = perceived_figure(ride.cueing, "sensed in the aircraft", "sensed in the cab")
-    figure.suptitle(f"Motion sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
-    return figure
 
 
 def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
@@ -126,13 +115,12 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
 
-    def rms(error: CueingError) -> list[Cell]:
-        return list(error.rms / SCALE * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0]))
-
-    ideal = rms(rides[0].washout_error)[:2]
-    rows = [["machine that follows at once", *["0"] * 6, *ideal, "0", None, None]]
+    ideal = rides[0].washout_error.rms * _SCALE
+    rows: list[list[Cell]] = []
+    rows.append(["machine that follows at once", *["0"] * 6, *ideal[:2], "0", None, None])
     for ride in rides:
-        row = [ride.law, *rms(ride.machine), *rms(ride.cueing)[:2], 1e3 * ride.loop_delay]
+        machine, flight = ride.machine.rms * _SCALE, ride.cueing.rms * _SCALE
+        row = [ride.law, *machine, *flight[:2], 1e3 * ride.loop_delay]
         rows.append([*row, 100 * ride.use.leg_position, ride.fault or "none"])
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
     return Table(title, ("law", *columns, ("legs [%]", ".0f"), "fault"), rows)
@@ -154,9 +142,12 @@ def delay_table(delay: TransportDelay) -> Table:
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
-    motions = {f"{name}.parquet": getattr(ride, name).save for name in _MOTIONS}
-    figures = {"motion.png": flight_figure(ride), "perceived.png": sensed_figure(ride)}
-    return look.save_files(motions | figures, folder)
+    files: dict[str, Any] = {f"{name}.parquet": getattr(ride, name) for name in _MOTIONS}
+    of, sensed = f"{ride.law}, cab {ride.cab}", ("in the aircraft", "in the cab")
+    files["motion.png"] = motion_axes(f"Motion at the pilot's station: {of}", *drawn(ride))[0]
+    title = f"Motion sensed by otoliths and canals: {of}"
+    files["perceived.png"] = perceived_figure(title, ride.cueing, *sensed)
+    return look.save_files(files, folder)
 
 
 def save_flights(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
@@ -164,9 +155,6 @@ def save_flights(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     table = flight_table(rides)
     files = {"comparison.csv": table, "comparison.md": table}
     return look.save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)
-
-
-_SCALE = np.array([by_kind(dof, 1e3, 1.0 / units.DEGREE) for dof in DOFS])
 
 
 def trial_table(learnt: Learning) -> Table:
