@@ -171,7 +171,6 @@ def flight_command(
     file: Annotated[Path | None, new_file(help="CSV or Parquet file to write it to")] = None,
     aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
     seed: options.Seed = 1,
-    single: Annotated[bool, Option("--single", help="round to single precision")] = False,
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
     """Fly a script with JSBSim, or say what is wrong with telemetry: axes, signs, units, gaps."""
@@ -201,7 +200,7 @@ def flight_command(
         show("no error found")
         flight = flight_of(received, form, Path(source).stem)
     if file is not None:
-        show(f"written: {flight.save(file, single=single)}")
+        show(f"written: {flight.save(file)}")
 
 
 Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")]

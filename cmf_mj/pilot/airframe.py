@@ -45,7 +45,6 @@ class AircraftState(NamedTuple):
     lever: NDArray[np.float64]  #: From the centre of gravity to the eyepoint [m], (3,).
     airspeed: float  #: Calibrated [m/s].
     true_airspeed: float  #: Against the air [m/s].
-    climb: float  #: Rate of climb [m/s].
     height: float  #: Of the centre of gravity above the ground [m].
     sideslip: float  #: Angle of sideslip, positive with the wind from the right [rad].
 
@@ -205,7 +204,6 @@ class Airframe:
             lever,
             self["velocities/vc-kts"] * units.KNOT,
             self["velocities/vt-fps"] * units.FOOT,
-            self["velocities/h-dot-fps"] * units.FOOT,
             self["position/h-agl-ft"] * units.FOOT,
             self["aero/beta-rad"],
         )

@@ -84,16 +84,10 @@ class Flight:
         frozen_others = {name: frozen(values) for name, values in others.items()}
         object.__setattr__(self, "others", FrozenDict(frozen_others))
 
-    def save(self, path: str | Path, *, single: bool = False) -> Path:
-        """Write as CSV or Parquet, by the name's end; the file appears when it is complete.
-
-        `single` rounds all but the time to single precision, which halves a Parquet file and
-        changes a specific force by at most 1e-6 m/s^2.
-        """
+    def save(self, path: str | Path) -> Path:
+        """Write as CSV or Parquet, by the name's end; the file appears when it is complete."""
         target = Path(path)
         columns = {**self.motion.columns(), **self.others}
-        if single:
-            columns |= {n: v.astype(np.float32) for n, v in columns.items() if n != "time"}
         column_units = {name: _UNITS.get(name, "1") for name in columns}
         origin = self.origin.model_dump(mode="json")
         if target.suffix == ".parquet":

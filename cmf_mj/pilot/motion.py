@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.arrays import check_finite
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_table
@@ -55,17 +55,16 @@ class PilotMotion:
 
     def __post_init__(self) -> None:
         """Take copies and freeze them; shapes, unordered times and infinities are refused."""
-        stamps = np.array(self.time, dtype=float)
-        if stamps.ndim != 1 or stamps.size < 1:
-            raise InputError(f"time: shape is {stamps.shape}; allowed: (N,)")
-        check_finite("time", stamps)
+        stamps = shaped("time", self.time, None)
+        if not stamps.size:
+            raise InputError("time: has no samples; give at least one")
         late = np.diff(stamps) <= 0.0
         if late.any():
             row = int(late.argmax()) + 1
             raise InputError(f"time: row {row}: {stamps[row]} s; allowed: above the row before")
         object.__setattr__(self, "time", stamps)
         for name in COLUMNS:
-            object.__setattr__(self, name, _rows(name, getattr(self, name), stamps.size))
+            object.__setattr__(self, name, shaped(name, getattr(self, name), stamps.size, 3))
         for name in ("time", *COLUMNS):
             getattr(self, name).setflags(write=False)
 
@@ -148,7 +147,7 @@ def at_lever_arm(
     lever_arm: ArrayLike,
 ) -> NDArray[np.float64]:
     """dw/dt x r + w x (w x r) of rates and their derivatives (N, 3), body axes [m/s^2], (N, 3)."""
-    arm = vector("lever_arm", lever_arm, " [m]")
+    arm = shaped("lever_arm", lever_arm, 3)
     inward = np.cross(angular_rate, np.cross(angular_rate, arm))
     return np.asarray(np.cross(angular_acceleration, arm) + inward)
 
@@ -198,19 +197,3 @@ def interpolated(
 ) -> NDArray[np.float64]:
     """Columns of `values` (N, n) on straight lines between their times, (K, n)."""
     return np.column_stack([np.interp(at, time, column) for column in values.T])
-
-
-def vector(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
-    """Three finite numbers as an array; others are refused."""
-    array = np.array(values, dtype=float)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{name}: {array} is refused; allowed: three finite numbers{unit}")
-    return array
-
-
-def _rows(name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    array = np.array(values, dtype=float, order="C")
-    if array.shape != (count, 3):
-        raise InputError(f"{name}: shape is {array.shape}; allowed: ({count}, 3)")
-    check_finite(name, array)
-    return array

@@ -23,6 +23,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
@@ -34,7 +35,7 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.classical import Classical, make_classical, move_classical
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated, vector
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated
 from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
 from cmf_mj.pilot.predictive import Predictive, Solves
 from cmf_mj.pilot.washout_settings import (
@@ -180,7 +181,7 @@ class Washout:
         `lead` of its law [s], see `law_delay`.
         """
         self.settings = load_washout(settings)
-        self.station = vector("station", load_cab().station if station is None else station, " [m]")
+        self.station = shaped("station", load_cab().station if station is None else station, 3)
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.rate, most = rate, self.settings.inputs
@@ -270,7 +271,7 @@ class Washout:
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
         running, force, rate = self._running, np.empty(3), np.empty(3)
-        felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
+        felt = shaped("specific_force", specific_force, 3), shaped("angular_rate", angular_rate, 3)
         scaled(running, *felt, force, rate)
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), running.angular[0, :2]):
@@ -295,7 +296,7 @@ class Washout:
             if own is not None:
                 own.bound(self.solving / self.rate)
             return self.start(specific_force, angular_rate)
-        felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
+        felt = shaped("specific_force", specific_force, 3), shaped("angular_rate", angular_rate, 3)
         self._step(*felt, motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)

@@ -28,16 +28,6 @@ def test_flights_read_back_bit_for_bit(suffix: str, tmp_path: Path) -> None:
     assert again.others["airspeed"].tobytes() == flight.others["airspeed"].tobytes()
 
 
-def test_single_precision_changes_a_force_by_less_than_a_micrometre_per_second_squared(
-    tmp_path: Path,
-) -> None:
-    flight = example()
-    again = load_flight(flight.save(tmp_path / "flight.parquet", single=True))
-    assert again.motion.time.tobytes() == flight.motion.time.tobytes()
-    change = np.abs(again.motion.specific_force - flight.motion.specific_force).max()
-    assert 0.0 < change < 1e-6
-
-
 def csv_of(tmp_path: Path, change: tuple[str, str]) -> Path:
     path = example().save(tmp_path / "flight.csv")
     path.write_text(path.read_text().replace(*change))

@@ -295,7 +295,7 @@ def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Pat
 
 def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
     path = tmp_path / "gusts.parquet"
-    assert "13.48 m forward" in cmf("flight", "gusts", "--file", str(path), "--single")
+    assert "13.48 m forward" in cmf("flight", "gusts", "--file", str(path))
     shipped = load_flight("gusts").motion
     np.testing.assert_allclose(
         load_flight(path).motion.specific_force, shipped.specific_force, atol=2e-6
