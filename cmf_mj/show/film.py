@@ -121,15 +121,11 @@ def write_reels(
         if progress is not None:
             progress(count, count)
         return target
-
-    def counted() -> Iterator[Picture]:
-        for number, picture in enumerate(_pictures(reels, count, settings, columns), start=1):
-            yield picture
+    pictures = _pictures(reels, count, settings, columns)
+    with whole_file(target) as partial:
+        for number, _ in enumerate(_mp4(pictures, partial, settings.fps), start=1):
             if progress is not None:
                 progress(number, count)
-
-    with whole_file(target) as partial:
-        _write_mp4(counted(), partial, settings.fps)
     return target
 
 
@@ -169,7 +165,8 @@ def _titled(scene: Picture, *texts: str) -> Picture:
     return np.asarray(image)
 
 
-def _write_mp4(pictures: Iterator[Picture], target: Path, fps: int) -> None:
+def _mp4(pictures: Iterator[Picture], target: Path, fps: int) -> Iterator[None]:
+    """Write a file, a picture a turn."""
     av = require("av", "video")
     first = next(pictures)
     with av.open(str(target), "w", format="mp4") as container:
@@ -180,6 +177,7 @@ def _write_mp4(pictures: Iterator[Picture], target: Path, fps: int) -> None:
         for picture in chain([first], pictures):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
             container.mux(stream.encode(frame))
+            yield
         container.mux(stream.encode())
 
 

@@ -53,21 +53,12 @@ def write_page(
         if (model := _model(reel.model)) not in models:
             models.append(model)
         rows = np.searchsorted(reel.time, time + 1e-9, side="right") - 1
-        runs.append(
-            {
-                "title": reel.title,
-                "model": models.index(model),
-                "qpos": _encoded(reel.qpos[np.maximum(rows, 0)]),
-                "panels": _panels(reel.traces, [other.traces for other in reels], span, time),
-            }
-        )
-    shown: dict[str, Any] = {
-        "start": span[0],
-        "rate": (count - 1) / (span[1] - span[0]),
-        "count": count,
-    }
-    shown |= {"speed": speed, "camera": camera, "columns": columns, "digits": 2 + (speed < 0.1)}
-    shown |= {"models": models, "cameras": _cameras(reels[0].model)}
+        panels = _panels(reel.traces, [other.traces for other in reels], span, time)
+        run = {"title": reel.title, "model": models.index(model), "panels": panels}
+        runs.append(run | {"qpos": _encoded(reel.qpos[np.maximum(rows, 0)])})
+    shown: dict[str, Any] = {"start": span[0], "rate": (count - 1) / (span[1] - span[0])}
+    shown |= {"count": count, "speed": speed, "digits": 2 + (speed < 0.1), "columns": columns}
+    shown |= {"models": models, "cameras": _cameras(reels[0].model), "camera": camera}
     place = Path(__file__).parent
     parts = {
         "title": html.escape(" | ".join(reel.title.replace("\n", ", ") for reel in reels)),
@@ -194,8 +185,7 @@ def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
                     cells[cell] += f" at {x[ends[cell]]:.2f} s"
                 cells.insert(0, html.escape(f"{panel.y_title}: {curve.name}"))
                 rows.append("<tr><td>" + "</td><td>".join(cells))
-    heads = "".join(
-        f'<th scope="col">{name}</th>' for name in ("", "first", "lowest", "highest", "last")
-    )
+    names = ("", "first", "lowest", "highest", "last")
+    heads = "".join(f'<th scope="col">{name}</th>' for name in names)
     said = f"{len(reels)} {'runs' if len(reels) > 1 else 'run'}, from {span[0]:g} to {span[1]:g} s."
     return f"<p>{said}</p><table><tr>{heads}</tr>{''.join(rows)}</table>"

@@ -93,12 +93,8 @@ def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list
 
 def first_scenario() -> Run:
     """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
-    table = {
-        "title": "studio session",
-        "signal": signal_table("sine", "heave", 2.0),
-        "duration": "open",
-    }
-    return scenario_of(table, "studio")
+    signal = signal_table("sine", "heave", 2.0)
+    return scenario_of({"title": "studio session", "signal": signal, "duration": "open"}, "studio")
 
 
 @cache

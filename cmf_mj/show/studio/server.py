@@ -75,7 +75,6 @@ class Page:
             self._window = gui.add_dropdown(
                 "window [s]", ("5", "10", "20"), initial_value="10", hint="time that plots show"
             )
-            self._drawn = gui.add_checkbox("plots on", True, hint="off: less work for the browser")
         panel.dock_left()
         panel.set_width(430)
         panel.expand()
@@ -87,7 +86,7 @@ class Page:
         with self._lock:
             self._scene.show(view.live.qpos)
             self._scene.show_push(view.push)
-        if self._turn % _PLOTS_EVERY == 0 and self._drawn.value:
+        if self._turn % _PLOTS_EVERY == 0:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
             dof = "" if self._flying() else dof
