@@ -25,7 +25,6 @@ _FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
 _FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
-ShippedFlight = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)]
 _KNOWN = 6  #: Drawn machines that a learner is made for; those it is tried on are others.
 _QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
@@ -103,7 +102,7 @@ def fly_command(
 
 @drawing("learn")
 def learn_command(
-    flight: ShippedFlight,
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)],
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
@@ -160,13 +159,12 @@ def formats() -> tuple[str, ...]:
 
 _SOURCE = "script of JSBSim, or recording or UDP port of telemetry"
 _MADE = "jsbsim, or telemetry: xplane, beamng, csv"
-Source = Annotated[str, argument(_SCRIPTS, "SOURCE", _SOURCE, free=True)]
 Made = Annotated[str, choice("cli.flight:formats", "FORMAT", _MADE, make=partial(Option, "--from"))]
 
 
 @command("flight")
 def flight_command(
-    source: Source,
+    source: Annotated[str, argument(_SCRIPTS, "SOURCE", _SOURCE, free=True)],
     form: Made = "jsbsim",
     file: Annotated[Path | None, new_file(help="CSV or Parquet file to write it to")] = None,
     aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
@@ -203,21 +201,14 @@ def flight_command(
         show(f"written: {flight.save(file)}")
 
 
-Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")]
-LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
-
-
-Cued = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file, or `tune`", free=True)]
-
-
 @drawing("cue")
 def cue_command(
-    flight: Cued,
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file, or `tune`", free=True)],
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
-    rate: Rate = 80.0,
-    limits: LimitsFile = None,
+    rate: Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")] = 80.0,
+    limits: Annotated[Path | None, file(help="TOML changes to the machine's limits")] = None,
     senses: Annotated[Path | None, file(help="TOML changes to canals, otoliths")] = None,
     evaluations: Annotated[int, Option(min=1, help="tune: settings to try")] = 300,
     workspace: Annotated[float, Option(help="tune: rms of legs over working travel")] = 1.0,
