@@ -125,7 +125,7 @@ def flood(out: Path, seconds: float) -> None:
     for machine in ("cmf", "simona", "lab"):
         draw, count = np.random.default_rng(7), round(seconds * MOST_RATE)
         cab = load_cab(None, load_machine(machine))
-        washout = Washout("predictive", station=cab.station, machine=cab.machine)
+        washout = Washout("predictive", cab=cab)
         washout.solving = 0.0  # times are the processor's: another program's are not the solver's
         motions = np.empty((count, 3, 6))
         gc.disable()

@@ -136,8 +136,7 @@ def cue(
     delay `lead` [s] that a predictive one makes up for.
     """
     carried = load_cab(cab)
-    at = {"station": carried.station, "machine": carried.machine, "limits": limits}
-    algorithm = Washout(washout, rate=rate, lead=lead, **at)  # type: ignore[arg-type]
+    algorithm = Washout(washout, cab=carried, rate=rate, limits=limits, lead=lead)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
     stream, limited = within_limits(demanded, limits, carried.machine)

@@ -165,7 +165,7 @@ def omct(
     def run(case: tuple[str, int, Law | None]) -> None:
         dof, column, law = case
         frequency = float(frequencies[column])
-        stream = _sent(settings, chosen, dof, frequency)
+        stream = Washout(settings, cab=chosen).run(aircraft_motion(dof, frequency))
         motions = _without_machine(stream, chosen.station) if law is None else {}
         if law is not None:
             plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}
@@ -179,11 +179,6 @@ def omct(
     on_threads(run, cases, jobs, progress)
     driven = np.array(frequencies, dtype=float)
     return Omct(settings.name, chosen.name, parameters.name, driven, responses, remainders)
-
-
-def _sent(settings: WashoutSettings, cab: Cab, dof: str, frequency: float) -> HostStream:
-    washout = Washout(settings, station=cab.station, machine=cab.machine)
-    return washout.run(aircraft_motion(dof, frequency))
 
 
 def _demanded(stream: HostStream) -> NDArray[np.float64]:
@@ -204,8 +199,8 @@ def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[s
 def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
     """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
     settings, rate = load_washout(str(table.get("washout", "simona"))), plant.machine.rate
-    driven = str(table["dof"]), float(table["frequency"])
-    played = _demanded(_sent(settings, load_cab(plant.cab_parameters), *driven))[:, 0]
+    flown = aircraft_motion(str(table["dof"]), float(table["frequency"]))
+    played = _demanded(Washout(settings, cab=plant.cab_parameters).run(flown))[:, 0]
     rows = np.arange(int(len(played) * rate / RATE)) * RATE // rate
     return Command(played[rows], Other(**{**table, "rate": rate}))
 

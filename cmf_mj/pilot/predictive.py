@@ -45,10 +45,10 @@ from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.kinematics import about, rotation, write_legs, write_pose_jacobian
 from cmf_mj.machine.limits import MotionLimits
-from cmf_mj.machine.machine import Machine
 from cmf_mj.pilot.motion import turn_to_body
 from cmf_mj.pilot.optimal import PLACES, condense, knots, parts, washout_modes
 from cmf_mj.pilot.perception import load_senses, otolith_response, otoliths_ahead, state_space
@@ -140,12 +140,11 @@ class Predictive:
         self,
         settings: PredictiveSettings,
         interval: float,
-        station: Matrix,
-        machine: Machine,
+        cab: Cab,
         limits: MotionLimits,
         lead: float = 0.0,
     ) -> None:
-        """Condense all modes of a set at frames `interval` [s] apart, for a machine and limits.
+        """Condense all modes of a set at frames `interval` [s] apart, for a cab and its limits.
 
         A plan is of what the machine will do after its law's delay `lead` [s].
         """
@@ -159,12 +158,12 @@ class Predictive:
             efforts = [getattr(sizes, key).si for key in _EFFORTS if hasattr(sizes, key)]
             smooth = np.array(efforts) / own.smoothing.si
             self._modes[name] = condense(mode, self.times, smooth)
-        self._geometry: Geometry = about(station, machine)
+        self._geometry: Geometry = about(cab.station, cab.machine)
         leg, (low, high) = limits.leg, limits.operational.T
         legs = [leg.position.si, leg.velocity.si, leg.acceleration.si]
         dofs = np.array([high, limits.velocity, limits.acceleration])
         most = own.share.si * np.hstack([np.repeat(np.array(legs)[:, None], 6, axis=1), dofs])
-        self._bounds, self._station = (-most, most), station
+        self._bounds, self._station = (-most, most), cab.station
         self._bounds[0][0, 6:] = own.share.si * low
         self._tilt, self._false = own.tilt_rate.si, own.false_cue.si
         self._guess = (own.guess_time.si, own.guess_lag.si, own.guess_fade.si)

@@ -247,8 +247,7 @@ def fly_live(
         raise InputError(f"{form} at port {port}: {'; '.join(errors)}")
     carried = load_cab(cab)
     plant = Hexapod(carried, hydraulics)
-    where = {"station": carried.station, "machine": carried.machine}
-    algorithm = Washout(washout, **where, lead=law_delay(plant, law, washout))  # type: ignore[arg-type]
+    algorithm = Washout(washout, cab=carried, lead=law_delay(plant, law, washout))
     host = _Host(form, port, bind, algorithm)
     options |= {"attend": host.attend, "record_every": RECORD_EVERY}
     with host.socket:

@@ -28,11 +28,9 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
-from cmf_mj.machine import models
-from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.machine.limits import MotionLimits
-from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.classical import Classical, make_classical, move_classical
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, interpolated
@@ -167,30 +165,28 @@ class Washout:
         self,
         settings: str | WashoutSettings = "simona",
         *,
-        station: ArrayLike | None = None,
+        cab: str | Path | Cab | None = None,
         rate: float = MOST_RATE,
-        machine: str | Path | Machine = models.CMF,
         limits: MotionLimits | None = None,
         lead: float = 0.0,
     ) -> None:
         """Discretise the filters of a set by name, TOML file or loaded parameters.
 
-        The pilot's station counts from the platform's centroid [m], (3,), and is that of the `gfd`
-        cab by default; `rate` is in frames a second [Hz]. A predictive washout knows the legs of
-        the `machine` and their limits, by default the machine's, and is ahead of it by the delay
-        `lead` of its law [s], see `law_delay`.
+        `rate` is in frames a second [Hz]. A predictive washout knows the legs of the cab's machine
+        and their limits, by default the machine's, and is ahead of it by the delay `lead` of its
+        law [s], see `law_delay`.
         """
         self.settings = load_washout(settings)
-        self.station = shaped("station", load_cab().station if station is None else station, 3)
+        carried = load_cab(cab)
+        self.station = carried.station
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.rate, most = rate, self.settings.inputs
         self.predictive: Predictive | None = None
         self._algorithm: Classical | Optimal | Predictive
         if isinstance(self.settings, PredictiveSettings):
-            base = load_machine(machine)
-            bounds, where = load_motion_limits(limits, base), self.station
-            self.predictive = Predictive(self.settings, 1.0 / rate, where, base, bounds, lead)
+            bounds = load_motion_limits(limits, carried.machine)
+            self.predictive = Predictive(self.settings, 1.0 / rate, carried, bounds, lead)
             self._algorithm = self.predictive
         elif isinstance(self.settings, ClassicalSettings):
             self._algorithm = make_classical(self.settings, 1.0 / rate)

@@ -136,7 +136,7 @@ def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
             base = patches.enter_context(moog.MoogServer(host_port=HOST[1]))
             yield _Door(base.ring, base.attend)
         elif plan.door == "telemetry":
-            washout = Washout("simona", station=cab.station if cab else None)
+            washout = Washout("simona", cab=cab)
             host = live._Host("csv", 0, HOST[0], washout)
             yield _Door(host.ring, host.attend)
         else:

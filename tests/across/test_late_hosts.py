@@ -50,7 +50,6 @@ from cmf_mj.facility.operation import (  # noqa: E402
 from cmf_mj.facility.run import Run  # noqa: E402
 from cmf_mj.facility.session import Session  # noqa: E402
 from cmf_mj.facility.settings import HostChain  # noqa: E402
-from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot import telemetry as live  # noqa: E402
 from cmf_mj.pilot.washout import Washout  # noqa: E402
 
@@ -319,7 +318,7 @@ def test_a_host_of_80_hz_that_comes_at_72_is_followed_over_udp() -> None:
 
 def telemetry(silence: float) -> Record:
     """Slight pushes to and fro, sent 80 times a second but for a time in each half second."""
-    host = live._Host("csv", 0, "127.0.0.1", Washout("simona", station=load_cab(None).station))
+    host = live._Host("csv", 0, "127.0.0.1", Washout("simona"))
     push = wave(0.2)
     with host.socket, socket.socket(type=socket.SOCK_DGRAM) as line:
 

@@ -8,7 +8,6 @@ from scipy.optimize import nnls
 
 from cmf_mj.core.filters import hold
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -225,8 +224,7 @@ def test_ten_times_what_the_machine_can_do_touches_no_limit(machine):
     force = flown.specific_force + 30.0 * steps[:, :3]
     flown = PilotMotion(flown.time, force, 2.0 * steps[:, 3:], flown.attitude)
     base = load_machine(machine)
-    station = next(iter(base.cabs.values())).station.si * FLIP
-    washout = Washout(SETTINGS, station=station, machine=base)
+    washout = Washout(SETTINGS, cab=load_cab(None, base))
     stream = washout.run(flown)
     assert np.isfinite(stream.pose).all()
     assert 0.9 < excursion(stream, None, base).largest <= 1.0
