@@ -34,6 +34,7 @@ from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import about
+from cmf_mj.pilot.perception import load_senses, otolith_response
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior import tables as posterior
 from cmf_mj.signals.composite import seven_sines, waypoints
@@ -192,6 +193,33 @@ def test_amplitude_md_has_the_limits_of_unit_gain(cab: str) -> None:
         for row, limit in zip(cells, used, strict=True):
             at = float(frequency[np.argmax(limit >= 1.0)])
             assert float(row.split(" | ")[i]) == pytest.approx(at, abs=0.051), (dof, row)
+
+
+def test_capacity_md_has_the_regions_of_the_envelope() -> None:
+    """Where Table 2-1 ends to bind, and between which frequencies the stall force does (GFD)."""
+    plant, page = Hexapod("gfd"), read("docs/how_to/capacity.md")
+    frequency, ends, stalls = np.geomspace(0.1, 10.0, 5001), {}, {}
+    for dof in DOFS:
+        limits = asymptotes(plant, dof)
+        every = [limits.velocities(hertz) for hertz in frequency]
+        binding = np.array([min(one, key=one.__getitem__) for one in every])
+        ends[dof] = frequency[np.argmax(binding != "displacement")]
+        stalls[dof] = frequency[binding == "stall_force"]
+    others = [ends[dof] for dof in DOFS if dof not in ("heave", "yaw")]
+    first = max(ends["heave"], ends["yaw"])
+    said = f"Below {first:.2f} Hz** (heave, yaw) or {min(others):.2f} to {max(others):.2f} Hz"
+    assert said in page
+    surge, sway = (f"{stalls[d].min():.1f} to {stalls[d].max():.1f} Hz" for d in ("surge", "sway"))
+    assert f"From {surge} in surge and {sway} in sway" in page
+
+
+def test_a_tenth_of_g_is_as_far_above_the_thresholds_as_fly_md_says() -> None:
+    """Otoliths' gain from rest to 10 Hz, over the thresholds along z and x."""
+    senses, frequency = load_senses(), np.geomspace(1e-4, 10.0, 2001)
+    gain = np.abs(otolith_response(senses.otoliths)(2j * np.pi * frequency))
+    over = 0.1 * units.STANDARD_GRAVITY * gain[:, None] / senses.thresholds.si[:3]
+    said = f"it is {over.min():.1f} to {over.max():.1f} times the thresholds"
+    assert said in read("docs/how_to/fly.md")
 
 
 def test_modal_plan_is_as_fast_as_the_pages_say() -> None:
