@@ -15,7 +15,7 @@ Derivatives have to fit the poses. Between two frames h apart the quintic has to
     r = p1 - p0 - h (v0 + v1) / 2 - h^2 (a0 - a1) / 12
 
 and bends by about 6 r / h^2 more for it. Where that is more than the poses themselves bend, and
-more than `_FLOOR`, in more than one of eleven frames that move, the derivatives are left aside,
+more than `_FLOOR`, in one of twelve frames that move or more, the derivatives are left aside,
 until nearly all have fitted for some ten seconds; straight lines between poses take the quintics'
 place.
 """
