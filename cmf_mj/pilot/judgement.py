@@ -36,10 +36,8 @@ class Judgement(NamedTuple):
     force_error: float  #: Root mean square of the specific force's error vector [m/s^2].
     rate_error: float  #: Likewise of the angular rate [rad/s].
     force_shape: float  #: Correlation of the specific forces, the three axes as one vector.
-    rate_shape: float  #: Likewise of the angular rate.
     force_scale: float  #: Least-squares factor from the aircraft's specific force.
     false_cues: int  #: Number, however short.
-    false_size: float  #: Sum of their peaks over their thresholds.
     lasting: int  #: Number of those of at least 0.1 s, where a gap of less ends none.
     false_rms: float  #: Root mean square of false cues over their thresholds.
     mismatch: float
@@ -69,19 +67,14 @@ def judge(cued: Cue) -> Judgement:
     three axes as one vector, 0 of what does not move.
     """
     error, legs = cued.error, pose_to_legs(cued.stream.pose, cued.machine)
-    shapes, sensed = [], []
-    for name in ("specific_force", "angular_rate"):
-        pair = [getattr(motion, name) for motion in (error.aircraft, error.simulator)]
-        pair = [values - values[0] for values in pair]
-        size = float(np.linalg.norm(pair[0]) * np.linalg.norm(pair[1]))
-        shapes.append(float(np.sum(pair[0] * pair[1])) / size if size > 0.0 else 0.0)
-        sensed.append(pair)
-    power = float(np.sum(sensed[0][0] ** 2))
-    scale = float(np.sum(sensed[0][0] * sensed[0][1])) / power if power > 0.0 else 0.0
-    flown, felt = (values / error.threshold[:3] for values in sensed[0])
+    forces = [motion.specific_force for motion in (error.aircraft, error.simulator)]
+    asked, given = (force - force[0] for force in forces)
+    common, power = float(np.sum(asked * given)), float(np.sum(asked**2))
+    size = float(np.linalg.norm(asked) * np.linalg.norm(given))
+    flown, felt = asked / error.threshold[:3], given / error.threshold[:3]
     false = (np.abs(felt) > 1.0) & ((np.abs(flown) < 1.0) | (felt * flown < 0.0))
     short = round(_SHORTEST * cued.aircraft.rate)
-    found = [(axis, *pair) for axis in range(3) for pair in _stretches(false[:, axis])]
+    found = [_stretches(false[:, axis]) for axis in range(3)]
     lasting = [_stretches(false[:, axis], short) for axis in range(3)]
     total = np.sqrt(np.mean(error.error**2, axis=0))
     missed = np.abs(cued.aircraft.specific_force - cued.simulator.specific_force).mean(axis=0)
@@ -89,11 +82,9 @@ def judge(cued: Cue) -> Judgement:
     return Judgement(
         force_error=float(np.linalg.norm(total[:3])),
         rate_error=float(np.linalg.norm(total[3:])),
-        force_shape=shapes[0],
-        rate_shape=shapes[1],
-        force_scale=scale,
-        false_cues=len(found),
-        false_size=float(sum(np.abs(felt[begin:end, axis]).max() for axis, begin, end in found)),
+        force_shape=common / size if size > 0.0 else 0.0,
+        force_scale=common / power if power > 0.0 else 0.0,
+        false_cues=sum(map(len, found)),
         lasting=sum(int((np.diff(pairs) >= short).sum()) for pairs in lasting),
         false_rms=float(np.sqrt(np.mean(np.sum((felt * false) ** 2, axis=1)))),
         mismatch=float(missed @ [0.34, 0.66, 0.0]),
@@ -185,9 +176,8 @@ def search(
 
     def tried_at(logs: NDArray[np.float64]) -> tuple[float, WashoutSettings]:
         settings = changed(base, np.exp(np.clip(logs, -4.0, 4.0)), source)
-        return cost(
-            [cue(one, settings, rate=rate, **options) for one in motions], workspace
-        ), settings
+        cues = [cue(one, settings, rate=rate, **options) for one in motions]
+        return cost(cues, workspace), settings
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

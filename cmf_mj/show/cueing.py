@@ -70,10 +70,8 @@ def motion_axes(
 def perceived_figure(title: str, error: CueingError, first: str, second: str) -> Figure:
     """What is sensed in two motions, and the error of the second; its threshold is shaded."""
     drawn = []
-    for sensed, label, colour in (
-        (error.aircraft, first, look.GREY),
-        (error.simulator, second, look.BLUE),
-    ):
+    both = (error.aircraft, first, look.GREY), (error.simulator, second, look.BLUE)
+    for sensed, label, colour in both:
         weight = [0.0, 0.0, sensed.specific_force[0, 2]]
         lighter = sensed._replace(specific_force=sensed.specific_force - weight)
         drawn.append(DrawnMotion(lighter, label, colour, 1.2))
@@ -153,16 +151,14 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
 
     `host.csv`, `simulator.csv`, `error.csv` (SI), `motion.png`, `senses.png`.
     """
-    error = flown.error
+    error, title = flown.error, "Specific force and angular rate as sensed"
     sizes = {"threshold_si": error.threshold, "peak_si": error.peak, "rms_si": error.rms}
     files = {
         "host.csv": partial(write_stream, flown.stream),
         "simulator.csv": flown.simulator,
         "error.csv": {"sensed": QUANTITIES, **sizes, "share_above": error.share_above},
         "motion.png": motion_figure(flown),
-        "senses.png": perceived_figure(
-            "Specific force and angular rate as sensed", error, "in flight", "in the simulator"
-        ),
+        "senses.png": perceived_figure(title, error, "in flight", "in the simulator"),
     }
     return look.save_files(files, folder, 90)
 

@@ -81,16 +81,14 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
         axis.set_title(f"error of {NAMES[index]} [{unit}]")
         look.frequency_axis(axis.xaxis)
-        axis.set(
-            xlim=(frequency[1], 30.0), yscale="log", xlabel="frequency [Hz]" if index > 2 else ""
-        )
+        xlabel = "frequency [Hz]" if index > 2 else ""
+        axis.set(xlim=(frequency[1], 30.0), yscale="log", xlabel=xlabel)
     _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in coloured])
     bars = [("machine that follows at once", look.GREY, first.washout_error)]
     bars += [(r.law, colour, r.cueing) for r, colour in coloured]
     _bars(flight, "of the flight: aircraft less cab", bars)
     look.legend(figure)
-    title = "error spectra (asked of the platform less cab)"
-    figure.suptitle(f"pilot's station, cab {first.cab}: {title}")
+    figure.suptitle(f"Spectra of the error, asked of the platform less cab {first.cab}")
     return figure
 
 

@@ -43,7 +43,6 @@ def test_false_cues_are_counted_by_hand():
     found = judge(felt(cued, aircraft, simulator))
     assert found.false_cues == 4
     assert found.lasting == 2
-    assert found.false_size == pytest.approx(2.0 + 1.5 + 1.2 + 1.4)
     square = 100 * 4.0 + 4 * 2.25 + 8 * 1.44 + 30 * 1.96
     assert found.false_rms == pytest.approx(np.sqrt(square / 800))
     power = 200 * 9.0
