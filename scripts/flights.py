@@ -29,6 +29,7 @@ from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law
 from cmf_mj.control.law import law_names
 from cmf_mj.control.states import State
 from cmf_mj.core.result import Table
+from cmf_mj.core.settings import validated
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
@@ -38,7 +39,7 @@ from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.learning import Learning, counted, drawn_machine, learn, on_others, rms
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, interpolated
-from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout
+from cmf_mj.pilot.washout_settings import WASHOUTS, WashoutSettings, load_washout
 from cmf_mj.record.record import Record
 from cmf_mj.show.flight import save_learning
 
@@ -76,12 +77,20 @@ def smooth(generator: np.random.Generator, time: np.ndarray, largest: float) -> 
     return largest * 10.0 ** generator.uniform(-3.0, 0.0) * wave / np.abs(wave).max()
 
 
+def with_gains(settings: WashoutSettings, gains: np.ndarray) -> WashoutSettings:
+    """A washout with other gains of surge to yaw, (6,)."""
+    tables = settings.model_dump()
+    for (table, key), gain in zip(settings._gains, gains, strict=True):
+        tables[table][key] |= {"value": float(gain), "status": "derived"}
+    return validated(type(settings), tables, settings.name)
+
+
 def aircraft_stream(generator: np.random.Generator, case: Case, time: np.ndarray) -> HostStream:
     """The frames of a washout with random gains on a random motion."""
     columns = [smooth(generator, time, size) for size in (FORCE,) * 3 + (TURN,) * 3]
     force, rate = np.column_stack(columns[:3]), np.column_stack(columns[3:])
     motion = PilotMotion(time, force - [0.0, 0.0, 9.80665], rate, np.zeros((time.size, 3)))
-    settings = load_washout(case.washout).with_gains(generator.uniform(0.0, 3.0, 6))
+    settings = with_gains(load_washout(case.washout), generator.uniform(0.0, 3.0, 6))
     return cue(motion, settings, cab=case.cab).stream
 
 

@@ -4,7 +4,7 @@ A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, s
 """
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tomlkit
@@ -88,14 +88,6 @@ class _Set(Settings):
     def gains(self) -> NDArray[np.float64]:
         """Gains of surge to yaw, (6,)."""
         return np.array([getattr(getattr(self, table), key).si for table, key in self._gains])
-
-    def with_gains(self, gains: NDArray[np.float64]) -> Self:
-        """The set with other gains (6,); their status is `derived`."""
-        tables = self.model_dump()
-        origin = {"unit": "1", "status": "derived", "source": "set by hand or tuning"}
-        for (table, key), gain in zip(self._gains, gains, strict=True):
-            tables[table][key] = {"value": float(gain), **origin}
-        return validated(type(self), tables, self.name)
 
 
 class ClassicalSettings(_Set):

@@ -8,7 +8,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from cab_motions import pushed
+from cab_motions import pushed, with_gains
 from shared import WORKING_STROKE, cmf
 
 from cmf_mj import signals
@@ -96,7 +96,7 @@ def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(
 
 
 def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -> None:
-    still = load_washout("simona").with_gains(np.zeros(6))
+    still = with_gains(load_washout("simona"), np.zeros(6))
     ride = fly(cut(failing, 0.0, 2.0), "velocity", washout=still, **IDEAL)
     assert not ride.stream.pose.any()
     rest = np.tile([0.0, 0.0, -9.80665], (ride.asked.time.size, 1))

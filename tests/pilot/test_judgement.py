@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cab_motions import pushed
+from cab_motions import pushed, with_gains
 from shared import cmf
 
 from cmf_mj.pilot.cueing import cue
@@ -59,7 +59,7 @@ def test_stretches_close_gaps():
 def test_a_simulator_that_does_nothing_misses_all():
     """Gains of 0: the error is the aircraft's force, its scale and shape are 0."""
     flown = pushed(1, np.sin(np.arange(1600) / 80.0))
-    cued = cue(flown, load_washout("simona").with_gains(np.zeros(6)))
+    cued = cue(flown, with_gains(load_washout("simona"), np.zeros(6)))
     found = judge(cued)
     aircraft = cued.error.aircraft.specific_force
     size = np.sqrt(np.mean(np.sum((aircraft - [0.0, 0.0, aircraft[0, 2]]) ** 2, axis=1)))

@@ -5,7 +5,7 @@ import csv
 import control
 import numpy as np
 import pytest
-from cab_motions import G
+from cab_motions import G, with_gains
 from shared import cmf
 
 from cmf_mj.control.dcu.state import load_dcu
@@ -193,7 +193,7 @@ def test_the_remainder_is_what_is_beside_mean_and_fundamental():
 
 
 def test_command_writes_table_and_figure(tmp_path):
-    quiet = save_washout(SIMONA.with_gains(0.5 * SIMONA.gains), tmp_path / "mine.toml")
+    quiet = save_washout(with_gains(SIMONA, 0.5 * SIMONA.gains), tmp_path / "mine.toml")
     out = tmp_path / "out"
     options = ("--laws", "none", "--quick", "--dofs", "yaw", "--jobs", "1")
     said = cmf("omct", *options, "--washout", quiet, "--out", out)

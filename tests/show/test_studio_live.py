@@ -32,7 +32,6 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio import controls, desk
-from cmf_mj.show.studio.controls import lamp
 from cmf_mj.show.studio.desk import session_page
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
@@ -45,7 +44,7 @@ from cmf_mj.show.studio.live import (
     marks_of,
     words,
 )
-from cmf_mj.show.studio.plots import Plots, spikes
+from cmf_mj.show.studio.plots import Plots, lamp, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
@@ -388,6 +387,9 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     screen.wait_for_time(0.5)
     session.pause(True)
     session.scenario().result()
+    waiting = screen.views[-1]._replace(past=[], beside=[])
+    plots.show(waiting, 10.0, "heave", "US", 2)  # nothing is left of a run before
+    assert all(len(line) == 2 for plot in drawn if plot.visible for line in plot.data)
     for dof, system in zip(("heave", ""), UNITS, strict=True):  # nothing else moves
         plots.show(screen.views[-1], 10.0, dof, system, 2)
     session.close()

@@ -4,7 +4,6 @@ import math
 import tempfile
 import threading
 from collections.abc import Callable
-from html import escape
 from pathlib import Path
 from typing import Any, get_args
 
@@ -42,7 +41,8 @@ from cmf_mj.show.studio.desk import (
     signal_table,
     weight,
 )
-from cmf_mj.show.studio.live import View, words
+from cmf_mj.show.studio.live import View
+from cmf_mj.show.studio.plots import lamp
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -59,26 +59,9 @@ _cueing = threading.Lock()  #: One flight is made at a time, of all tabs.
 
 CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
 
-_GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
-
 _WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
 
 _FADE = 3.0  #: Time in which a flight takes over [s]: it begins at neutral.
-
-
-def lamp(view: View) -> str:
-    """HTML of a lamp: green; amber while something has failed; red once it tripped or ended."""
-    harm = [mark for mark in view.marks if mark.harm]
-    colour, says = _GOOD, "all works"
-    if view.end:
-        colour, says = _TRIPPED, f"ended: {view.end}"
-    elif (fault := view.live.fault) is not None:
-        colour, says = _TRIPPED, f"tripped: {words(fault.name, fault.leg)}"
-    elif harm or view.live.late:
-        colour, says = _FAILED, "failed" if harm else "host late"
-    marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-3:])
-    dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
-    return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{marks}</div>"
 
 
 def scenario_controls(desk: Desk) -> Callable[[View], None]:
@@ -106,8 +89,8 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
             done = any(until in mark.text for mark in seen)
             done = done if until else view.live.time > _WATCHED
-            then = answer if done else "*The answer comes some seconds after you did it.*"
-            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask} {then}"
+            then = f"**Answer:** {answer}" if done else "*Answered some seconds after you did it.*"
+            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask}\n\n{then}"
         text.content, text.visible = said, bool(said)
         onward.visible = done and at + 1 < len(prompts)
 
@@ -182,6 +165,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
         chosen = {name: handle.value for name, handle in settings.items()}
         table = signal_table(kind.value, dof.value, size(), **chosen)
         desk.apply(change_of({"signal": table}, "signal"))
+        desk.land()
 
     def limit(chosen: float) -> None:
         """Show an amplitude [in or deg] and its limit in the units of the page."""
@@ -273,11 +257,15 @@ def cueing_controls(desk: Desk) -> Callable[[], bool]:
         finally:
             note.remove()
 
-    def follow(scenario: Run) -> None:
+    def land() -> None:
         nonlocal sent
-        if not any(isinstance(signal, HostFile) for signal in scenario.signal):
-            flown.value, sent = NONE, (NONE, "")
+        flown.value, sent = NONE, (NONE, "")
 
+    def follow(scenario: Run) -> None:
+        if not any(isinstance(signal, HostFile) for signal in scenario.signal):
+            land()
+
+    desk.land = land
     by_hand(send, flown, washout)
     desk.follow(follow)
     return lambda: flown.value != NONE
@@ -379,7 +367,11 @@ def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
 
     @export.on_click
     def _(_: Any) -> None:
-        text = scenario_toml(desk.live.scenario().result())
+        done = desk.live.scenario().result()
+        signals = [*done.signal, *(one for change in done.change for one in change.signal or ())]
+        for file in {one.file for one in signals if isinstance(one, HostFile)}:
+            client.add_notification("Goes with the scenario", file, auto_close_seconds=30.0)
+        text = scenario_toml(done)
         client.send_file_download("session.toml", text.encode("utf-8"), save_immediately=True)
 
     def keep(name: str, write: Callable[[Record, Path], Path]) -> None:
@@ -388,8 +380,6 @@ def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 content = write(record, Path(folder) / name).read_bytes()
             client.send_file_download(name, content, save_immediately=True)
-            kept = f"{name}: {record.time[0]:.1f} to {record.time[-1]:.1f} s"
-            client.add_notification("Saved", kept, auto_close_seconds=10.0)
         except ValueError as error:
             desk.tell(error)
 

@@ -120,7 +120,7 @@ def from_rest(scenario: Run) -> Run:
     return scenario.model_copy(update=begun | {"events": (), "change": ()})
 
 
-_SETTLE = 0.3  #: Time a control is left alone before it acts [s].
+_SETTLE = 0.8  #: Time a control is left alone, or a number typed, before it acts [s].
 
 
 class Desk:
@@ -138,6 +138,8 @@ class Desk:
         self.wait = False
         """Whether the run that begins stands still: its first prompt is to be read."""
         self.live = LiveSession(scenario, show, self.tell)
+        self.land: Callable[[], None] = lambda: None
+        """Say that no flight is flown any more."""
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}

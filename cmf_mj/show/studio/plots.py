@@ -1,6 +1,7 @@
 """Scene and live plots of a tab; uPlot draws thousands of points without effort."""
 
 from collections.abc import Sequence
+from html import escape
 
 import mujoco
 import numpy as np
@@ -17,14 +18,30 @@ from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
 from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import LARGEST_PUSH, weight
-from cmf_mj.show.studio.live import PLOT_RATE, Mark, View
+from cmf_mj.show.studio.live import PLOT_RATE, Mark, View, words
 
 _DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
 
 _MOTION, _FORCE, _VALVE = "platform, {} [{}]", "leg forces [{}]", "valve commands [%]"
 _PRESSURE, _SUPPLY = "pressures of the leg [{}]", "manifolds [{}]"
-_SCALES = (("in", 0.05, "psi", 1000.0, "lbf"), ("mm", 1.0, "bar", 70.0, "kN"))
-"""By `UNITS`: of translations, pressures and forces, with what an axis reaches to at least."""
+
+
+_GOOD, _FAILED = "#2f9e44", "#f08c00"
+
+
+def lamp(view: View) -> str:
+    """HTML of a lamp: green; amber while something has failed; red once it tripped or ended."""
+    harm = [mark for mark in view.marks if mark.harm]
+    colour, says = _GOOD, "all works"
+    if view.end:
+        colour, says = RED, f"ended: {view.end}"
+    elif (fault := view.live.fault) is not None:
+        colour, says = RED, f"tripped: {words(fault.name, fault.leg)}"
+    elif harm or view.live.late:
+        colour, says = _FAILED, "failed" if harm else "host late"
+    marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-3:])
+    dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
+    return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{marks}</div>"
 
 
 def _add_plot(
@@ -92,11 +109,15 @@ class Plots:
         manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
         # One for each title: a plot whose title changes loses its time axis in the browser.
         drawn = {_MOTION.format(dof, "deg"): (both, -0.05, 0.05) for dof in DOFS[3:]}
-        for length, least, pressure, top, force in _SCALES:
-            drawn |= {_MOTION.format(dof, length): (both, -least, least) for dof in DOFS[:3]}
-            drawn |= {_FORCE.format(force): (legs, 0.0, 1.0), _VALVE: (legs, -2.0, 2.0)}
-            drawn[_PRESSURE.format(pressure)] = sides, 0.0, top
-            drawn[_SUPPLY.format(pressure)] = manifolds, 0.0, 2.0 * top
+        for unit, least in (("in", 0.05), ("mm", 1.0)):
+            drawn |= {_MOTION.format(dof, unit): (both, -least, least) for dof in DOFS[:3]}
+        drawn |= {_FORCE.format(unit): (legs, 0.0, 1.0) for unit in ("lbf", "kN")}
+        drawn[_VALVE] = legs, -2.0, 2.0
+        for title, lines, psi in ((_PRESSURE, sides, 1000.0), (_SUPPLY, manifolds, 2000.0)):
+            drawn |= {
+                title.format("psi"): (lines, 0.0, psi),
+                title.format("bar"): (lines, 0.0, 0.07 * psi),
+            }
         self._plots = {title: _add_plot(client, title, *how) for title, how in drawn.items()}
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
@@ -107,8 +128,8 @@ class Plots:
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
         beside: list[Live | None] = list(view.beside)[-rows:]
-        if len(past) < 2:
-            return
+        if len(past) < 2:  # a run that begins, or waits
+            past, beside = [view.live] * 2, [None] * 2
         length, angle, pressure, force = UNITS[system]
         if not dof:
             dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]

@@ -10,6 +10,7 @@ from contextlib import suppress
 import viser
 
 from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import controls
 from cmf_mj.show.studio.desk import Desk, check_commands, ready_scenarios
 from cmf_mj.show.studio.door import Door, scenario_in
@@ -19,6 +20,8 @@ from cmf_mj.show.studio.plots import MachineScene, Plots, widen_camera
 _PLOTS_EVERY = 4  #: Turns from drawing of the plots to drawing: 7.5 a second.
 
 _STATUS_EVERY = 8  #: Turns from status to status.
+
+_AUTO = "what moves"  #: Choice of the degree of freedom that the signal or flight moves.
 
 
 class TabClosed(Exception):
@@ -71,6 +74,7 @@ class Page:
         panel = gui.add_panel()
         with panel.add_tab("Signals"):
             self._plots = Plots(self.desk.client)
+            self._dof = gui.add_dropdown("platform", (_AUTO, *DOFS), hint="what its plot shows")
             self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS, hint="cap and rod")
             self._window = gui.add_dropdown(
                 "window [s]", ("5", "10", "20"), initial_value="10", hint="time that plots show"
@@ -90,6 +94,7 @@ class Page:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
             dof = "" if self._flying() else dof
+            dof = dof if self._dof.value == _AUTO else self._dof.value
             self._plots.show(view, float(self._window.value), dof, system, leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
