@@ -71,10 +71,7 @@ def fly_command(
     rides, paths = [], []
     for law in loaded:
         with progress_bar(f"flying {law.name}", seconds=True) as bar:
-            watched = how | {
-                "washout": washout,
-                "progress": lambda done, bar=bar: bar(done, length),
-            }
+            watched = how | {"washout": washout, "progress": lambda at, bar=bar: bar(at, length)}
             if flown is None:
                 ride = fly_live(str(form), port or 0, law, seconds=length, **watched)
             else:
@@ -129,9 +126,8 @@ def learn_command(
         run |= {"trials": trials, "seed": seed, "progress": update}
         learnt = learn(asked, law, plants, **run)
     with progress_bar("flying other machines") as update:
-        others = on_others(
-            learnt, machines[_KNOWN:], seed=seed + trials + 1, jobs=jobs, progress=update
-        )
+        run = {"seed": seed + trials + 1, "jobs": jobs, "progress": update}
+        others = on_others(learnt, machines[_KNOWN:], **run)
     paths = report.save_learning(learnt, others, out)
     show(report.trial_table(learnt), unfolded=True)
     show(report.verdict(learnt, others), written(paths, out))

@@ -199,9 +199,8 @@ class PredictiveSettings(OptimalSettings):
     prediction: Prediction
 
 
-WashoutSettings = (
-    ClassicalSettings | OptimalSettings | PredictiveSettings
-)  #: Parameters of any washout.
+WashoutSettings = ClassicalSettings | OptimalSettings | PredictiveSettings
+"""Parameters of any washout."""
 
 _KINDS: dict[str, Any] = {"optimal": OptimalSettings, "predictive": PredictiveSettings}
 

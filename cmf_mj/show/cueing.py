@@ -122,13 +122,10 @@ def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
 
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
-    figure, _, below = motion_axes(
-        "Specific force and angular rate of both pilots, pose and legs: "
-        f"washout {flown.settings.name}",
-        DrawnMotion(flown.aircraft, "aircraft", look.GREY, 1.2),
-        DrawnMotion(flown.simulator, "simulator", look.BLUE, 1.2),
-        rows=5,
-    )
+    title = f"Motion of both pilots, pose and legs: washout {flown.settings.name}"
+    aircraft = DrawnMotion(flown.aircraft, "aircraft", look.GREY, 1.2)
+    simulator = DrawnMotion(flown.simulator, "simulator", look.BLUE, 1.2)
+    figure, _, below = motion_axes(title, aircraft, simulator, rows=5)
     time, pose = flown.aircraft.time, flown.stream.pose
     legs = pose_to_legs(pose, flown.machine) / INCH
     for column, (unit, scale) in enumerate((("m", 1.0), ("deg", DEGREE))):
