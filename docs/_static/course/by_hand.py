@@ -181,7 +181,11 @@ def right() -> dict[int, tuple[float, str, str]]:
         2: (leg(masses[3], aired)["ring"], "Hz", "omega is in rad/s; pounds are not kilograms."),
         3: (heavy, "kg", "A leg stretches by sin(lean) cos(bearing)."),
         4: (eased["lag90"], "Hz", "A quadratic in w^2; take its smaller root."),
-        5: (most, "%/in", "Routh bounds K; g is K / sigma."),
+        5: (
+            most,
+            "%/in",
+            f"Routh bounds K, K / sigma is g; {masses[0] / LBM:.0f} lbm in surge.",
+        ),
         6: (1.0 / np.diff(time[tops(response)])[0], "Hz", "From maximum to maximum is a period."),
         7: (
             enough(),
@@ -196,8 +200,8 @@ def right() -> dict[int, tuple[float, str, str]]:
     }
 
 
-WITHIN = {7: 0.05, 11: 0.2}
-"""How far an answer may be off, 2 % in the others: both magnify how far one reads or fits."""
+WITHIN = {6: 0.05, 7: 0.05, 11: 0.2}
+"""How far an answer may be off, 2 % in the others: these magnify how far one reads or fits."""
 
 
 def mark(number: int, answer: float | None) -> None:
