@@ -16,6 +16,7 @@ import json
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,6 +35,7 @@ from by_hand import (
     given,
     leg,
     misfit,
+    one,
     payload,
     peaks,
     polynomial,
@@ -151,8 +153,16 @@ def changed(gain: float, acceleration: float) -> Law:
     return law.model_copy(update={"direct_gain": direct.model_copy(update=gains)})
 
 
+def rests() -> float:
+    """Where the velocity law rests over its demand [dB]."""
+    return float(20.0 * np.log10(one(load_law("velocity").direct_gain.reference) / given().gain))
+
+
 def gains() -> str:
-    """What a gain on acceleration does in surge, by hand and on the machine in small motion."""
+    """What a gain on acceleration does in surge, by hand and on the machine in small motion.
+
+    Peaks are over where the machine rests.
+    """
     linear, of = Linear(Hexapod("gfd")), given()
     mass = surge()
     rows = []
@@ -160,7 +170,7 @@ def gains() -> str:
         hand, law = leg(mass, of._replace(acceleration=gain)), changed(of.gain, gain)
         found = linear.measures(law)[0]
         least = f"{found.mode_damping_ratio:.3f}", f"{found.mode_frequency_hz:.1f}"
-        machine = [f"{found.peak_gain_db:.1f}", f"{found.phase_bandwidth_hz:.2f}"]
+        machine = [f"{found.peak_gain_db - rests():.1f}", f"{found.phase_bandwidth_hz:.2f}"]
         cells = [f"{hand['peak']:.1f}", *(machine if found.stable else ("-", "-"))]
         rows.append((f"{gain:.3f}", *cells[:2], f"{hand['lag90']:.2f}", *cells[2:], *least))
     header = ("a [%/(in/s²)]", "peak by hand [dB]", "machine [dB]", "-90 deg by hand [Hz]")
@@ -174,11 +184,15 @@ def fit() -> str:
         misfit(fitted(), of, *series("surge")),
         linear.measures(changed(calm(), of.acceleration)),
     )
+    true = calm(of=surge())
+    missed = linear.measures(changed(true, of.acceleration))[0].peak_gain_db - rests()
     header = "of,mass [kg],too large [%],left rms [in],gain [%/in],peak [dB],-90 deg [Hz]"
+    header += ",gain of the true mass [%/in],its peak [dB]"
     cells = (
         f"{fitted():.0f},{100.0 * (fitted() / surge() - 1.0):.0f},{np.sqrt(np.mean(left**2)):.2f}"
     )
-    law = f"{calm():.1f},{found[0].peak_gain_db:.1f},{found[0].phase_bandwidth_hz:.2f}"
+    law = f"{calm():.1f},{found[0].peak_gain_db - rests():.1f},{found[0].phase_bandwidth_hz:.2f}"
+    law += f",{true:.1f},{missed:.1f}"
     return f"{header}\nstep in surge,{cells},{law}\n"
 
 
@@ -226,8 +240,9 @@ def draw(folder: Path) -> None:
     axis, tried = figure.subplots(), np.geomspace(of.acceleration, 1.0, 60)
     machine = [linear.measures(changed(of.gain, gain))[0] for gain in tried]
     axis.semilogx(tried, peaks(surge(), of, "acceleration", tried), label="by hand")
-    axis.semilogx(tried, [one.peak_gain_db for one in machine], label="machine, while stable")
-    ends = tried[[not one.stable for one in machine].index(True)]
+    over = [found.peak_gain_db - rests() for found in machine]
+    axis.semilogx(tried, over, label="machine over where it rests, while stable")
+    ends = tried[[not found.stable for found in machine].index(True)]
     axis.axvline(ends, color="0.6", linestyle=":", label="a mode at 14 Hz is unstable beyond")
     axis.set(xlabel="gain on acceleration [%/(in/s²)]", ylabel="peak in surge [dB]")
     ticks = [0.013, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0]
@@ -262,10 +277,12 @@ def save_step(axis: int, name: str, folder: Path) -> None:
         writer.writerows(
             [COLUMNS, *([f"{v:.9g}" for v in row] for row in zip(*values, strict=True))]
         )
-    columns = [
+    columns: list[dict[str, Any]] = [
         {"name": key, "datatype": "number", "dc:description": said, "schema:unitText": unit}
         for key, (_, _, unit, said) in COLUMNS.items()
     ]
+    for entry in columns[1:3]:
+        entry["dc:description"] += f", positive {('forward', 'right', 'down')[axis]}"
     table = {
         "@context": "http://www.w3.org/ns/csvw",
         "url": path.name,

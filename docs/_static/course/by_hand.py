@@ -153,10 +153,10 @@ def enough(peak: float = 7.0) -> float:
 
 
 @cache
-def calm(peak: float = 3.0) -> float:
-    """Gain on position [%/in] with which the fitted mass peaks by so many dB."""
-    tried = np.linspace(20.0, given().gain, 200)
-    return float(np.interp(peak, peaks(fitted(), given(), "gain", tried), tried))
+def calm(peak: float = 3.0, of: float | None = None) -> float:
+    """Gain on position [%/in] with which a mass, by default the fitted, peaks by so many dB."""
+    tried, mass = np.linspace(20.0, given().gain, 200), fitted() if of is None else of
+    return float(np.interp(peak, peaks(mass, given(), "gain", tried), tried))
 
 
 def surge() -> float:
