@@ -2,8 +2,8 @@
 
 Writes `cueing.csv`: means over the held-out drives, drawn by `SEEDS`, which nobody saw before the
 settings were chosen, one row a family; and `all.csv`, a row for each manoeuvre and family. `--flood
-SECONDS` writes `flood.csv`: ten times what the machine can do, live. `--record FILE`
-keeps programmes, and `--solvers FILE` writes `solvers.csv`: times and failures on them of five
+SECONDS` writes `flood.csv`: random pushes and turns beyond the machine, live. `--record FILE` keeps
+programmes, and `--solvers FILE` writes `solvers.csv`: times and failures on them of five
 solvers, in an environment that has them. `softened` gives each the same programme, soft rows
 written out; DAQP and OSQP begin at the solution before.
 
@@ -120,7 +120,7 @@ def compare(out: Path, names: tuple[str, ...], rate: float) -> None:
 
 
 def flood(out: Path, seconds: float) -> None:
-    """Ten times what the machine can do, frame by frame, for some seconds of simulation."""
+    """Random pushes and turns, far beyond the machine, for some seconds of simulation."""
     rows = []
     for machine in ("cmf", "simona", "lab"):
         draw, count = np.random.default_rng(7), round(seconds * MOST_RATE)
