@@ -178,6 +178,8 @@ def test_a_run_from_rest_keeps_law_gains_and_signal_and_drops_the_rest() -> None
     assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
     assert [signal.kind for signal in begun.signal] == ["step"]
     assert begun.change == () and begun.events == () and begun.duration == "open"
+    pump = desk.ready_scenarios()["pump_failure"]
+    assert desk.from_rest(pump).events == pump.events != ()
 
 
 @pytest.mark.parametrize("machine", ["cmf", "simona", "lab"])

@@ -208,6 +208,20 @@ def test_a_bad_setting_is_named_on_the_page_and_the_run_goes_on(tab: Tab) -> Non
 
 
 @pytest.mark.usefixtures("fewer_pictures")
+def test_a_refused_amplitude_is_not_sent_when_its_field_is_left(tab: Tab) -> None:
+    beside = "xpath=following::input[not(@type='hidden')][1]"
+    field = tab.page.get_by_text("amplitude [in]", exact=True).locator(beside).last
+    field.fill("2000")
+    field.press("Enter")
+    tab.status("amplitude .*2000 is refused")
+    tab.wait(lambda: field.input_value() == "2")
+    field.press("Tab")
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 2.0)
+    assert tab.behind.live.scenario().result().change == ()
+
+
+@pytest.mark.usefixtures("fewer_pictures")
 def test_two_tabs_do_not_disturb_one_another(tab: Tab, browser: Browser, studio: Studio) -> None:
     other = Tab(browser, studio)
     other.choose("law", "force")

@@ -77,7 +77,8 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
     def follow(scenario: Run) -> None:
         nonlocal prompts, at, since
         pick(chosen, ready.setdefault(scenario.title, scenario).title)
-        if prompts is not (now := of.get(scenario.title, [])):
+        now = of.get(scenario.title, [])
+        if prompts is not now or at + 1 == len(now):  # the last begins the first again
             at, prompts = 0, now  # in this order: the session's thread reads both
             desk.wait = bool(now)
         since = 0
@@ -119,7 +120,7 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
     @buttons.on_click
     def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
         if event.target.value == "reset":
-            desk.again()
+            desk.again(events=())
         else:
             desk.live.pause(event.target.value == "pause")
 
@@ -370,7 +371,9 @@ def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
         done = desk.live.scenario().result()
         signals = [*done.signal, *(one for change in done.change for one in change.signal or ())]
         for file in {one.file for one in signals if isinstance(one, HostFile)}:
-            client.add_notification("Goes with the scenario", file, auto_close_seconds=30.0)
+            client.add_notification(
+                "Send it along and mend its `file`", file, auto_close_seconds=30.0
+            )
         text = scenario_toml(done)
         client.send_file_download("session.toml", text.encode("utf-8"), save_immediately=True)
 

@@ -108,7 +108,7 @@ def ready_scenarios() -> dict[str, Run]:
 def from_rest(scenario: Run) -> Run:
     """The same machine with the law and the signal in force at the end, from rest.
 
-    Failures, pushes and requests are left out: what begins again is whole.
+    The scenario's own failures come again; those by hand, pushes and requests are left out.
     """
     law, gains, signal = scenario.law, scenario.gains, scenario.signal
     for change in scenario.change:
@@ -117,7 +117,7 @@ def from_rest(scenario: Run) -> Run:
         gains = merged(gains, change.gains)
         signal = signal if change.signal is None else change.signal
     begun = {"law": law, "gains": gains, "signal": signal, "duration": "open"}
-    return scenario.model_copy(update=begun | {"events": (), "change": ()})
+    return scenario.model_copy(update=begun | {"change": ()})
 
 
 _SETTLE = 0.8  #: Time a control is left alone, or a number typed, before it acts [s].
@@ -242,10 +242,14 @@ def check_commands(client: viser.ClientHandle) -> None:
     gui, connection = client.gui, client._websock_connection
 
     async def update(client_id: Any, message: messages.GuiUpdateMessage) -> None:
+        handle = gui._gui_input_handle_from_uuid.get(message.uuid)
         try:
-            check_value(gui._gui_input_handle_from_uuid.get(message.uuid), message.updates)
+            check_value(handle, message.updates)
         except InputError as error:
             client.add_notification("Refused", str(error), color="red", auto_close_seconds=30.0)
+            if handle is not None:  # or what was refused stays in its field, and is sent clamped
+                back = messages.GuiUpdateMessage(message.uuid, {"value": handle.value})
+                gui._websock_interface.queue_message(back)
         else:
             await gui._handle_gui_updates(client_id, message)
 
