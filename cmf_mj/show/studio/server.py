@@ -17,11 +17,7 @@ from cmf_mj.show.studio.door import Door, scenario_in
 from cmf_mj.show.studio.live import View
 from cmf_mj.show.studio.plots import MachineScene, Plots, widen_camera
 
-_PLOTS_EVERY = 4  #: Turns from drawing of the plots to drawing: 7.5 a second.
-
-_STATUS_EVERY = 8  #: Turns from status to status.
-
-_AUTO = "what moves"  #: Choice of the degree of freedom that the signal or flight moves.
+_PLOTS_EVERY, _STATUS_EVERY = 4, 8  #: Turns from drawing to drawing: 7.5 and 3.8 a second.
 
 
 class TabClosed(Exception):
@@ -74,7 +70,7 @@ class Page:
         panel = gui.add_panel()
         with panel.add_tab("Signals"):
             self._plots = Plots(self.desk.client)
-            self._dof = gui.add_dropdown("platform", (_AUTO, *DOFS), hint="what its plot shows")
+            self._dof = gui.add_dropdown("platform", ("what moves", *DOFS), hint="its plot")
             self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS, hint="cap and rod")
             self._window = gui.add_dropdown(
                 "window [s]", ("5", "10", "20"), initial_value="10", hint="time that plots show"
@@ -93,8 +89,8 @@ class Page:
         if self._turn % _PLOTS_EVERY == 0:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
-            dof = "" if self._flying() else dof
-            dof = dof if self._dof.value == _AUTO else self._dof.value
+            moves = "" if self._flying() else dof
+            dof = self._dof.value if self._dof.value in DOFS else moves
             self._plots.show(view, float(self._window.value), dof, system, leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
