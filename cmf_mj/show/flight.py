@@ -112,10 +112,8 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
         for i, name in enumerate(NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
-
-    ideal = rides[0].washout_error.rms * _SCALE
-    rows: list[list[Cell]] = []
-    rows.append(["machine that follows at once", *["0"] * 6, *ideal[:2], "0", None, None])
+    ideal, still = rides[0].washout_error.rms * _SCALE, ["0"] * 6
+    rows: list[list[Cell]] = [["machine that follows at once", *still, *ideal[:2], "0", None, None]]
     for ride in rides:
         machine, flight = ride.machine.rms * _SCALE, ride.cueing.rms * _SCALE
         row = [ride.law, *machine, *flight[:2], 1e3 * ride.loop_delay]
