@@ -3,19 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.settings import validated
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.washout_settings import WashoutSettings
 
 G = 9.80665
-
-
-def with_gains(settings: WashoutSettings, gains: NDArray[np.float64]) -> WashoutSettings:
-    """A washout with other gains of surge to yaw, (6,)."""
-    tables = settings.model_dump()
-    for (table, key), gain in zip(settings._gains, gains, strict=True):
-        tables[table][key] |= {"value": float(gain), "status": "derived"}
-    return validated(type(settings), tables, settings.name)
 
 
 def level(seconds: float = 20.0, rate: float = 80.0) -> PilotMotion:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cab_motions import pushed, sustained, turn_entry, with_gains
+from cab_motions import pushed, sustained, turn_entry
 from shared import WORKING_STROKE, cmf
 
 from cmf_mj.facility.host.stream import read_stream
@@ -13,6 +13,7 @@ from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout, save_washout
+from scripts.flights import with_gains
 
 LIMITS = load_motion_limits()
 PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))

@@ -8,7 +8,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from cab_motions import pushed, with_gains
+from cab_motions import pushed
 from shared import WORKING_STROKE, cmf
 
 from cmf_mj import signals
@@ -40,6 +40,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.show import flight as flight_report
 from cmf_mj.show.cueing import motion_panels
+from scripts.flights import with_gains
 
 IDEAL: dict[str, Any] = {"electronics": None}
 

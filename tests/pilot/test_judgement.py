@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cab_motions import pushed, with_gains
+from cab_motions import pushed
 from shared import cmf
 
 from cmf_mj.pilot.cueing import cue
@@ -17,6 +17,7 @@ from cmf_mj.pilot.judgement import (
 )
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.pilot.washout_settings import load_washout
+from scripts.flights import with_gains
 
 
 def felt(cued, aircraft, simulator):

@@ -5,7 +5,7 @@ import csv
 import control
 import numpy as np
 import pytest
-from cab_motions import G, with_gains
+from cab_motions import G
 from shared import cmf
 
 from cmf_mj.control.dcu.state import load_dcu
@@ -28,6 +28,7 @@ from cmf_mj.pilot.washout_settings import load_washout, save_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.show.cueing import omct_table, phase, share_table, unit
+from scripts.flights import with_gains
 
 SIMONA = load_washout()
 S = control.TransferFunction.s
