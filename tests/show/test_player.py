@@ -148,8 +148,8 @@ class Visit:
         self.wait("window.player && player.drawn() > 0")
 
     def seek(self, time: float) -> None:
-        drawn = self.page.evaluate("player.drawn()")
-        self.page.evaluate(f"player.seek({time})")
+        # In one turn of the page: a frame asked for before must not pass for the one sought.
+        drawn = self.page.evaluate(f"(player.seek({time}), player.drawn())")
         self.wait(f"player.drawn() > {drawn}")
 
     def wait(self, condition: str) -> None:
