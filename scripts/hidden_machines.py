@@ -26,6 +26,7 @@ import tomlkit
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import write_csv, write_json, write_text
+from cmf_mj.core.result import Table
 from cmf_mj.core.settings import read_toml
 from cmf_mj.core.units import factor
 from cmf_mj.facility.scenario import load_scenario
@@ -44,8 +45,6 @@ from cmf_mj.studies.tuning.forms import Template, make_template
 from cmf_mj.studies.tuning.search import Requirements, judged, search
 
 RESULT, TIME, LAWS = "numbers.csv", "time.json", "laws.json"  #: In the folder of a fit.
-
-
 SEEDS = (1, 2, 3)  #: Of the searches for a law.
 SWEPT = (0.2, 10.0)  #: First and last frequency of plain sweeps [Hz].
 
@@ -100,11 +99,8 @@ def numbers(plant: Hexapod) -> dict[str, float]:
     """The numbers of a machine by path, in SI."""
     oil, cab = plant.parameters, plant.cab_parameters
     assert cab is not None
-    size = oil.coulomb_friction.si
-    said = {
-        f"hydraulics.actuators.{leg}.leg_speed": oil.actuator(leg)["leg_speed"].si
-        for leg in plant.actuators
-    }
+    size, path = oil.coulomb_friction.si, "hydraulics.actuators.{}.leg_speed"
+    said = {path.format(leg): oil.actuator(leg)["leg_speed"].si for leg in plant.actuators}
     for field in ("drive_lag", "valve_lag", "leak_rate", "bulk_modulus"):
         said[f"hydraulics.{field}"] = getattr(oil, field).si
     said["hydraulics.friction"] = size
@@ -224,16 +220,13 @@ def score(options: argparse.Namespace) -> None:
         said = json.loads((folder / TIME).read_text(encoding="utf-8"))
         table.append((name, *summed(lines), said["gain"], said["phase"], said["seconds"]))
         every += [line | {"machine": name} for line in lines]
-    columns = ("machine", "number", "truth", "value", "low", "high", "identifiable", "holds")
-    rows = [[line.get(key, "") for key in (*columns, "error")] for line in every]
-    write_csv(out / "score.csv", (*columns, "error"), rows)
-    print("machine    known  of  held  share  median error  held back [dB, deg]  time [s]")
+    keys = "machine number truth value low high identifiable holds error".split()
+    write_csv(out / "score.csv", keys, [[line.get(key, "") for key in keys] for line in every])
     worst = [max(column) for column in zip(*(one[-3:] for one in table), strict=True)]
-    for name, *line in [*table, ("all", *summed(every), *worst)] if table else []:
-        known, of, held, error, gain, phase, taken = line
-        share = f"{held / known:6.1%}" if known else "     -"
-        numbers = f"{name:10} {known:5} {of:3} {held:5} {share} {error:13.2%}"
-        print(f"{numbers} {gain:12.2f} {phase:6.1f} {taken:9.0f}")
+    if table:
+        table.append(("all", *summed(every), *worst))
+    columns = ("machine", "known", "of", "held", ("median error", ".2%"), ("gain [dB]", ".2f"))
+    print(Table("", (*columns, ("phase [deg]", ".1f"), ("time [s]", ".0f")), table).markdown())
 
 
 def summed(lines: list[dict[str, Any]]) -> tuple[int, int, int, float]:
@@ -252,10 +245,8 @@ def laws(options: argparse.Namespace) -> None:
             write_json(folder / LAWS, _tuned(_again(out / f"{name}.truth.json"), folder, options))
     table = {name: folder / LAWS for name, folder in _fits(out).items() if (folder / LAWS).exists()}
     found = {name: json.loads(path.read_text("utf-8")) for name, path in table.items()}
-    columns = list(next(iter(found.values()), {}))
-    write_csv(
-        out / "laws.csv", ("machine", *columns), [(n, *one.values()) for n, one in found.items()]
-    )
+    columns = ("machine", *next(iter(found.values()), {}))
+    write_csv(out / "laws.csv", columns, [(name, *one.values()) for name, one in found.items()])
     for name, one in found.items():
         print(name, *(f"{key} {value:.4g}" for key, value in one.items()), sep="  ")
 
@@ -308,13 +299,9 @@ def _template(plant: Hexapod) -> Template:
     cab = plant.cab_parameters
     assert cab is not None
     template = make_template("tuned", "Tuned", [cab], "none")
-    linear, modes = (
-        (linear_cab(plant, "none"),),
-        dict(template.modes) | {plant.cab: nominal_modes(plant)},
-    )
-    return template._replace(
-        modes=modes, cabs=linear, frictionless=linear, actuator=plant.parameters
-    )
+    linear, modes = (linear_cab(plant, "none"),), {plant.cab: nominal_modes(plant)}
+    how: dict[str, Any] = {"cabs": linear, "frictionless": linear, "actuator": plant.parameters}
+    return template._replace(modes=dict(template.modes) | modes, **how)
 
 
 def _off(fitted: Hexapod, truth: Hexapod, box: Box) -> float:
@@ -364,7 +351,7 @@ def _swept(kind: Kind, planned: Path, folder: Path) -> None:
 
         def sweep(size: float, i: int = i, dof: str = dof) -> list[dict[str, Any]]:
             about = {"kind": "chirp", "dof": dof, "amplitude": float(size * room.reach[i])}
-            about |= {"start": SWEPT[0], "stop": SWEPT[1], "duration": span, "settle": 0.0}
+            about |= {"start": SWEPT[0], "stop": SWEPT[1], "duration": span - 0.2, "settle": 0.1}
             return [{"at": LEAD, "fade": 0.0, "signal": [about | {"fade": 0.05 * span}]}]
 
         how = one.table() | {"title": f"sweep in {dof}"}
