@@ -9,7 +9,7 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.facility.host.stream import HostSession, make_stream, write_stream
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.record.facility_csv import write_facility_csv
+from cmf_mj.record.columns import write_facility_csv
 from cmf_mj.record.record import Record
 
 CAMPAIGN = """

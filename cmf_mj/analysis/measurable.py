@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj.analysis.spectra import SEGMENT
-from cmf_mj.core import units
 from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import dof_index
@@ -71,14 +70,11 @@ def least_demand(record: Record, dof: str) -> float:
     A file's last decimal q rounds each leg by up to q/2, which moves a degree of freedom by up to
     q sum_j |(J^-1)_j|; ten times that is 1 dB of round-off at most.
     """
-    decimals = record.metadata.get("recording", {}).get("decimals")
-    if decimals is None:
-        return NO_DEMAND
-    spread = 1.0
+    spread, last = 1.0, record.metadata.get("recording", {}).get("last_place", 0.0)
     if not dof.startswith("leg_"):
         jacobian = pose_jacobian(np.zeros(6), recorded_machine(record.metadata))
         spread = float(np.abs(np.linalg.inv(jacobian)[dof_index(dof)]).sum())
-    return max(10.0 * units.INCH * 10.0**-decimals * spread, NO_DEMAND)
+    return max(10.0 * last * spread, NO_DEMAND)
 
 
 def check_alike(records: Sequence[Record]) -> None:

@@ -128,7 +128,7 @@ def _record(case: Case, out: Path) -> None:
     from cmf_mj.core import units
     from cmf_mj.core.files import in_folder
     from cmf_mj.machine.geometry import dof_index, dof_unit
-    from cmf_mj.record.facility_csv import write_facility_csv
+    from cmf_mj.record.columns import write_facility_csv
     from cmf_mj.signals.peaks import peaks
     from cmf_mj.studies.measurement import facility_session, session_commands
 
@@ -170,7 +170,7 @@ def identify_command(
     out: options.Out = Path("out/identify"),
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
-    from cmf_mj.record.reader import read_recording
+    from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import fit as report
     from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
@@ -184,7 +184,7 @@ def identify_command(
         records = studies.simulated_records(case, signal)  # type: ignore[arg-type]
         step = case.run(case.step())
     else:
-        records = [read_recording(path) for path in files or []]
+        records = [read_mapped(path) for path in files or []]
     options: dict[str, Any] = {"method": method, "orders": chosen, "law": law, "step": step}
     model = studies.identify(records, dof, **options)
     paths = report.save_identification(model, out)

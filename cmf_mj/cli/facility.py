@@ -221,11 +221,11 @@ def replay_command(
     """Run the control law open loop on recorded feedback; compare the compensator's output."""
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.replay import replay
-    from cmf_mj.record.reader import read_recording
+    from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import operation as report
     from cmf_mj.show.look import save_figure
 
-    record = read_recording(recording)
+    record = read_mapped(recording)
     replayed = replay(record, law or None)
     name = f"{recording.stem}_{replayed.law}.png"
     path = save_figure(report.replay_figure(replayed), in_folder(out, name))

@@ -1,1 +1,1 @@
-"""Records of runs, and the facility's CSV files at 128 Hz."""
+"""Records of runs, and recordings of others by column maps."""

@@ -2,6 +2,7 @@
 
     machine = "mine.toml"               # whose recording it is: a name, or a file beside this one
     bridge = 0.02                       # gaps up to this long [s] are filled with straight lines
+    whole = false                       # true refuses all gaps and files that may be cut off
     legs = [1, 2, 3, 4, 5, 6]           # what stands for {leg} in names, of our leg 1 first
 
     [time]
@@ -16,9 +17,13 @@
     sign = 1                            # or six; the channel is sign (scale value - offset)
     offset = 0                          # or six, in the unit
 
-Legs are positive out, poses count from neutral, x forward, y right, z down; see `CHANNELS`.
+Legs are positive out, poses count from neutral, x forward, y right, z down; see `CHANNELS`. The
+facility's CSV files have the map `facility.toml`.
 """
 
+import json
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,24 +32,28 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from cmf_mj.core import units
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
+from cmf_mj.core.files import whole_file
 from cmf_mj.core.settings import Settings, Time, as_tuples, beside, read_toml, validated
-from cmf_mj.machine.machine import Machine
-from cmf_mj.record.facility_csv import LAYOUT
-from cmf_mj.record.reader import read_recording
+from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.record.record import Record
-from cmf_mj.record.sources import Source, bridged, even_clock, read_source, resampled
+from cmf_mj.record.sources import REMARK, Source, bridged, even_clock, read_source, resampled
 
 Array = NDArray[np.float64]
 
-FACILITY = "facility"
-"""Name of the columns of the facility's CSV files and of this project's records."""
+FACILITY = Path(__file__).with_name("facility.toml")
+"""Map of the facility's CSV files."""
 
+STROKES = ("leg_position", "leg_reference")  #: Channels that are within the stroke.
 POSES = ("demand_pose", "platform_pose")  #: Channels of six axes, m and rad.
 
 CHANNELS = {
-    **{group.channel: group.si for group in LAYOUT},
-    **{"leg_force": "N", **dict.fromkeys(POSES, "m, rad")},
+    **{"leg_position": "m", "leg_velocity": "m/s", "leg_acceleration": "m/s^2"},
+    **{"cap_pressure": "Pa", "rod_pressure": "Pa", "leg_reference": "m"},
+    **{"compensator_output": "1", "valve_command": "1", "leg_force": "N"},
+    **dict.fromkeys(POSES, "m, rad"),
     **{"supply_pressure": "Pa", "return_pressure": "Pa"},
 }
 """Channels that a map may have, with their SI units; all but the last two have six columns."""
@@ -56,6 +65,7 @@ _Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples), _Six]
 _Sign = Literal[-1, 1]
 _Signs = Annotated[tuple[_Sign, ...], BeforeValidator(as_tuples), _Six]
 _Rate = Annotated[float, Field(gt=0.0, le=1e6)]
+_SLOWEST = 1.0  #: Rate [Hz] below which a recording's clock has another unit.
 
 
 class TimeColumn(Settings):
@@ -97,6 +107,9 @@ class ColumnMap(Settings):
     bridge: Time = 0.0  #: Gaps up to this long are filled with straight lines [s].
     legs: Annotated[tuple[int | str, ...], BeforeValidator(as_tuples), _Six] = (1, 2, 3, 4, 5, 6)
     """What stands for {leg} in names, of leg 1 first; of poses, of surge first."""
+    whole: bool = False
+    """Whether a channel has all columns, with a number in each row, or is left out; without it
+    `cmf recording check` names the gaps."""
     time: TimeColumn
     channels: dict[str, ChannelColumns] = Field(min_length=1)  #: By names of `CHANNELS`.
 
@@ -139,7 +152,7 @@ def _six(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,) * 6
 
 
-def load_columns(source: "str | Path | ColumnMap") -> ColumnMap:
+def load_columns(source: "str | Path | ColumnMap" = FACILITY) -> ColumnMap:
     """A map from its TOML file, whose machine counts from there, or as it is."""
     if isinstance(source, ColumnMap):
         return source
@@ -150,7 +163,9 @@ def load_columns(source: "str | Path | ColumnMap") -> ColumnMap:
 
 
 def read_mapped(
-    path: str | Path, columns: "str | Path | ColumnMap | None", machine: Machine
+    path: str | Path,
+    columns: "str | Path | ColumnMap | None" = None,
+    machine: str | Path | Machine = CMF,
 ) -> Record:
     """A recording as a record in SI at an even rate.
 
@@ -159,11 +174,12 @@ def read_mapped(
 
     Args:
         path: a CSV, Parquet, HDF5 or MAT file.
-        columns: a map or its file; None or `facility` for the facility's CSV and own records.
-        machine: whose it is.
+        columns: a map or its file; None for the facility's CSV and for this project's records.
+        machine: whose it is, by name, file or loaded, where the file does not say.
 
     Metadata have the machine, and `recording`: the file, the columns not recorded as `missing`, the
-    samples filled as `bridged` by column, `clock_off` [s], how far stamps are from an even clock.
+    samples filled as `bridged` by column, `clock_off` [s], how far stamps are from an even clock,
+    and `last_place` [m], what the last decimal of the legs' demand is, 0 without one.
 
     >>> from pathlib import Path
     >>> from cmf_mj.record.columns import ColumnMap, read_mapped
@@ -176,16 +192,59 @@ def read_mapped(
     0.005
     >>> file.unlink()
     """
-    if columns is None or columns == FACILITY:
-        record = read_recording(Path(path))
-        about = {} if "machine" in record.metadata else machine.known()
-        return Record(record.time, record.channels, record.units, dict(record.metadata) | about)
-    chosen, source = load_columns(columns), read_source(path)
+    on = load_machine(machine)
+    if columns is None and Path(path).suffix == ".parquet":
+        record = Record.load(path)
+        return replace(record, metadata=_known(record.metadata, on))
+    chosen, source = load_columns(columns or FACILITY), read_source(path)
     with within(source.path):
-        return _mapped(source, chosen, machine)
+        known = _known(source.metadata, on)
+        if chosen.whole:
+            chosen = _whole(source, chosen, recorded_machine(known).half_stroke)
+        return _mapped(source, chosen, known)
 
 
-def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
+def _known(metadata: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
+    """Metadata with a machine, where they have none."""
+    return {**metadata} | ({} if "machine" in metadata else machine.known())
+
+
+def _whole(source: Source, chosen: ColumnMap, stroke: float) -> ColumnMap:
+    """A map without the channels that a file has not; the others have a number in every cell."""
+    names = {one: {name for name, *_ in chosen.columns(one)} for one in chosen.channels}
+    there = {one: chosen.channels[one] for one in names if names[one] & {*source.columns}}
+    for channel in there:
+        most = stroke if channel in STROKES else np.inf
+        for name, unit, *_ in chosen.columns(channel):
+            odd = ~(np.abs(units.to_si(unit, source.column(name))) < most)
+            if odd.any():
+                allowed = f"allowed: a number within {units.from_si(unit, most):.6g} {unit}"
+                raise InputError(f"{name}: row {int(odd.argmax()) + 1} has no such; {allowed}")
+    if not source.ended:
+        raise InputError("the last row has no line end and may be cut off; if it is whole, add one")
+    return chosen.model_copy(update={"channels": there or chosen.channels})
+
+
+def write_facility_csv(record: Record, path: str | Path) -> Path:
+    """Write the channels of a record that `FACILITY` maps, and its metadata; six decimals.
+
+    The rate stays; the facility's recorder has 128 Hz.
+    """
+    chosen, columns, target = load_columns(), {}, Path(path)
+    for channel in (name for name in chosen.channels if name in record.channels):
+        legs = shaped(channel, record[channel], None, 6).T
+        for (name, unit, *_), leg in zip(chosen.columns(channel), legs, strict=True):
+            columns[name] = units.from_si(unit, leg)
+    rows = np.column_stack([record.time, *columns.values()])
+    header = ",".join([str(chosen.time.column), *columns])
+    footer = REMARK + json.dumps(dict(record.metadata) | {"sample_rate": record.rate})
+    how: dict[str, Any] = {"delimiter": ",", "header": header, "footer": footer, "comments": ""}
+    with whole_file(target) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        np.savetxt(file, rows, ["%.9f"] + ["%.6f"] * len(columns), **how)
+    return target
+
+
+def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
     when = chosen.time
     stamps: Array = np.arange(next(iter(source.columns.values())).size, dtype=float)
     rate, off = when.resample or when.rate, 0.0
@@ -199,6 +258,9 @@ def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
     time = stamps
     if rate is None:
         time, rate, off = even_clock(stamps)
+        if rate < _SLOWEST:
+            by = f"{rate:.3g} samples a second by unit {when.unit!r}"
+            raise InputError(f"time: {by} is refused; allowed: at least {_SLOWEST:g}")
     channels: dict[str, Array] = {}
     missing: list[str] = []
     counts: dict[str, int] = {}
@@ -211,10 +273,21 @@ def _mapped(source: Source, chosen: ColumnMap, machine: Machine) -> Record:
             legs[k], count = bridged(leg, round(chosen.bridge * rate))
             counts |= {f"{channel}/{k}": count} if count else {}
         channels[channel] = legs[0] if channel in _SCALARS else legs.T
-    said = {"file": source.path.name, "columns": "by map", "missing": missing}
-    metadata = {"command": {"kind": "recording"}, "sample_rate": rate} | machine.known()
-    metadata |= {"recording": said | {"bridged": counts, "clock_off": off}}
+    said: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": counts}
+    said |= {"clock_off": off, "last_place": _last_place(source, chosen, "leg_reference")}
+    metadata = {"command": {"kind": "recording"}, **known, "sample_rate": rate, "recording": said}
     return Record(time, channels, {name: CHANNELS[name] for name in channels}, metadata)
+
+
+def _last_place(source: Source, chosen: ColumnMap, channel: str) -> float:
+    """What the last decimal of a channel's columns is in SI, 0 where they fill a double."""
+    places = [0.0]
+    for name, unit, *_ in chosen.columns(channel) if channel in chosen.channels else ():
+        raw = source.columns.get(name, np.zeros(0))
+        fits = (n for n in range(10) if np.array_equal(np.round(raw, n), raw, equal_nan=True))
+        count = units.factor(unit) * abs(chosen.channels[channel].scale)
+        places.append(next((count * 10.0**-n for n in fits), 0.0))
+    return max(places)
 
 
 def _legs(source: Source, chosen: ColumnMap, channel: str) -> tuple[Array, list[str]]:

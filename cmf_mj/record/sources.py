@@ -4,13 +4,15 @@ A column is a name and numbers, NaN where there is none; dates and times of day 
 first. An array of rows by columns, as HDF5 and MAT files hold, gives `name_1`, `name_2` and so on;
 a table in a table gives `table.name`, a group of HDF5 `group/name`, a structure of MATLAB
 `structure.name`. A CSV file may have text above its header, units in a row below it, any of the
-separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`.
+separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`; the
+last `# cmf_mj {...}` has metadata as JSON.
 """
 
 import io
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from statistics import mode
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError, reason, require, unknown_name
 from cmf_mj.core.files import read_table
-from cmf_mj.core.settings import check_file
+from cmf_mj.core.settings import check_file, parsed_json
 
 Array = NDArray[np.float64]
 
@@ -34,6 +36,7 @@ _CLOCK = r"^[0-9]{2}:[0-9]{2}:[0-9]{2}([.][0-9]+)?$"  #: A time of day.
 
 _OFF, _STEP = 0.4, 0.6
 """How far a stamp may lie from its sample, and an interval from the usual, in samples."""
+REMARK = "# cmf_mj "  #: How the comment with the metadata of a CSV file begins.
 _GAP = 3.0  #: Intervals, in usual ones, from which on a resampled recording has a gap.
 
 _Column = tuple[str, str, Array]  #: Name, unit where the file states one, numbers.
@@ -45,6 +48,8 @@ class Source(NamedTuple):
     path: Path
     columns: Mapping[str, Array]  #: Name to numbers, (N,).
     units: Mapping[str, str]  #: Name to unit, empty where the file states none.
+    metadata: Mapping[str, Any] = {}  #: What a CSV file says of itself.
+    ended: bool = True  #: Whether its last line has an end, else it may be cut off.
 
     def column(self, name: str) -> Array:
         """A column by name; refused with the most similar one."""
@@ -60,26 +65,32 @@ def read_source(path: str | Path) -> Source:
     if reader is None:
         raise InputError(f"{source}: ending {source.suffix!r} is not one of {', '.join(_READERS)}")
     try:
-        found = list(reader(source))
+        return reader(source)
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source}: cannot be read: {reason(error)}") from error
+
+
+def _source(path: Path, columns: Iterator[_Column], **more: Any) -> Source:
+    """The columns that are as long as most are."""
+    found = list(columns)
     lengths = [values.size for *_, values in found]
     if not lengths:
-        raise InputError(f"{source}: has no column of numbers")
+        raise InputError(f"{path}: has no column of numbers")
     usual = max(set(lengths), key=lambda size: (lengths.count(size), size))
     kept = {name: values for name, _, values in found if values.size == usual}
-    return Source(source, kept, {name: unit for name, unit, _ in found})
+    return Source(path, kept, {name: unit for name, unit, _ in found}, **more)
 
 
-def _csv(path: Path) -> Iterator[_Column]:
+def _csv(path: Path) -> Source:
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
-    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    every = text.splitlines()
+    lines = [line for line in every if line.strip() and line.lstrip()[0] != "#"]
     separator, first = _cut(path, lines[:_LOOKED_AT])
     width = len(_cells(lines[first], separator))
     above = [_cells(line, separator) for line in lines[max(first - 2, 0) : first]]
@@ -96,13 +107,17 @@ def _csv(path: Path) -> Iterator[_Column]:
     decimal = "," if separator != "," and re.search(r"\d,\d", lines[first]) else "."
     table = pyarrow.csv.read_csv(
         io.BytesIO(body),
-        pyarrow.csv.ReadOptions(column_names=names, block_size=len(body) + 1),
+        pyarrow.csv.ReadOptions(use_threads=False, column_names=names, block_size=len(body) + 1),
         pyarrow.csv.ParseOptions(delimiter=separator or "\t"),
         pyarrow.csv.ConvertOptions(null_values=_NULLS, decimal_point=decimal),
     )
     stated = dict(zip(names, units, strict=True))
-    for name, unit, values in _of_table(table):
-        yield name, stated[name] or unit, values
+    columns = ((name, stated[name] or unit, values) for name, unit, values in _of_table(table))
+    remarks = [line.removeprefix(REMARK) for line in every if line.startswith(REMARK)]
+    metadata = parsed_json(remarks[-1], f"{path}: {REMARK.strip()}") if remarks else {}
+    if not isinstance(metadata, dict):
+        raise InputError(f"{path}: {REMARK.strip()}: {metadata!r} is refused; allowed: a table")
+    return _source(path, columns, metadata=metadata, ended=text.endswith(("\n", "\r")))
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
@@ -113,7 +128,7 @@ def _cut(path: Path, lines: list[str]) -> tuple[str | None, int]:
     """The separator, None for blanks, and the first line of which half and more are numbers."""
     for separator in ("\t", ";", ",", None):
         rows = [_cells(line, separator) for line in lines]
-        width = len(rows[-1]) if rows else 0
+        width = mode([len(row) for row in rows if len(row) > 1] or [0])
         for first, row in enumerate(rows):
             numbers = sum(bool(_SHOWN.fullmatch(cell)) or cell in _NULLS for cell in row)
             if width > 1 and len(row) == width and numbers > 0.5 * width:
@@ -147,18 +162,18 @@ def _of_table(table: pa.Table) -> Iterator[_Column]:
         yield field.name, unit, np.array(numbers.to_numpy())
 
 
-def _hdf5(path: Path, between: str = "/") -> Iterator[_Column]:
+def _hdf5(path: Path, between: str = "/") -> Source:
     with require("h5py", "hdf5").File(path, "r") as file:
-        yield from _of_tree("", file, between)
+        return _source(path, _of_tree("", file, between))
 
 
-def _mat(path: Path) -> Iterator[_Column]:
+def _mat(path: Path) -> Source:
     from scipy.io import loadmat
 
     try:
-        yield from _of_tree("", loadmat(path, simplify_cells=True), ".")
+        return _source(path, _of_tree("", loadmat(path, simplify_cells=True), "."))
     except NotImplementedError:  # version 7.3 is HDF5
-        yield from _hdf5(path, ".")
+        return _hdf5(path, ".")
 
 
 def _of_tree(name: str, item: Any, between: str, unit: str = "") -> Iterator[_Column]:
@@ -185,7 +200,7 @@ def _of_tree(name: str, item: Any, between: str, unit: str = "") -> Iterator[_Co
 
 _READERS = {
     **dict.fromkeys((".csv", ".txt"), _csv),
-    ".parquet": lambda path: _of_table(read_table(path)),
+    ".parquet": lambda path: _source(path, _of_table(read_table(path))),
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
     ".mat": _mat,
 }

@@ -27,7 +27,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.washout_settings import load_washout
-from cmf_mj.record.reader import read_recording
+from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.run import load_posterior
 from cmf_mj.studies.capacity import manoeuvre
@@ -140,8 +140,8 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
     """What reads recordings, streams, flights and motions, with a good file of each."""
     for name, read in (
         ("run.parquet", Record.load),
-        ("run.parquet", read_recording),
-        ("facility.csv", read_recording),
+        ("run.parquet", read_mapped),
+        ("facility.csv", read_mapped),
         ("stream.csv", read_stream),
         ("stream.parquet", read_stream),
         ("host.parquet", HostSession.load),

@@ -19,8 +19,7 @@ from lengths import examples
 from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
-from cmf_mj.record.facility_csv import TRAILER
-from cmf_mj.record.reader import read_recording
+from cmf_mj.record.sources import REMARK, read_source
 
 ENDS = 1  #: How often the long search ends each command.
 LONGEST = 12.0  #: Latest end after the start [s].
@@ -39,8 +38,8 @@ def test_every_command_that_writes_has_a_line() -> None:
 def whole(path: Path) -> bool:
     """Whether a reader of its kind reads a file to its end."""
     content = path.read_bytes()
-    if path.suffix == ".csv" and TRAILER.encode() in content:
-        read_recording(path)
+    if path.suffix == ".csv" and REMARK.encode() in content:
+        read_source(path)
     elif path.suffix in (".parquet", ".csv") and not content.startswith(b"#"):
         read_table(path)
     elif path.suffix == ".png":

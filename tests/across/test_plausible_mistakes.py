@@ -16,8 +16,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import read_stream, unit_doubts
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv
-from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.columns import CHANNELS, load_columns, read_mapped, write_facility_csv
 from cmf_mj.record.record import Record
 
 Cells = list[list[str]]
@@ -92,7 +91,7 @@ UNKNOWABLE = {
 
 FILES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "facility.csv": (
-        read_facility_csv,
+        read_mapped,
         ("measure {file}", "identify {file} {file} --orders 2,1,1", "replay {file} --law velocity"),
     ),
     "stream.csv": (read_stream, ("operate {file}", "host {file} --to 127.0.0.1:9")),
@@ -107,7 +106,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_files(folder, np.random.default_rng(1))
     time = np.arange(3840) / 128.0
     wave = 0.3 * np.sin(2.0 * np.pi * np.outer(0.1 * time**2, np.ones(6)))
-    layout = {group.channel: group.si for group in LAYOUT}
+    layout = {name: CHANNELS[name] for name in load_columns().channels}
     told = {"sample_rate": 128.0, "law": "velocity", "plant": "hexapod", "command": {}}
     legs = Record(time, dict.fromkeys(layout, wave), layout, told)
     write_facility_csv(legs, folder / "facility.csv")

@@ -20,8 +20,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.record.facility_csv import write_facility_csv
-from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.columns import read_mapped, write_facility_csv
 from cmf_mj.show.look import plain_data
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.studies.measurement import measure_recordings
@@ -143,7 +142,7 @@ def test_a_small_demand_is_measured_where_the_file_resolves_it(tmp_path: Path) -
     """A hundredth of the report's amplitude, 84 micrometres, in a file of 25 nm: 1 %."""
     small = lagging(signals.chirp("heave", 84e-6, duration=30.0), 16)
     path = write_facility_csv(small, tmp_path / "small.csv")
-    read, kept = (frequency_response(r, "heave") for r in (read_facility_csv(path), small))
+    read, kept = (frequency_response(r, "heave") for r in (read_mapped(path), small))
     low = kept.frequency < 3.0
     np.testing.assert_allclose(np.abs(read.response[low]), np.abs(kept.response[low]), rtol=0.01)
 

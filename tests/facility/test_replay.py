@@ -11,8 +11,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.replay import replay
-from cmf_mj.record.facility_csv import write_facility_csv
-from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.columns import read_mapped, write_facility_csv
 
 INCH = 0.0254
 
@@ -64,9 +63,10 @@ def test_a_run_that_starts_away_from_its_demand_and_from_neutral() -> None:
 
 def test_a_recorders_file_comes_back_within_a_ten_thousandth(tmp_path: Path) -> None:
     """128 Hz and six decimals of an inch; most of the output is the velocity law's."""
-    record = simulate(Hexapod(), "velocity", signals.sine("heave", 0.33 * INCH, 1.2, cycles=4.0))
+    command = signals.sine("heave", 0.33 * INCH, 1.2, cycles=4.0)
+    record = simulate(Hexapod(), "velocity", command, record_every=16)
     path = write_facility_csv(record, tmp_path / "run.csv")
-    replayed = replay(read_facility_csv(path), "velocity")
+    replayed = replay(read_mapped(path), "velocity")
     assert replayed.interpolated
     assert replayed.output.shape == replayed.recorded.shape
     assert 0.0 < replayed.difference < 1e-4

@@ -28,7 +28,7 @@ from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.settings import HostChain
 from cmf_mj.facility.signal import LegDemand, ValveCommands
-from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.columns import read_mapped
 from cmf_mj.studies.engine import Workers
 
 STILL = np.zeros((8, 6))
@@ -127,7 +127,7 @@ def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
     said: list[str] = []
 
     def read() -> None:
-        load = {"toml": load_law, "csv": read_facility_csv, "parquet": Record.load}[name[2:]]
+        load = {"toml": load_law, "csv": read_mapped, "parquet": Record.load}[name[2:]]
         with pytest.raises(InputError) as refused:
             load(tmp_path / name)
         said.append(str(refused.value))

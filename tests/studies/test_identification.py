@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cmf_mj.analysis.identification.data import Experiment
 from cmf_mj.analysis.identification.estimation import arx
 from cmf_mj.cli.common import app
-from cmf_mj.record.facility_csv import write_facility_csv
+from cmf_mj.record.columns import write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.show.fit import model_table, orders_table, save_identification
 from cmf_mj.studies import identification

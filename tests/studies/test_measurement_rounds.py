@@ -12,8 +12,7 @@ from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals,
 from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
 from cmf_mj.cli.common import app
 from cmf_mj.plant.plant import Plant
-from cmf_mj.record.facility_csv import write_facility_csv
-from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.columns import read_mapped, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.studies.case import AMPLITUDE, RECORDER, make_case
@@ -42,7 +41,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         return simulate(plant, "velocity", command, record_every=plant.machine.rate // RECORDER)
 
     steps = np.arange(1.8, 3.7, 0.3)
-    read = [read_facility_csv(path) for path in written(plant.name, tmp_path)]
+    read = [read_mapped(path) for path in written(plant.name, tmp_path)]
     responses = {
         "multisine": frequency_response(run(signals.multisine("heave", AMPLITUDE))),
         "chirp": frequency_response(run(signals.chirp("heave", AMPLITUDE))),
@@ -58,7 +57,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
 
 
 def test_rounds_read_the_35_frequencies_of_table_2_3(files: list[Path]) -> None:
-    response = rounds_response([read_facility_csv(path) for path in files], "heave")
+    response = rounds_response([read_mapped(path) for path in files], "heave")
     expected = sorted(f for row in composite.ROUNDS for f in row)
     np.testing.assert_allclose(response.frequency, expected, rtol=1e-12)
     assert response.coherence.min() > 0.99
@@ -71,8 +70,8 @@ def test_files_without_their_own_metadata_read_alike(files: list[Path], tmp_path
         kept = [line for line in path.read_text().splitlines() if not line.startswith("#")]
         target = tmp_path / path.name
         target.write_text("\n".join(kept) + "\n")
-        bare.append(read_facility_csv(target))
-    with_dwells = bandwidths(rounds_response([read_facility_csv(p) for p in files], "heave"))
+        bare.append(read_mapped(target))
+    with_dwells = bandwidths(rounds_response([read_mapped(p) for p in files], "heave"))
     without = bandwidths(rounds_response(bare, "heave"))
     assert without.phase_hz == pytest.approx(with_dwells.phase_hz, rel=0.03)
 
@@ -80,7 +79,7 @@ def test_files_without_their_own_metadata_read_alike(files: list[Path], tmp_path
 def test_the_report_joins_its_files_and_finds_the_same_bandwidths(files: list[Path]) -> None:
     """Appendix A's estimator over the five files end to end, against fits over the whole cycles of
     each sine: 1 % of both bandwidths. The rests between do not spoil it."""
-    read = [read_facility_csv(path) for path in files]
+    read = [read_mapped(path) for path in files]
     fitted = bandwidths(rounds_response(read, "heave"))
     joined = rounds_response(read, "heave", estimator="report")
     spacing = read[0].rate / sum(record.time.size for record in read)

@@ -48,7 +48,6 @@ from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.plant.parameters import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import read_mapped
-from cmf_mj.record.facility_csv import LEGS
 from cmf_mj.record.record import Record
 from cmf_mj.studies.fit.evidence import Deviations, Evidence, EvidenceSettings, load_evidence
 
@@ -137,7 +136,7 @@ def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
     """
     heavy = "cab" if cab.mass.si >= cab.platform.mass.si else "platform"
     numbers = hydraulics.actuator()
-    weight = cab.payload.mass * STANDARD_GRAVITY / LEGS
+    weight = cab.payload.mass * STANDARD_GRAVITY / 6.0
     reach = 0.1 * float(cab.machine.geometry.upper[:, :2].max())
     wide: dict[str, Any] = {"distribution": "loguniform", "unit": "1"}
     said = {"source": "data sheets are this far from machines"}

@@ -51,9 +51,10 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
-from cmf_mj.record.facility_csv import LAYOUT, RATE, write_facility_csv
+from cmf_mj.record.columns import load_columns, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, plain
+from cmf_mj.studies.case import RECORDER
 from cmf_mj.studies.fit.campaign import FILE
 from cmf_mj.studies.tuning.search import save_law
 
@@ -77,7 +78,6 @@ POSES = (
 """Poses of `hold`, each degree of freedom in parts of what it reaches alone."""
 _WHERE = ("machine", "cab")  #: Whose files are named by the way from the campaign's.
 AWAY, ELSEWHERE = POSES[1] | {"surge": 0.4}, POSES[4] | {"heave": -0.4}
-KEPT = ("demand_pose", *(group.channel for group in LAYOUT))
 
 
 class Planned(NamedTuple):
@@ -123,7 +123,7 @@ def plan_campaign(
         del named["law"]
     held = _kept("other_law", other_law, target) if other_law is not None else ""
     named |= {name: _kept(name, one, target) for name, one in named.items() if name not in _WHERE}
-    every = max(round(room.machine.rate / (RATE if room.machine.name == CMF else SAMPLES)), 1)
+    every = max(round(room.machine.rate / (RECORDER if room.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
     held = held or str(_slower(load_law(law or room.machine.law), target / "other_law.toml"))
     plans, runs, tables = _planned(room, seconds - LEAD), {}, {}
@@ -171,7 +171,7 @@ def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
 
 def _on_rows(time: float) -> float:
     """The nearest time that a row of every recording has."""
-    return round(time * RATE) / RATE
+    return round(time * RECORDER) / RECORDER
 
 
 def demand(run: Run) -> Array:
@@ -329,7 +329,7 @@ def record_campaign(
     Machine, cab and hydraulics are names, TOML files or loaded, by default those of the data sheet.
     Actuators that are all alike get unequal valves, `valve_gains` by the seed, which is also that
     of the noise. Files are the facility's CSV for the CMF, else the project's own records; they
-    hold the channels of `LAYOUT`, the demand and the data sheet, and no number of the machine.
+    hold the channels of that CSV, the demand and the data sheet, and no number of the machine.
     `progress` is called with (recordings done, in all).
     """
     place = Path(folder) / FILE
@@ -339,7 +339,7 @@ def record_campaign(
     table = tomlkit.parse(place.read_text(encoding="utf-8"))
     said = table["recordings"]
     runs = {name: load_scenario(place.parent / said[name]["source"]) for name in names}
-    sheet = runs[names[0]]
+    sheet, kept = runs[names[0]], ("demand_pose", *load_columns().channels)
     about = load_machine(sheet.machine).known()
     if machine is None:
         machine, cab = sheet.machine, cab or sheet.cab
@@ -354,7 +354,7 @@ def record_campaign(
         with within(name):
             run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise[0])).record()
         known = {key: run.metadata[key] for key in ("sample_rate", "law")} | about
-        channels = {key: run[key] for key in KEPT if key in run.channels}
+        channels = {key: run[key] for key in kept if key in run.channels}
         units = {key: run.units[key] for key in channels}
         record = Record(run.time, channels, units, known | {"command": {"kind": "scenario"}})
         if plant.machine.name == CMF:
