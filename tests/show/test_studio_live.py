@@ -262,7 +262,7 @@ def test_all_that_happens_is_marked() -> None:
     marks = marks_of(scenario, Fault("following_error", 2, 5 * 2048))
     assert marks == (
         (1.0, "law force, gain", False),
-        (2.0, "valve dead of leg 2", True),
+        (2.0, "valve dead of leg 2, all its valves", True),
         (3.0, "push", False),
         (4.0, "pump lost", True),
         (4.0, "push ends", False),

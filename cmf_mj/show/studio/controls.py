@@ -333,7 +333,7 @@ def disturbance_controls(desk: Desk) -> None:
     kind = gui.add_dropdown(
         "failure", KINDS, initial_value="pump_lost", hint="lasts until the run is reset"
     )
-    leg = gui.add_dropdown("leg", LEGS, hint="of a valve or sensor")
+    leg = gui.add_dropdown("leg", LEGS, hint="of a sensor, or of all its valves")
     fail = gui.add_button("fail now", color="red", hint="let it fail in the next frame")
 
     def push() -> None:
