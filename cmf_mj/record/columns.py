@@ -52,13 +52,11 @@ POSES = ("demand_pose", "platform_pose")  #: Channels of six axes, m and rad.
 CHANNELS = {
     **{"leg_position": "m", "leg_velocity": "m/s", "leg_acceleration": "m/s^2"},
     **{"cap_pressure": "Pa", "rod_pressure": "Pa", "leg_reference": "m"},
-    **{"compensator_output": "1", "valve_command": "1", "leg_force": "N"},
+    **{"compensator_output": "1", "valve_command": "1"},
     **dict.fromkeys(POSES, "m, rad"),
-    **{"supply_pressure": "Pa", "return_pressure": "Pa"},
 }
-"""Channels that a map may have, with their SI units; all but the last two have six columns."""
+"""Channels that a map may have, with their SI units; all have six columns."""
 
-_SCALARS = ("supply_pressure", "return_pressure")
 _Six = Field(min_length=6, max_length=6)
 _Names = Annotated[tuple[str, ...], BeforeValidator(as_tuples), _Six]
 _Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples), _Six]
@@ -87,7 +85,7 @@ class TimeColumn(Settings):
 class ChannelColumns(Settings):
     """Columns of one channel."""
 
-    columns: str | _Names  #: A pattern with {leg}, six names, or the name of a single column.
+    columns: str | _Names  #: A pattern with {leg}, or six names.
     unit: str | _Names  #: Of the columns; one, or six.
     scale: float = 1.0  #: Units that one of the file's counts is.
     sign: _Sign | _Signs = 1  #: Of what the file calls positive.
@@ -118,13 +116,10 @@ class ColumnMap(Settings):
         for name, one in self.channels.items():
             check_name("channels", name, CHANNELS)
             with within(f"channels.{name}"):
-                single = isinstance(one.columns, str) and "{leg}" not in one.columns
-                if single != (name in _SCALARS):
-                    allowed = (
-                        "one name" if name in _SCALARS else "a pattern with {leg}, or six names"
-                    )
-                    raise InputError(f"columns: {one.columns!r} is refused; allowed: {allowed}")
-                for (_, unit, *_), si in zip(self.columns(name), _si(name), strict=False):
+                if isinstance(one.columns, str) and "{leg}" not in one.columns:
+                    allowed = "allowed: a pattern with {leg}, or six names"
+                    raise InputError(f"columns: {one.columns!r} is refused; {allowed}")
+                for (_, unit, *_), si in zip(self.columns(name), _si(name), strict=True):
                     _check_unit(unit, si)
         return self
 
@@ -133,10 +128,9 @@ class ColumnMap(Settings):
         one = self.channels[channel]
         names = one.columns
         if isinstance(names, str):
-            legs = self.legs[:1] if channel in _SCALARS else self.legs
-            names = tuple(names.replace("{leg}", str(leg)) for leg in legs)
+            names = tuple(names.replace("{leg}", str(leg)) for leg in self.legs)
         parts = [names, *(_six(part) for part in (one.unit, one.sign, one.offset))]
-        return list(zip(*parts, strict=False))
+        return list(zip(*parts, strict=True))
 
 
 def _si(channel: str) -> list[str]:
@@ -272,7 +266,7 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
         for k, leg in enumerate(legs):
             legs[k], count = bridged(leg, round(chosen.bridge * rate))
             counts |= {f"{channel}/{k}": count} if count else {}
-        channels[channel] = legs[0] if channel in _SCALARS else legs.T
+        channels[channel] = legs.T
     said: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": counts}
     said |= {"clock_off": off, "last_place": _last_place(source, chosen, "leg_reference")}
     metadata = {"command": {"kind": "recording"}, **known, "sample_rate": rate, "recording": said}

@@ -2,7 +2,7 @@
 
 Six names that differ in one number 1 to 6, or 0 to 5, or one letter a to f, are the legs of one
 channel; six with the words of six axes are a pose. Words, also two joined as in `Xcmd`, say which
-channel: pos, length; ref, cmd, set; vel; cap, pa; rod, pb; force; valve, u. Units stand in brackets
+channel: pos, length; ref, cmd, set; vel; cap, pa; rod, pb; valve, u. Units stand in brackets
 or at the end: `p1 [bar]`, `x1_mm`, `v1_mm_s`.
 """
 
@@ -29,7 +29,6 @@ _CHANNELS = (
     ("leg_acceleration", "acc acceleration accel a xddot ddx"),
     ("rod_pressure", "rod prod annulus ann pb pr ps"),
     ("cap_pressure", "cap pcap head bore pa pc pk"),
-    ("leg_force", "force f load fax loadcell"),
     ("cap_pressure", "p prs pressure press"),
     ("rod_pressure", "p prs pressure press"),
     ("leg_reference", "x l s pos position length len ext extension stroke leg act cyl"),
@@ -43,7 +42,6 @@ _ASKED, _EITHER = ("demand_pose", "leg_reference"), ("valve_command", "compensat
 
 _AXES = ("surge x px", "sway y py", "heave z pz", "roll phi rx", "pitch theta ry", "yaw psi rz")
 _TIME = {*"time t zeit timestamp date sec seconds clock".split()}
-_SCALARS = {"supply_pressure": {"supply", "psup"}, "return_pressure": {"return", "tank"}}
 _WORDS = {*" ".join([*(words for _, words in _CHANNELS), *_AXES]).split(), *_DEMAND, *_TIME}
 
 _SPELLED = {one.lower(): one for one in "m mm cm Pa kPa MPa N kN bar psi in ft lbf deg rad".split()}
@@ -51,7 +49,7 @@ _SPELLED |= {one: one for one in "s ms us % 1 g".split()}
 _SPELLED |= {"sec": "s", "msec": "ms", "°": "deg", "pct": "%", "percent": "%", "inch": "in"}
 _AFTER = {*_SPELLED} - {"1", "g"}  #: Units that may be the last word of a name.
 _LABELS = ("123456", "012345", "abcdef")
-_BY_SI = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "N": "N", "1": "%"}
+_BY_SI = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "1": "%"}
 """Units of the field where a name states none, for the reader to correct."""
 
 
@@ -150,10 +148,6 @@ def guess_columns(path: str | Path) -> str:
                     found.setdefault(dof, name)
         if channel not in channels and len({*found.values()}) == 6:
             take(channel, [found[dof] for dof in DOFS], [found[dof] for dof in DOFS])
-    for name in list(left):
-        for channel, words in _SCALARS.items():
-            if channel not in channels and names[name][0] & words and names[name][1]:
-                take(channel, name, [name])
     lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
     lines += [f"not recognised: {', '.join(left)}"] if left else []
     lines.append(f"other channels: {', '.join(one for one in CHANNELS if one not in channels)}")

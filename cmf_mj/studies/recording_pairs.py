@@ -48,7 +48,6 @@ class Agreement(NamedTuple):
     cost: float  #: The sum above.
     gain: float  #: g, NaN where nothing moves.
     left: float  #: Share of what moves that is not explained, before any mending.
-    unseen: tuple[str, ...] = ()  #: Slips that would not have mattered.
 
 
 def agree(
@@ -58,13 +57,12 @@ def agree(
     floor: float,
     slips: Iterable[Slip] = (),
     *,
-    shift: bool = True,
-    centred: bool = False,
+    rates: bool = False,
 ) -> Agreement | None:
     """Compare the legs that both histories have; None if there are none.
 
-    `floor` is r0 in the unit of both; without a `shift` d is 0; `centred` takes the means away.
-    Where one moves, the other is asked for its part; of `centred` ones both have to move.
+    `floor` is r0 in the unit of both. Where one moves, the other is asked for its part. `rates` are
+    of one clock: d is 0, their means do not count, and both have to move.
     """
     legs = there(expected) & there(measured)
     if not legs.any():
@@ -76,24 +74,23 @@ def agree(
 
     def ready(values: Array) -> Array:
         low = smooth(values[:, legs], rate, corner)[::every]
-        return low - low.mean(axis=0) if centred else low
+        return low - low.mean(axis=0) if rates else low
 
     moved = [ready(values).std(axis=0).max() for values in (expected, measured)]
-    moves = bool((min if centred else max)(moved) > _MOVES * floor and min(moved) > _STILL)
+    moves = bool((min if rates else max)(moved) > _MOVES * floor and min(moved) > _STILL)
 
     def fit(said: str, expected: Array, measured: Array) -> Agreement:
         e, m = ready(expected), ready(measured)
-        frames = _delay(e, m, rate / every) if shift and moves else 0.0
+        frames = _delay(e, m, rate / every) if moves and not rates else 0.0
         e = shifted(e, (frames, 0.0), order=1, mode="nearest")
         return Agreement(said, frames * every / rate, *_fit(e, m, floor, moves))
 
     base, ways = fit("", expected, measured), [fit(*slip) for slip in slips]
     best = min(ways, key=lambda way: way.cost, default=base)
-    unseen = tuple(way.slip for way in ways if abs(way.cost - base.cost) < 0.5 * _PRICE)
     said = " or ".join(way.slip for way in ways if way.cost < best.cost + 0.5 * _PRICE)
     if best.cost + _PRICE >= base.cost or best.left >= 0.5 * min(1.0, base.left):
         best, said = base, ""
-    known = best._replace(slip=said, left=base.left, unseen=unseen)
+    known = best._replace(slip=said, left=base.left)
     return known if moves else known._replace(delay=np.nan, gain=np.nan)
 
 
@@ -138,18 +135,18 @@ def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, f
     return float(np.log(rms + floor).sum()), gain, left
 
 
-def exchanged(values: Array) -> Iterator[tuple[str, list[int], Array]]:
-    """Histories with two of the recorded legs exchanged: which, their order, and they."""
+def _exchanged(values: Array) -> Iterator[tuple[str, list[int]]]:
+    """Each two of the recorded legs, and the order of legs that exchanges them."""
     for i, j in combinations(np.flatnonzero(there(values)).tolist(), 2):
         order = [*range(values.shape[1])]
         order[i], order[j] = j, i
-        yield f"legs {i + 1} and {j + 1} are exchanged", order, values[:, order]
+        yield f"legs {i + 1} and {j + 1} are exchanged", order
 
 
 def swaps(expected: Array, measured: Array) -> Iterator[Slip]:
     """Two measured legs exchanged, or one with the other sign."""
-    for said, _, values in exchanged(measured):
-        yield said, expected, values
+    for said, order in _exchanged(measured):
+        yield said, expected, measured[:, order]
     for leg in np.flatnonzero(there(measured)):
         sign = np.where(np.arange(measured.shape[1]) == leg, -1.0, 1.0)
         yield f"leg {leg + 1} has the other sign", expected, measured * sign
@@ -184,7 +181,7 @@ def pressure_slips(expected: Array, cap: Array, rod: Array, areas: Array) -> Ite
         ("rod_pressure", (0, 1)),
         ("both pressures", (1, 1)),
     ):
-        for said, order, _ in exchanged(areas[0] * cap - areas[1] * rod):
+        for said, order in _exchanged(areas[0] * cap - areas[1] * rod):
             p, q = (v[:, order] if x else v for v, x in zip((cap, rod), on, strict=True))
             yield f"{what} of {said}", expected, areas[0] * p - areas[1] * q
 

@@ -179,7 +179,6 @@ def test_guess_reads_names_units_and_labels(tmp_path: Path) -> None:
         ("leg{}_p_rod (psi)", "rod_pressure", "psi"),
         ("xref{} [m]", "leg_reference", "m"),
         ("valve_cmd_{}_pct", "valve_command", "%"),
-        ("act{} load [kN]", "leg_force", "kN"),
         ("ActPos{} [mm]", "leg_position", "mm"),
     ],
 )
