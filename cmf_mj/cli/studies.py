@@ -224,7 +224,6 @@ def report_command(
     figures: Figures = "all",
     tables: Tables = "all",
     jobs: options.Jobs = None,
-    seed: options.Seed = 0,
     out: options.NamedOut = None,
     quick: options.Quick = False,
 ) -> None:
@@ -237,7 +236,7 @@ def report_command(
     folder = claim(context, out or Path("out/report"))
     with progress_bar() as update:
         content = make_content(
-            _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, seed=seed, progress=update
+            _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, progress=update
         )
     path = save_page(content, folder)
     size = path.stat().st_size / 1e6
@@ -259,9 +258,9 @@ def ledger_command(
 def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
-    """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
+    """Show the report's linear models, Table 4-1 computed, and laws around them."""
     from cmf_mj.report_2014 import model_tables as linear
 
     loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    show(linear.equation_table(), linear.misprint_table(), rows, loops, written(paths, out))
+    show(linear.equation_table(), rows, loops, written(paths, out))

@@ -148,17 +148,6 @@ def equation_table() -> Table:
     )
 
 
-def misprint_table() -> Table:
-    """What the print has wrong, and what to know before trusting a model."""
-    rows = []
-    for entry in report_models():
-        if entry.corrected:
-            rows.append((entry.number, "misprint", entry.corrected.reason))
-        if entry.note:
-            rows.append((entry.number, "note", entry.note))
-    return Table("remarks", ("Eq", "", "remark"), rows)
-
-
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
     bode, gain, phase = look.bode_axes(limits=True)

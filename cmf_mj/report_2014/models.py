@@ -17,18 +17,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, get_args
 
-import numpy as np
 from pydantic import BeforeValidator, Field
 
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
-from cmf_mj.analysis.measures import Measures
-from cmf_mj.analysis.published import Names
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 
 _FILE = Path(__file__).with_suffix(".toml")
-_GAINS_FILE = Path(__file__).with_name("gains.toml")
 
 Variant = Literal["printed", "corrected"]
 """Which reading of an equation: as printed, or with its misprint put right."""
@@ -37,8 +32,6 @@ GAINS = ("position_gain", "rate_gain", "acceleration_gain")
 """The three gains in the order of Eqs 3.2 to 3.4."""
 
 _USED = {"3.1": 0, "3.2": 1, "3.3": 2, "3.4": 3}  #: How many of the gains each equation has.
-
-_HALF_POWER = 10.0 ** (-3.0 / 20.0)  #: Gain of -3 dB.
 
 
 class FeedbackLoop(NamedTuple):
@@ -52,28 +45,6 @@ class FeedbackLoop(NamedTuple):
 
 
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]  #: A list of numbers of a table.
-
-
-class PublishedGains(Settings):
-    """One set of compensator gains as printed; units as in `control/laws.toml`."""
-
-    table: str
-    law: str
-    a: float
-    b: Numbers  #: B, a column a signal.
-    c: float
-    d: Numbers  #: D, a column a signal.
-    signals: Names  #: What the columns act on.
-
-
-@lru_cache
-def published_gains() -> tuple[PublishedGains, ...]:
-    """All gain tables, in the report's order."""
-    rows = read_toml(_GAINS_FILE)["gains"]
-    return tuple(
-        validated(PublishedGains, row, f"{_GAINS_FILE.name}: gains {i}")
-        for i, row in enumerate(rows)
-    )
 
 
 class Correction(Settings):
@@ -201,32 +172,3 @@ def feedback_model(
     below, name = [a, damping, b * square], f"Eq_{number.replace('.', '_')}"
     signals = {"inputs": "command", "outputs": "position", "name": name}
     return UnitTransferFunction([square], below, 0.0, input_unit="1", output_unit="1", **signals)
-
-
-def characteristics(loop: FeedbackLoop) -> Measures:
-    """Natural frequency, damping and bandwidths of the loop of Eq 3.4.
-
-    Bandwidths and peak count from the static gain, which K_p lowers; the mode is the loop's. With
-    damping ratio z, natural frequency w, c = 1 - 2 z^2 and h = 10^(-3/20) the phase is -90 deg at
-    w, the gain is down by 3 dB at w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by 1 / (2 z sqrt(1
-    - z^2)) below z = 0.707.
-    """
-    a, b = _checked(loop)
-    natural = loop.natural_frequency * np.sqrt(b / a)
-    turned = 2.0 * loop.damping_ratio + loop.rate_gain * loop.natural_frequency
-    damping = turned / (2.0 * np.sqrt(a * b))
-    frequency = float(natural / units.HERTZ)
-    mode = Measures(mode_damping_ratio=float(damping), mode_frequency_hz=frequency)
-    if damping <= 0.0:
-        return mode
-    c = 1.0 - 2.0 * damping**2
-    peak = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)) if c > 0.0 else 1.0
-    over = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
-    return mode._replace(
-        phase_bandwidth_hz=frequency,
-        gain_bandwidth_hz=float(frequency * np.sqrt(c + np.sqrt(c**2 + _HALF_POWER**-2 - 1.0))),
-        peak_gain_db=float(20.0 * np.log10(peak)),
-        overshoot=float(over),
-        steady_state_error=1.0 - 1.0 / b,
-        stable=True,
-    )

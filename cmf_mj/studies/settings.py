@@ -275,7 +275,7 @@ def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], st
         where, table = "study", dict(source)
     else:
         where, table = str(source), _table("study", str(source), " nor a .toml file")
-    if "base" in table:
+    while "base" in table:
         table = _table(f"{where}: base", str(table.pop("base"))) | table
     return table, where
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from cmf_mj import Hexapod, signals, simulate
+from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.sensors import (
     CHANNELS,
@@ -168,6 +168,12 @@ def test_noisy_legs_at_rest_read_what_the_hardware_read() -> None:
     reading = sense_history(sensors, still(20000, cap_pressure=600 * PSI)).acceleration
     assert reading.mean() / GRAVITY == pytest.approx(0.86, abs=1e-3)
     assert reading.std(axis=0).mean() / GRAVITY == pytest.approx(0.04, rel=0.02)
+    # Eq 3.6 leaves of white noise b / sqrt(1 - a^2).
+    law = load_law("acceleration_opposing")
+    a, b = law.accelerometer_pole, law.accelerometer_gain
+    behind = signal.lfilter([0.0, b], [1.0, -a], reading - reading.mean(axis=0), axis=0)[2048:]
+    left = behind.std(axis=0).mean() / reading.std(axis=0).mean()
+    assert left == pytest.approx(b / np.sqrt(1.0 - a**2), rel=0.05)
 
 
 def test_every_number_of_the_noisy_set_says_where_it_comes_from() -> None:

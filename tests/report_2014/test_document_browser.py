@@ -11,7 +11,7 @@ from cmf_mj.report_2014.page.document import make_content, save_page
 
 pytestmark = pytest.mark.slow
 
-FIGURES = ["2-4", "3-17"]
+FIGURES = ["2-13", "4-13"]
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +58,14 @@ def test_the_filter_leaves_what_is_within_or_outside(visit: Visit) -> None:
     assert rows.evaluate_all(shown) == 6
     for which in ("within", "outside"):
         visit.page.check(f"#{which}-only")
-        assert not visit.page.locator("#figure-2-4").is_visible()
+        assert not visit.page.locator("#figure-2-13").is_visible()
         assert rows.evaluate_all(shown) == visit.page.locator(f"#table-2-4 td.{which}").count()
     visit.page.locator("#filters input").first.check()
-    assert visit.page.locator("#figure-2-4").is_visible()
+    assert visit.page.locator("#figure-2-13").is_visible()
 
 
 def test_links_of_the_contents_lead_somewhere(visit: Visit) -> None:
-    visit.page.locator("nav a", has_text="Models, versions and seed").click()
+    visit.page.locator("nav a", has_text="Models and versions").click()
     top = visit.page.locator("#provenance").evaluate("e => e.getBoundingClientRect().top")
     height = visit.page.viewport_size
     assert height is not None and -1.0 <= top < height["height"]

@@ -21,7 +21,6 @@ from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry
 from cmf_mj.report_2014.models import (
     FeedbackLoop,
-    characteristics,
     hardware_velocity,
     report_model,
 )
@@ -107,11 +106,11 @@ def test_eq_3_2_lacks_its_gain(entry: LedgerEntry) -> None:
 
 def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
     before, after = (
-        characteristics(FeedbackLoop(5.0, 0.2, 1.5, 0.1, gain / 25.0)) for gain in (0.0, 1.0)
+        report_model("3.4", loop=FeedbackLoop(5.0, 0.2, 1.5, 0.1, gain / 25.0)).damp()
+        for gain in (0.0, 1.0)
     )
-    frequency = after.mode_frequency_hz / before.mode_frequency_hz
+    frequency, damping = (float(after[i][0] / before[i][0]) for i in (0, 1))
     assert frequency == pytest.approx(entry.figure("frequency for K_a w^2 = 1"), abs=5e-4)
-    damping = after.mode_damping_ratio / before.mode_damping_ratio
     assert damping == pytest.approx(entry.figure("damping for K_a w^2 = 1"), abs=5e-4)
 
 

@@ -11,7 +11,6 @@ from cmf_mj.core import units
 from cmf_mj.report_2014.models import (
     GAINS,
     FeedbackLoop,
-    characteristics,
     feedback_model,
     hardware_velocity,
     report_entry,
@@ -173,67 +172,52 @@ def test_eqs_3_2_to_3_4_are_the_nested_loops_of_figure_3_12(loop: FeedbackLoop) 
         np.testing.assert_allclose(feedback_model(number, loop)(s), expected, rtol=1e-9)
 
 
-@given(LOOPS)
+def characteristics(loop: FeedbackLoop) -> tuple[float, float, float]:
+    """-90 deg and -3 dB from the gain at rest [rad/s], and damping ratio of Eq 3.4."""
+    system = feedback_model("3.4", loop)
+    natural, damping, _ = system.damp()
+    return float(natural[0]), float(control.bandwidth(system)), float(damping[0])
+
+
+@given(st.floats(0.5, 50.0), st.floats(0.02, 0.9), st.floats(0.0, 5.0), st.floats(0.0, 0.1))
 @settings(deadline=None, max_examples=30)
-def test_characteristics_are_those_of_the_transfer_function(loop: FeedbackLoop) -> None:
-    system, result = feedback_model("3.4", loop), characteristics(loop)
-    natural, damping, _ = control.damp(system, doprint=False)
-    assert np.sqrt(np.prod(natural)) / (2.0 * np.pi) == pytest.approx(result.mode_frequency_hz)
-    if result.mode_damping_ratio < 1.0:
-        assert damping[0] == pytest.approx(result.mode_damping_ratio)
-    assert system.dcgain() == pytest.approx(result.static_gain)
-    at_phase = system(2j * np.pi * result.phase_bandwidth_hz)
-    assert np.angle(at_phase, deg=True) == pytest.approx(-90.0)
-    at_gain = system(2j * np.pi * result.gain_bandwidth_hz)
-    assert abs(at_gain) == pytest.approx(result.static_gain * 10.0 ** (-3.0 / 20.0))
-    omega = 2.0 * np.pi * result.mode_frequency_hz * np.linspace(1e-6, 2.0, 20001)
-    peak = np.abs(system(1j * omega)).max() / result.static_gain
-    assert 20.0 * np.log10(peak) == pytest.approx(result.peak_gain_db, abs=1e-3)
-
-
-@pytest.mark.parametrize("damping", [0.1, 0.4, 0.7, 1.3])
-def test_overshoot_is_that_of_the_simulated_step(damping: float) -> None:
-    loop = FeedbackLoop(6.0, damping, 0.5)
-    result = characteristics(loop)
-    reached = control.step_response(feedback_model("3.4", loop), np.linspace(0.0, 10.0, 20001))
-    over = float(reached.outputs.max()) / result.static_gain - 1.0
-    assert max(over, 0.0) == pytest.approx(result.overshoot, abs=2e-5)
+def test_the_loop_of_eq_3_4_is_of_second_order(w: float, zeta: float, kp: float, ka: float) -> None:
+    """Frequency w sqrt(b / a), damping ratio zeta / sqrt(a b), 1 / b at rest; -3 dB follows."""
+    a, b = 1.0 + ka * w**2, 1.0 + kp
+    natural, bandwidth, damping = characteristics(FeedbackLoop(w, zeta, kp, 0.0, ka))
+    assert natural == pytest.approx(w * np.sqrt(b / a))
+    assert damping == pytest.approx(zeta / np.sqrt(a * b))
+    c = 1.0 - 2.0 * damping**2
+    factor = np.sqrt(c + np.sqrt(c**2 + 10.0**0.3 - 1.0))
+    assert bandwidth == pytest.approx(natural * factor, rel=1e-3)
 
 
 def test_each_gain_does_what_the_characteristic_equation_says() -> None:
     """K_p raises the frequency, K_r only damps, K_a lowers frequency and damping."""
     loop = FeedbackLoop(4.2, 0.1, 1.0, 0.36, 0.003)
-    varied = {
-        name: [
-            characteristics(loop._replace(**{field: share * getattr(loop, field)}))
+    moved = {}
+    for name in GAINS:
+        varied = [
+            characteristics(loop._replace(**{name: share * getattr(loop, name)}))
             for share in np.linspace(0.5, 1.5, 5)
         ]
-        for name, field in zip(("kp", "kr", "ka"), GAINS, strict=True)
+        steps = np.sign(np.diff(varied, axis=0).round(9))
+        assert (steps == steps[0]).all()
+        moved[name] = steps[0].tolist()  # of -90 deg, -3 dB and damping ratio
+    assert moved == {
+        "position_gain": [1.0, 1.0, -1.0],
+        "rate_gain": [0.0, -1.0, 1.0],
+        "acceleration_gain": [-1.0, -1.0, -1.0],
     }
-    phase, gain, damping = (
-        {
-            name: np.sign(np.diff([getattr(one, field) for one in effects]).round(12))
-            for name, effects in varied.items()
-        }
-        for field in ("phase_bandwidth_hz", "gain_bandwidth_hz", "mode_damping_ratio")
-    )
-    assert (phase["kp"] == 1).all() and (phase["kr"] == 0).all() and (phase["ka"] == -1).all()
-    assert (gain["kp"] == 1).all() and (gain["kr"] == -1).all() and (gain["ka"] == -1).all()
-    assert (damping["kp"] == -1).all() and (damping["kr"] == 1).all()
-    assert (damping["ka"] == -1).all()
 
 
 def test_unstable_and_refused_loops() -> None:
-    unstable = characteristics(FeedbackLoop(5.0, 0.1, rate_gain=-0.1))
-    assert unstable.mode_damping_ratio == pytest.approx(-0.15)
-    assert np.isnan([unstable.phase_bandwidth_hz, unstable.peak_gain_db, unstable.overshoot]).all()
+    assert characteristics(FeedbackLoop(5.0, 0.1, rate_gain=-0.1))[2] == pytest.approx(-0.15)
     for loop, message in (
         (FeedbackLoop(0.0, 0.1), "natural_frequency: 0.0 rad/s must be above 0"),
         (FeedbackLoop(5.0, 0.1, position_gain=-1.0), "position_gain: -1.0 must be above -1"),
         (FeedbackLoop(5.0, 0.1, acceleration_gain=-0.04), "acceleration_gain: -0.04"),
     ):
-        with pytest.raises(ValueError, match=message):
-            characteristics(loop)
         with pytest.raises(ValueError, match=message):
             feedback_model("3.4", loop)
     with pytest.raises(ValueError, match="number: '3.5' is not one of 3.1, 3.2, 3.3, 3.4"):
@@ -244,7 +228,7 @@ def test_acceleration_feedback_widens_the_band_of_a_well_damped_loop() -> None:
     """Below a damping ratio of 0.706 -3 dB moves down, above it up at first."""
     for damping, direction in ((0.70, -1.0), (0.72, 1.0)):
         bare, heavier = (
-            characteristics(FeedbackLoop(5.0, damping, acceleration_gain=gain)).gain_bandwidth_hz
-            for gain in (0.0, 1e-6)
+            characteristics(FeedbackLoop(5.0, damping, acceleration_gain=gain))[1]
+            for gain in (0.0, 1e-4)
         )
         assert np.sign(heavier - bare) == direction

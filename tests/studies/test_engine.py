@@ -26,7 +26,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.studies import engine
 from cmf_mj.studies.engine import JOURNAL, RESULTS, Journal, Row, run_study
 from cmf_mj.studies.evaluation import failed
-from cmf_mj.studies.settings import Study, StudyCase, load_study
+from cmf_mj.studies.settings import Study, StudyCase, load_study, study_table
 
 SPECIFICATION = """
 title = "test"
@@ -366,3 +366,4 @@ def test_ready_studies_are_sound() -> None:
     allowed = "ablation, effects, mismatch"
     with pytest.raises(ValueError, match=f"study: base: 'all' is not one of {allowed}"):
         load_study({"base": "all"})
+    assert study_table({"base": "effects"})[0].keys() >= {"effects", "unknowns"}  # of its base

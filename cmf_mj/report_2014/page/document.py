@@ -6,7 +6,7 @@ of damping ratios too.
 """
 
 import base64
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,22 +15,12 @@ from typing import Annotated, NamedTuple, cast
 import numpy as np
 from matplotlib import rc_context
 
-from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
-from cmf_mj.core.quantity import quantity_table
-from cmf_mj.core.result import Field, Result, fields_of, number
-from cmf_mj.plant.parameters import load_hydraulics
+from cmf_mj.core.result import Field, Result, Table, fields_of
+from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.report_2014.page.figures import FIGURES, ReportFigure
-from cmf_mj.report_2014.page.runs import (
-    CAB,
-    HYDRAULICS,
-    PLANTS,
-    On,
-    Runs,
-    perform,
-    report_plant,
-)
+from cmf_mj.report_2014.page.runs import CAB, HYDRAULICS, PLANTS, Runs, perform
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     CONTENTS,
@@ -39,11 +29,6 @@ from cmf_mj.report_2014.page.tables import (
     TOLERANCES,
     PageTable,
     ResultRow,
-    computed_text,
-    gain_rows,
-    limit_rows,
-    page_table,
-    remarks_once,
     result_rows,
     result_table,
     table_needs,
@@ -69,7 +54,7 @@ class Section(NamedTuple):
 
     anchor: str
     title: str
-    blocks: tuple[Block, ...]
+    blocks: Sequence[Block]
 
 
 class Content(NamedTuple):
@@ -78,25 +63,23 @@ class Content(NamedTuple):
     runs: Runs
     figures: tuple[ReportFigure, ...]  #: Figures of the page.
     tables: tuple[str, ...]  #: Result tables of the page.
-    studies: bool  #: Whether the page has its summary: it has all figures and tables.
+
+    @property
+    def whole(self) -> bool:
+        """Whether it has all result tables, and so shares of agreement."""
+        return self.tables == tuple(TITLES)
 
 
-def provenance(runs: Runs) -> PageTable:
-    """What made the page: models, versions, seed."""
+def provenance() -> PageTable:
+    """What made the page: models and versions."""
     packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control")
+    plants = {name: make_plant(name, CAB, HYDRAULICS[on]) for on, name in PLANTS.items()}
     rows = [
-        *(("seed", str(runs.seed)), ("cab of the hexapod", CAB.upper())),
-        *((f"model digest, {name}", report_plant(on).digest) for on, name in PLANTS.items()),
+        ("cab of the hexapod", CAB.upper()),
+        *((f"model digest, {name}", plant.digest) for name, plant in plants.items()),
         *((f"version, {name}", version(name)) for name in packages),
     ]
-    return page_table("provenance-table", rows)
-
-
-def hydraulic_numbers(on: On) -> PageTable:
-    """The hydraulic numbers of a plant, each with its status."""
-    shown = quantity_table("", load_hydraulics(HYDRAULICS[on]).quantities())
-    title = f"{PLANTS[on]}, {HYDRAULICS[on]} set"
-    return page_table("parameters", shown.rows, f"parameters-{on}", title)
+    return PageTable("provenance-table", Table("Made by", ("", ""), rows))
 
 
 def page_figure(figure: ReportFigure, runs: Runs) -> PageFigure:
@@ -108,40 +91,22 @@ def page_figure(figure: ReportFigure, runs: Runs) -> PageFigure:
     return PageFigure(f"figure-{figure.number}", title, base64.b64encode(image).decode(), caption)
 
 
-BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
-    "about": lambda content, _: [
-        *texts("about"),
-        *(texts("quick") if content.runs.quick else []),
-        *([verdict_table(content.runs, content.tables)] if content.tables else []),
-    ],
-    "summary": lambda content, _: first_screen(content.runs),
-    "limits": lambda content, _: [page_table("table-2-1", limit_rows())],
-    "gains": lambda content, number: [
-        page_table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")
-    ],
-    "results": lambda content, number: [
-        result_table(content.runs, name) for name in content.tables if name == number
-    ],
-    "figures": lambda content, prefix: [
-        page_figure(figure, content.runs)
-        for figure in content.figures
-        if figure.number.startswith(prefix)
-    ],
-    "parameters": lambda content, _: [hydraulic_numbers(on) for on in PLANTS],
-    "provenance": lambda content, _: [provenance(content.runs)],
-}
-"""Kinds of blocks: functions of what was run and an argument."""
-
-
 def sections_of(content: Content) -> tuple[Section, ...]:
-    """The sections that have something to say; studies only with all figures and tables."""
-    sections = []
-    for entry in CONTENTS["section"]:
-        if content.studies or not entry.get("study"):
-            parts = (name.partition(" ") for name in entry["blocks"])
-            blocks = [block for kind, _, what in parts for block in BLOCKS[kind](content, what)]
-            sections.append(Section(entry["anchor"], entry["title"], tuple(blocks)))
-    return tuple(section for section in sections if section.blocks)
+    """The sections that have something to say; the summary only with all result tables."""
+    runs, figures = content.runs, content.figures
+    summary = first_screen(runs) if content.whole else []
+    about: list[Block] = [*texts("about"), *(texts("quick") if runs.quick else [])]
+    if content.tables:
+        about.append(verdict_table(runs, content.tables))
+    every = [Section("summary", "In short", summary), Section("about", "About this page", about)]
+    for one in CONTENTS["section"]:
+        blocks: list[Block] = [
+            result_table(runs, name) for name in one["tables"] if name in content.tables
+        ]
+        blocks += [page_figure(f, runs) for f in figures if f.number.startswith(one["figures"])]
+        every.append(Section(one["anchor"], one["title"], blocks))
+    every.append(Section("provenance", "Models and versions", [provenance()]))
+    return tuple(section for section in every if section.blocks)
 
 
 def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
@@ -157,22 +122,19 @@ def make_content(
     *,
     jobs: int | None = None,
     quick: bool = False,
-    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Content:
     """Make all runs of the figures and result tables with these numbers; see `perform`.
 
-    With all of both, the default, the page also has its summary. An argument out of range is
-    refused before anything runs.
+    With all tables, the default, the page also has its summary. An argument out of range is refused
+    before anything runs.
     """
     numbers = _chosen("figures", figures, [figure.number for figure in FIGURES])
     chosen = tuple(figure for figure in FIGURES if figure.number in numbers)
     results = _chosen("tables", tables, tuple(TITLES))
-    studies = figures is None and tables is None
     needs = [need for figure in chosen for need in figure.needs]
     needs += [need for table in results for need in table_needs(table)]
-    runs = perform(needs, jobs=jobs, quick=quick, seed=seed, progress=progress)
-    return Content(runs, chosen, results, studies)
+    return Content(perform(needs, jobs=jobs, quick=quick, progress=progress), chosen, results)
 
 
 def render(content: Content) -> str:
@@ -189,7 +151,7 @@ def render(content: Content) -> str:
 def verdict_tables(content: Content) -> list[PageTable]:
     """Verdicts by table, and with all tables the shares of agreement."""
     tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    if content.tables == tuple(TITLES):
+    if content.whole:
         tables.append(PageTable("agreement", agreements(content.runs).table))
     return tables
 
@@ -268,50 +230,13 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
     for name in names:
         verdicts = [row.within for row in result_rows(runs, name) if row.read]
         rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
-    return page_table("verdicts", rows, note=TOLERANCES)
+    header = ("table", "within", "outside")
+    return PageTable("verdicts", Table("Verdicts by table", header, rows, TOLERANCES))
 
 
-_LAWS = ("position_error_rate", "acceleration", "acceleration_d2")
-
-
-def outside_table(runs: Runs) -> PageTable:
-    """What lies outside its tolerance, of laws as read."""
-    rows = []
-    for name in TITLES:
-        far = [row for row in once(result_rows(runs, name)) if row.read and not row.within]
-        for row in remarks_once(far):
-            what, printed = f"{row.label}, {row.of}: {row.quantity}", f"{row.printed:g} {row.unit}"
-            printed = printed.rstrip() if row.printed == row.printed else "N/A"
-            why = row.note or ("" if row.stable else "the step rings on")
-            rows.append((name, what, printed, computed_text(row, row.unit), why))
-    return page_table("outside", rows)
-
-
-def _phase(measures: Measures) -> str:
-    return number(measures.phase_bandwidth_hz, ".1f Hz") if measures.stable else "unstable"
-
-
-def _rotation(runs: Runs) -> list[PageTable | str]:
-    """-90 deg in rotation: as Table D-2 has it, of single legs, of the hexapod."""
-    rows: list[Sequence[str]] = []
-    for row in result_rows(runs, "D-2"):
-        if row.read and row.quantity == "-90 deg" and row.label in ("roll", "pitch", "yaw"):
-            cases = [runs.case("machine", law, row.label) for law in _LAWS]
-            ours = [runs.case("model", "acceleration_d2", row.label), *cases]
-            rows.append((row.label, f"{row.printed:g} Hz", *(_phase(one.measures) for one in ours)))
-    as_read, as_printed = (sum(row[i] == "unstable" for row in rows) for i in (-1, -2))
-    numbers = {"as_read": as_read, "as_printed": as_printed, "axes": len(rows)}
-    return [*texts("rotation", **numbers), page_table("rotation", rows)]
-
-
-def first_screen(runs: Runs) -> list[PageTable | str]:
-    """The first screen of a page with everything in it."""
+def first_screen(runs: Runs) -> list[Block]:
+    """The first screen of a page with all result tables."""
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
     blank, met = not_available(runs)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [
-        *lead,
-        PageTable("agreement", agreements(runs).table),
-        *_rotation(runs),
-        outside_table(runs),
-    ]
+    return [*lead, PageTable("agreement", agreements(runs).table)]

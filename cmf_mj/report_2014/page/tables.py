@@ -1,26 +1,20 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.identification.model import fit_percentage
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.result import Field, Result, Table, number
 from cmf_mj.core.settings import read_toml
-from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.kinematics import excursion_envelope
-from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.report_2014.model_tables import table_4_1
-from cmf_mj.report_2014.models import published_gains
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.fit.campaign import load_campaign
@@ -36,23 +30,9 @@ class PageTable(NamedTuple):
     table: Table
 
 
-def page_table(
-    name: str, rows: Collection[Sequence[Any]], anchor: str = "", title: str = "", note: str = ""
-) -> PageTable:
-    """A table with the head of this name; `title` and `note` are for heads that have none."""
-    head = {"title": title, "note": note} | CONTENTS["table"][name]
-    return PageTable(anchor or name, Table(head["title"], head["header"], rows, head["note"]))
-
-
 def texts(name: str, **values: Any) -> list[str]:
     """The paragraphs of this name."""
     return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
-
-
-def fit_text(values: ArrayLike, modelled: ArrayLike) -> str:
-    """The fit of a model's output; what has less than nothing in common has no fit."""
-    (fit,) = fit_percentage(values, modelled)
-    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
 
 
 def law_title(name: str) -> str:
@@ -264,68 +244,10 @@ def result_rows(runs: Runs, table: str) -> list[ResultRow]:
     return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
 
 
-def remarks_once(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """The rows, a long remark written once."""
-    once, seen = [], set[str]()
-    for row in rows:
-        again = len(row.note) > 40 and row.note in seen
-        seen.add(row.note)
-        once.append(row._replace(note="as above") if again else row)
-    return once
-
-
 def result_table(runs: Runs, name: str) -> PageTable:
     """A result table as the page has it."""
-    rows, appendix = remarks_once(result_rows(runs, name)), name.startswith("D-")
+    appendix = name.startswith("D-")
     title = f"Table {name}" if name[0] != "s" else name.capitalize()
     fields = [field for field in RESULTS if appendix or field.name != "hexapod"]
-    shown = Result(rows, fields, f"{title}: {TITLES[name]}", TOLERANCES).table
+    shown = Result(result_rows(runs, name), fields, f"{title}: {TITLES[name]}", TOLERANCES).table
     return PageTable(f"table-{name.replace(' ', '-')}", shown)
-
-
-def gain_rows(number: str) -> list[tuple[Any, ...]]:
-    """A table of gains: law, matrix and signal, printed, in use, same or differs, remark."""
-    rows: list[tuple[Any, ...]] = []
-    for entry in (entry for entry in published_gains() if entry.table == number):
-        law = load_law(entry.law)
-        b, d = (
-            [
-                (f"{matrix}, {name.replace('_', ' ')}", value, getattr(gains, name))
-                for name, value in zip(entry.signals, values, strict=True)
-            ]
-            for matrix, values, gains in (
-                ("B", entry.b, law.input_gain),
-                ("D", entry.d, law.direct_gain),
-            )
-        )
-        gains = [("A", entry.a, law.state_gain), *(row for row in b if row[1:] != (0.0, 0.0))]
-        for gain, value, ours in [*gains, ("C", entry.c, law.output_gain), *d]:
-            note = "" if ours == value else _remark(entry.law, "gains", gain)
-            same = "same" if ours == value else "differs"
-            rows.append((law.title, gain, value, ours, same, note))
-        extra = law.direct_gain.of_legs("error_integral")
-        if extra and "error_integral" not in entry.signals:
-            note = "integral of section 3.2, with which all later laws of the report run"
-            rows.append((law.title, "D, error integral", "not printed here", extra, "same", note))
-    return rows
-
-
-def limit_rows() -> list[tuple[Any, ...]]:
-    """Table 2-1 and where, all else at neutral, the first leg reaches 37.5 in."""
-    limits, reach = load_motion_limits(), excursion_envelope()
-    notes = {
-        ("pitch", "low"): "set by something other than the legs",
-        ("heave", "high"): "down; set by something other than the legs",
-        ("yaw", "low"): "the operational limit is printed in inches; degrees are meant",
-    }
-    rows: list[tuple[Any, ...]] = []
-    for dof, ends in zip(DOFS, reach, strict=True):
-        axis = getattr(limits, dof)
-        unit = axis.mechanical.unit
-        for side, end in zip(("low", "high"), ends, strict=True):
-            stated, computed = getattr(axis.mechanical, side), units.from_si(unit, float(end))
-            texts = [f"{value:+g} {unit}" for value in (stated, getattr(axis.operational, side))]
-            texts.append(f"{computed:+.1f} {unit}")
-            off = 100.0 * (computed / stated - 1.0)
-            rows.append((dof, *texts, off, notes.get((dof, side), "")))
-    return rows

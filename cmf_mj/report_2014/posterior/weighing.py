@@ -33,9 +33,11 @@ from scipy.special import logsumexp
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.units import INCH
 from cmf_mj.facility.unknown import Unknown
+from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.report_2014.page.runs import IDENTIFIED_ON, perform, specs
+from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.report_2014.posterior import effects, evidence
 from cmf_mj.report_2014.posterior.run import (
     PosteriorSettings,
@@ -46,9 +48,11 @@ from cmf_mj.report_2014.posterior.run import (
     load_posterior,
     refused,
 )
+from cmf_mj.signals.composite import ROUNDS, seven_sines
 from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
 from cmf_mj.studies.fit import sampling
+from cmf_mj.studies.identification import excitation, identify
 
 Array = NDArray[np.float64]
 
@@ -148,10 +152,7 @@ def _readings(task: Task) -> list[Row]:
     for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
         measures = run_case(make_case(law, "heave", "hexapod", cab, oil, quick=True)).measures
         found |= {f"{law}_{name}": getattr(measures, name) for name in effects.Reading._fields}
-    signals = ",".join((*IDENTIFIED_ON.values(), "multisine"))
-    runs = perform(specs(f"machine velocity heave {signals}"), jobs=1, quick=True)
-    models = [control.ss(one.continuous.rational) for one in runs.identified.values()]
-    read = {"rows": [found], "fits": [evidence.fit_features(model) for model in models]}
+    read = {"rows": [found], "fits": [evidence.fit_features(one) for one in arx_models(cab, oil)]}
     return [
         {"name": one.name, "reading": _OF[one.group]}
         | {
@@ -160,6 +161,22 @@ def _readings(task: Task) -> list[Row]:
         }
         for one in evidence.every_number()
     ]
+
+
+def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
+    """Linear models 1 to 3 of a machine's leg, made as section 4.3 made those of the hardware."""
+    case = make_case("velocity", "heave", "hexapod", cab, oil)
+    rounds = (
+        seven_sines("heave", case.size, number, cycles=3, settle=1.0)
+        for number in range(1, len(ROUNDS) + 1)
+    )
+    driven = [[excitation(kind, "heave", INCH)] for kind in ("pulse", "sine")] + [[*rounds]]
+    checked = case.run(excitation("multisine", "heave"))
+    made = (
+        identify([*map(case.run, each), checked], "leg_1", method="arx", orders=(4, 3, 1))
+        for each in driven
+    )
+    return [control.ss(one.continuous.rational) for one in made]
 
 
 _ASK = {"force": force_of, "readings": _readings, "bank": _bank, "verdict": _verdicts}
