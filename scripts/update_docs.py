@@ -91,7 +91,7 @@ COPIES = {
     "mismatch/rates.png": "images/mismatch_rates.png",
     **{
         f"rotation/{name}.png": f"images/rotation_{name}.png"
-        for name in ("unknowns", "tornado", "maps", "bandwidths", "gains")
+        for name in ("tornado", "bandwidths", "gains")
     },
 }
 """Figures of the studies below --results, and where they go below docs."""

@@ -54,11 +54,13 @@ def study_command(
     scheduler: Address = None,
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
-    from cmf_mj.report_2014.posterior import tables as posterior
-    from cmf_mj.report_2014.posterior import weighed
+    from cmf_mj.report_2014.posterior.answers import posterior_tables
+    from cmf_mj.report_2014.posterior.figures import posterior_figures
     from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
+    from cmf_mj.report_2014.posterior.weighed import effect_tables
     from cmf_mj.report_2014.posterior.weighing import load_effects, run_effects
     from cmf_mj.show import study as report
+    from cmf_mj.show.look import save_files
     from cmf_mj.studies.engine import RESULTS, run_study
     from cmf_mj.studies.settings import load_study, study_table
 
@@ -66,28 +68,30 @@ def study_command(
     how |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
     given = {"machine": machine, "cabs": cabs, "dofs": dofs, "draws": draws}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    out, parts = claim(context, out or Path("out") / Path(specification).stem), tuple[Any, ...]()
+    out = claim(context, out or Path("out") / Path(specification).stem)
+    tables, figures = dict[str, Any](), dict[str, Any]()
     try:
         with progress_bar() as update:
             asked = study_table(specification)[0]
             if "effects" in asked:
                 effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
-                bank = run_effects(effects, out, progress=update, **how)
-                tables = weighed.effect_tables(bank)
-                parts = weighed.summary(weighed.effects_text(bank, tables), tables)
-                paths = weighed.save_effects(tables, parts[0], out)
+                tables = effect_tables(run_effects(effects, out, progress=update, **how))
             elif "unknowns" in asked:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)
-                parts = posterior.summary(results)
-                paths = posterior.save_posterior(results, out)
+                tables, figures = posterior_tables(results), posterior_figures(results)
             else:
                 changes |= {"quick": True} if quick else {}
                 study = load_study(specification, laws=laws, changes=changes)
                 table = run_study(study, out, progress=update, **how)
-                parts = (report.summary_table(table),)
+                show(report.summary_table(table))
                 paths = [out / RESULTS, *report.save_report(table, out)]
-        show(*parts, written(paths, out))
+        if tables:
+            show(*[*tables.values()][:2])  # of the others many have more rows than a screen
+            kinds = product(tables.items(), ("md", "csv"))
+            files = {f"{name}.{kind}": each.table for (name, each), kind in kinds}
+            paths = save_files(files | figures, out, 90)
+        show(written(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command continues {out}", err=True)
         if how["backend"] == "threading":

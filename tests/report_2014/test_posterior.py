@@ -25,7 +25,6 @@ from cmf_mj.report_2014.posterior.run import (
     load_posterior,
     run_posterior,
 )
-from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
 from cmf_mj.studies.fit import sampling
@@ -40,7 +39,6 @@ SMALL = {
     "draws": 8,
     "kept": 6,
     "simulated": 1,
-    "grid": 2,
     "gains": [0.0, -0.08],
     "corners": [2.485],
 }
@@ -127,7 +125,7 @@ def test_the_scatter_of_table_4_1_is_as_by_hand() -> None:
 
 def test_the_fits_have_the_gain_at_1_hz_and_the_pair_that_are_printed() -> None:
     """Their static gains are 0.300, 0.294 and 0.286 in/s per %; pairs at 12.3, 8.9 and 8.7 Hz."""
-    told = {one.name: one for one in evidence.observations()}
+    told = {one.name: one for one in evidence.observations()[:-1]}
     si = 0.0254 * 100.0
     assert 0.27 * si < told["gain_1_hz"].value < 0.3 * si
     assert told["pair_hz"].value == pytest.approx((12.273 * 8.886 * 8.685) ** (1 / 3), rel=1e-3)
@@ -137,16 +135,17 @@ def test_the_fits_have_the_gain_at_1_hz_and_the_pair_that_are_printed() -> None:
 
 
 def test_likelihood_is_that_of_independent_gaussians() -> None:
-    told = evidence.observations()
-    perfect = {one.name: one.value for one in told}
-    assert (
-        evidence.log_likelihood(perfect, "rows") == evidence.log_likelihood(perfect, "fits") == 0.0
-    )
-    one = next(each for each in told if each.name == "velocity_phase_bandwidth_hz")
+    perfect, names = {}, [one.name for one in evidence.observations()]
+    for one in evidence.observations():
+        perfect[one.name] = one.value
+    one = evidence.observations()[names.index("velocity_phase_bandwidth_hz")]
     away = perfect | {one.name: one.value * np.exp(2.0 * one.deviation)}
-    assert evidence.log_likelihood(away, "rows") == pytest.approx(-2.0)
     missing = perfect | {"original_damping_ratio": float("nan")}
-    assert evidence.log_likelihood(missing, "rows") == pytest.approx(-32.0)
+    found = evidence.log_likelihoods(evidence.counted([perfect, away, missing]))
+    expected = np.zeros_like(found)
+    expected[1, names.index(one.name)] = -2.0
+    expected[2, names.index("original_damping_ratio")] = -32.0
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_force_feedback_swings_with_the_supply_pressure() -> None:
@@ -213,7 +212,7 @@ def test_rounds_and_tables(results: Results, folder: Path) -> None:
     assert results.machines.num_rows == count
     assert results.damping.num_rows == count * 4 * 2
     assert sum(row["count"] for row in results.gains.to_pylist()) == 6 * 2 * 2
-    assert results.points.num_rows == (1 + 2 * 14 + 3 * 4) * 4
+    assert results.points.num_rows == (1 + 2 * 14) * 4
     assert answers.weights(results).sum() == pytest.approx(1.0)
     assert {path.stem for path in folder.glob("*.parquet")} == set(TABLES)
     with np.errstate(divide="ignore"):
@@ -240,7 +239,7 @@ def raw(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) -> None:
-    """The probability of `acceleration_d2`, the size of +0.01 and the best gain, recomputed."""
+    """The probability of `acceleration_d2`, the size of +0.01 and the gains, recomputed."""
     machines, damping = raw(folder, "machines"), raw(folder, "damping")
     weight = [row["weight"] for row in machines]
     unstable = sum(
@@ -262,9 +261,9 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
     ]
     values = np.array([value for value, _ in moved])
     prior = sampling.normalised(np.array([row["log_ratio"] for row in machines]))
-    for weights in (np.array(weight), prior):
-        low, middle, high = sampling.weighted_quantiles(values, weights, answers.LEVELS)
-        assert f"{middle:+.3f} ({low:+.3f} to {high:+.3f})" in TEXTS["robust"](results)
+    for weights, said_of in ((np.array(weight), change.posterior), (prior, change.prior)):
+        quantiles = sampling.weighted_quantiles(values, weights, answers.LEVELS)
+        assert said_of == pytest.approx(quantiles)
     below = sum(w for value, w in moved if value < change.posterior[1])
     above = sum(w for value, w in moved if value > change.posterior[1])
     assert below <= 0.5 + 1e-9 and above <= 0.5 + max(weight)
@@ -276,15 +275,8 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
         step: sum(all(r["stable"] for r in each) * each[0]["count"] for each in tested.values()) / 6
         for step, tested in tried.items()
     }
-    allowed = {step for step in tried if good[step] >= 0.95} or set(tried)
-    best = best_gain(results)
-    assert (best.corner, best.gain) in allowed
-    assert best.stable == pytest.approx(good[best.corner, best.gain])
-    medians = {(one.corner, one.gain): one.damping[1] for one in answers.gain_steps(results)}
-    assert best.damping[1] == max(medians[step] for step in allowed)
-    text = TEXTS["advice"](results)
-    assert f"{best.gain:g} %/(in/s²)" in text
-    assert f"of {results.study.settings.kept} machines drawn from the posterior" in text
+    steps = {(one.corner, one.gain): one.stable for one in answers.gain_steps(results)}
+    assert steps == pytest.approx(good)
 
 
 @pytest.mark.parametrize(
@@ -323,7 +315,7 @@ def test_the_command_writes_tables_and_readable_figures(
     command = ["study", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--jobs", "2"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
-    assert "effective sample size" in result.output
-    assert set(drawn) >= {"tornado.png", "maps.png", "unknowns.png", "bandwidths.png", "gains.png"}
-    for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence", "robust"):
+    assert "24 machines drawn" in result.output
+    assert set(drawn) >= {"tornado.png", "bandwidths.png", "gains.png"}
+    for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence"):
         assert (tmp_path / "out" / f"{name}.md").read_text()

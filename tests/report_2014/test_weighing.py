@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from cmf_mj.report_2014.posterior import weighed as tables
-from cmf_mj.report_2014.posterior.evidence import every_number
+from cmf_mj.report_2014.posterior.evidence import observations, printed_numbers
 from cmf_mj.report_2014.posterior.weighing import (
     AVERAGE,
     NONE,
@@ -28,13 +28,12 @@ COUNT = 4096
 def linear_bank(moved: float = 1.0) -> Bank:
     """Numbers that are linear in the unknowns; the effect `lap` moves one of them by `moved`."""
     study = load_effects("effects", changes={"skipped": LEFT_OUT, "made_up": 12})
-    stated, generator = every_number(), np.random.default_rng(3)
+    generator, (middle, s) = np.random.default_rng(3), printed_numbers()
     points = generator.normal(size=(COUNT, len(study.settings.unknowns) + 3))
-    s = np.array([one.deviation for one in stated])
     slopes = generator.normal(size=(points.shape[1], s.size)) * s * 0.3
     slopes[-3:] = 0.0
-    place = [one.name for one in stated].index("velocity_phase_bandwidth_hz")
-    middle = np.array([one.counted(one.value) for one in stated])
+    place = [one.name for one in observations()].index("velocity_phase_bandwidth_hz")
+    middle = middle.copy()
     middle[place] -= 3.0 * s[place]
     plain = middle + points @ slopes
     lap = plain.copy()
@@ -47,21 +46,18 @@ def linear_bank(moved: float = 1.0) -> Bank:
 
 def gaussian(bank: Bank, plant: str) -> float:
     """Ln Z of numbers with the covariance of the samples, a Gaussian density."""
-    stated = every_number()[:-1]
-    s = np.array([one.deviation for one in stated])
+    printed, s = (each[:-1] for each in printed_numbers())
     made = bank.shown[plant][:, :-1]
-    printed = np.array([one.counted(one.value) for one in stated])
     spread = np.cov(made.T) + np.diag(s**2)
     density = stats.multivariate_normal(made.mean(axis=0), spread).logpdf(printed)
     return float(density + 0.5 * np.log(2.0 * np.pi * s**2).sum())
 
 
 def test_evidence_is_the_density_of_the_report_in_closed_form() -> None:
-    """All Gaussian: Z is a normal density; samples and the regression both have it."""
+    """All Gaussian: Z is a normal density."""
     bank = linear_bank()
     expected = gaussian(bank, NONE)
     assert bank.log_evidence(NONE, kinds=()) == pytest.approx(expected, abs=0.25)
-    assert bank.laplace(NONE) == pytest.approx(expected, abs=0.15)
     assert bank.log_evidence(NONE) == bank.log_evidence(NONE, kinds=())
 
 
@@ -93,10 +89,9 @@ def test_a_number_left_out_has_the_rank_that_it_has_among_predictions() -> None:
     """With the evidence of all others, that of a number 3 deviations above lies far up."""
     rows = {(r.plant, r.number): r for r in tables.left_out(linear_bank())}
     assert rows[NONE, "velocity_phase_bandwidth_hz"].rank > 0.98
-    assert not rows[NONE, "velocity_phase_bandwidth_hz"].inside()
-    assert rows["lap", "velocity_phase_bandwidth_hz"].inside()
+    assert 0.05 <= rows["lap", "velocity_phase_bandwidth_hz"].rank <= 0.95
     others = [r for (plant, name), r in rows.items() if plant == NONE and "phase_b" not in name]
-    assert all(one.inside() for one in others)
+    assert all(0.05 <= one.rank <= 0.95 for one in others)
     low, middle, high = rows[NONE, "pair_hz"].predicted
     assert low < middle < high
     assert AVERAGE in {plant for plant, _ in rows}
@@ -112,22 +107,9 @@ def test_reports_made_up_find_their_effect_as_often_as_it_shows() -> None:
     assert sum(strong["lap"][f"found {plant}"] for plant in (NONE, "lap")) == 12
 
 
-def test_a_discrepancy_costs_what_explains_and_helps_what_does_not() -> None:
-    """Ln Z of perfect numbers falls with wider deviations, that of distant ones rises."""
-    bank = linear_bank()
-    far = replace(bank, shown={NONE: bank.shown[NONE] + 0.4})
-    near = replace(bank, shown={NONE: 0.0 * bank.shown[NONE] + _printed()})
-    assert far.log_evidence(NONE, more=0.2) > far.log_evidence(NONE) + 5.0
-    assert near.log_evidence(NONE, more=0.2) < near.log_evidence(NONE)
-
-
-def _printed() -> Any:
-    return np.array([one.counted(one.value) for one in every_number()])
-
-
 def test_without_evidence_the_medians_lie_in_the_middle() -> None:
     bank = linear_bank()
-    idle = replace(bank, shown={NONE: 0.0 * bank.shown[NONE] + _printed()})
+    idle = replace(bank, shown={NONE: 0.0 * bank.shown[NONE] + printed_numbers()[0]})
     (row,) = tables.weighed(idle)
     assert 0.45 < row.edge <= 0.5
     assert row.at in bank.study.settings.unknowns
@@ -176,7 +158,4 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
     assert np.array_equal(other.shown["lap"], bank.shown["lap"], equal_nan=True)
     assert {row.plant for row in tables.verdicts(bank)} == {NONE, "dead", "lap", AVERAGE}
     every = tables.effect_tables(bank)
-    text = tables.effects_text(bank, every)
-    assert "`none`: of 12 printed numbers" in text
-    paths = tables.save_effects(every, text, tmp_path / "out")
-    assert {path.name for path in paths} >= {"text.md", "effects.csv", "verdicts.md"}
+    assert all(len(table.table.cells) >= 3 for table in every.values())

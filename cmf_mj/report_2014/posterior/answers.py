@@ -11,10 +11,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.interpolate import RectBivariateSpline
 
 from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
-from cmf_mj.report_2014.posterior.evidence import every_number, observations
+from cmf_mj.report_2014.posterior.evidence import observations
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
 from cmf_mj.studies.fit.sampling import effective_size, normalised, weighted_quantiles
 
@@ -28,12 +27,6 @@ REFERENCE = "position_error_rate"
 
 _ERRORS = 41
 """Errors of reading that a prediction is spread over."""
-
-_FINE = 97
-"""Points along each side of a map that is drawn."""
-
-ROBUST = 0.05
-"""Largest distance of a probability from 0 or 1 that counts as robust."""
 
 EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
 """What a reader calls each of `GROUPS`."""
@@ -88,12 +81,6 @@ class Stability(NamedTuple):
     machines: int  #: Machines simulated.
     agreeing: int  #: Of these, the ones with the verdict of the linear loop.
 
-    @property
-    def robust(self) -> bool:
-        """Whether prior, posterior and all between agree that it is, or is not."""
-        every = np.array([self.prior, self.posterior, *self.without.values()])
-        return bool((every < ROBUST).all() or (every > 1.0 - ROBUST).all())
-
 
 STABILITY = (
     *map(Field, ("law", "cab")),
@@ -147,11 +134,6 @@ class Moved(NamedTuple):
     def swing(self) -> float:
         """Largest change either way."""
         return max(abs(self.low - self.median), abs(self.high - self.median))
-
-    @property
-    def turns(self) -> bool:
-        """Whether either end has another verdict than the median."""
-        return min(self.low * self.median, self.high * self.median) < 0.0
 
 
 class GainStep(NamedTuple):
@@ -220,7 +202,9 @@ def stability(results: Results) -> Result[Stability]:
                 int((simulated == unstable[run["machine"].to_numpy()]).sum()),
             )
         )
-    return Result(rows, STABILITY)
+    drawn = f"{results.machines.num_rows} machines drawn"
+    title = f"how often each law is unstable: {drawn}, effective {effective_size(every):.0f}"
+    return Result(rows, STABILITY, title)
 
 
 def changes(results: Results) -> Result[DampingChange]:
@@ -262,21 +246,6 @@ def moved(results: Results) -> list[Moved]:
     ]
 
 
-def stability_map(results: Results, x: str, y: str, law: str, name: str) -> tuple[Array, ...]:
-    """Damping ratio over two unknowns: values of x (n,) and y (n,), and the map (n, n).
-
-    A cubic spline through the grid of the study, on one of `_FINE` points a side.
-    """
-    settings = results.study.settings
-    rows, side = where(results.points, about=f"{x} {y}", law=law), settings.grid
-    coarse, fine = (np.linspace(0.0, 1.0, n) for n in (side, _FINE))
-    order = min(3, side - 1)
-    computed = column(rows, name).reshape(side, side)
-    between = RectBivariateSpline(coarse, coarse, computed, kx=order, ky=order)
-    ends = (np.asarray(settings.unknowns[one].at(fine)) for one in (x, y))
-    return *ends, np.asarray(between(fine, fine))
-
-
 def gain_steps(results: Results) -> Result[GainStep]:
     """All gains of acceleration tried, behind all filters."""
     steps = []
@@ -298,9 +267,9 @@ def checks(results: Results) -> Result[EvidenceCheck]:
         EvidenceCheck(
             o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name))
         )
-        for o in observations()
+        for o in observations()[:-1]
     ]
-    last = every_number()[-1]
+    last = observations()[-1]
     errors = last.deviation * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
     read = (column(results.machines, last.name)[:, None] + errors).ravel()
     both = _both(results, read, _ERRORS)
@@ -320,3 +289,15 @@ def unknowns(results: Results) -> Result[dict[str, Any]]:
         for name, one in results.study.settings.unknowns.items()
     ]
     return Result(rows, UNKNOWNS)
+
+
+def posterior_tables(results: Results) -> dict[str, Result[Any]]:
+    """All tables by the name of their file."""
+    return {
+        "stability": stability(results),
+        "changes": changes(results),
+        "spans": spans(results),
+        "gains": gain_steps(results),
+        "unknowns": unknowns(results),
+        "evidence": checks(results),
+    }

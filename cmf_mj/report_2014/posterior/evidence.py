@@ -14,7 +14,7 @@ models: their scatter is s of a hardware row. Models fitted to the machine miss 
 scatter. The oscillation counts with the probability that 10 % of error leaves more than 3 g.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
@@ -32,6 +32,8 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.studies.case import make_case
+
+Array = NDArray[np.float64]
 
 ROWS = (("2-4", "original"), ("2-6", "velocity"))
 """Tables of the hardware rows, and their laws."""
@@ -73,13 +75,9 @@ class Observation(NamedTuple):
         """A value as it counts: the logarithm where `relative`."""
         return np.log(value) if self.relative else value
 
-    def excess(self, predicted: float) -> float:
-        """(m - y) / s of a machine."""
-        return float(self.counted(predicted) - self.counted(self.value)) / self.deviation
-
 
 @lru_cache
-def scatter() -> NDArray[np.float64]:
+def scatter() -> Array:
     """Standard deviations of Table 4-1: ln -90 deg, ln -3 dB and damping ratio."""
     table = np.array(
         [[getattr(row, f) for f in _FIELDS] for row in published_results() if row.table == "4-1"]
@@ -122,15 +120,13 @@ _FIT_NAMES = ("gain_1_hz", "gain_5_over_1_hz", "phase_3_hz", "pair_hz", "pair_da
 
 @lru_cache
 def observations() -> tuple[Observation, ...]:
-    """All that is stated as a number."""
+    """All numbers that are stated; last the one held out, the damping ratio with the integral."""
     printed = {(row.table, row.law): row for row in published_results() if row.of == "hardware"}
     found = []
     for (table, law), (field, s) in product(ROWS, zip(_FIELDS, scatter().tolist(), strict=True)):
         value, log = getattr(printed[table, law], field), field != "damping_ratio"
         found.append(Observation(f"{law}_{field}", "rows", value, s, log))
-    fits = []
-    for number in HARDWARE_MODELS:
-        fits.append(fit_features(control.ss(hardware_velocity(number).to_si())))
+    fits = [fit_features(control.ss(hardware_velocity(n).to_si())) for n in HARDWARE_MODELS]
     for name in _FIT_NAMES:
         values = np.array([fit[name] for fit in fits])
         relative = name != "phase_3_hz"
@@ -138,29 +134,31 @@ def observations() -> tuple[Observation, ...]:
         middle = float(np.exp(counted.mean()) if relative else counted.mean())
         deviation = float(np.hypot(counted.std(ddof=1), discrepancy()))
         found.append(Observation(name, "fits", middle, deviation, relative))
-    return tuple(found)
+    (value,) = (row.damping_ratio for (_, law), row in printed.items() if law == HELD_OUT)
+    assert value is not None
+    held = (f"{HELD_OUT}_damping_ratio", "rows", value, float(scatter()[2]), False)
+    return (*found, Observation(*held))
 
 
 @lru_cache
-def every_number() -> tuple[Observation, ...]:
-    """All `observations`, and last the one held out: the damping ratio with the integral."""
-    (row,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
-    assert row.damping_ratio is not None
-    held = Observation(
-        f"{HELD_OUT}_damping_ratio", "rows", row.damping_ratio, float(scatter()[2]), False
-    )
-    return (*observations(), held)
+def printed_numbers() -> tuple[Array, Array]:
+    """What all observations print, as counted, and their deviations s, (m,)."""
+    every = observations()
+    y, s = ([one.counted(one.value) for one in every], [one.deviation for one in every])
+    return np.array(y), np.array(s)
 
 
-def log_likelihood(predicted: Mapping[str, float], group: str) -> float:
-    """Of the observations of a group, up to a constant."""
-    total = 0.0
-    for one in observations():
-        if one.group == group:
-            excess = one.excess(predicted[one.name])
-            far = np.isnan(excess) or abs(excess) > FARTHEST
-            total -= 0.5 * (FARTHEST if far else excess) ** 2
-    return total
+def counted(rows: Iterable[Mapping[str, float]]) -> Array:
+    """What machines make of all observations, as counted, (n, m)."""
+    return np.array([[one.counted(row[one.name]) for one in observations()] for row in rows])
+
+
+def log_likelihoods(made: Array, printed: Array | None = None) -> Array:
+    """Of each observation and machine, (n, m); `printed` (m,) stands in for the report's."""
+    y, s = printed_numbers()
+    off = np.abs((made - (y if printed is None else printed)) / s)
+    off[~(off < FARTHEST)] = FARTHEST
+    return np.asarray(-0.5 * off**2)
 
 
 def oscillation_g(
@@ -177,9 +175,7 @@ def oscillation_g(
     return limit_cycle(case.run(case.step(), rate=RATE))[2]
 
 
-def oscillation_likelihood(
-    supply_pressure: NDArray[np.float64], simulated: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def oscillation_likelihood(supply_pressure: Array, simulated: Array) -> Array:
     """Ln P(more than 3 g) at supply pressures [psi]; `simulated` [g] at `PRESSURES`."""
     made = np.interp(supply_pressure, PRESSURES, simulated)
     return np.asarray(stats.norm.logsf(REPORTED_G, made, _READING * made))

@@ -9,14 +9,13 @@ machines.parquet   every machine drawn: its values, what it makes of the evidenc
 damping.parquet    every machine, cab and law: damping ratios of the linear loop
 measures.parquet   machines drawn from the posterior: bandwidths, peaks, damping by law and axis
 gains.parquet      the same machines under gains of acceleration behind filters
-points.parquet     the median machine with one unknown moved, or two on a map
+points.parquet     the median machine with one unknown moved
 simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -48,9 +47,6 @@ from cmf_mj.studies.settings import study_table
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
 
-MAPS = tuple(("cab_height", other) for other in ("leg_speed", "bulk_modulus", "leak_rate"))
-"""Pairs of unknowns that maps are made of."""
-
 TABLES = ("force", "machines", "damping", "measures", "gains", "points", "simulated")
 """What the folder holds, each as Parquet."""
 
@@ -69,7 +65,6 @@ class PosteriorSettings(Settings):
     draws: Annotated[int, Field(ge=8)]  #: Machines of each round, a power of 2.
     kept: Annotated[int, Field(ge=1)]  #: Machines drawn from the posterior and measured.
     simulated: Annotated[int, Field(ge=0)]  #: Of these, simulated.
-    grid: Annotated[int, Field(ge=2)]  #: Points along each side of a map.
     gains: list[float]  #: Of acceleration that are tried [%/(in/s^2)].
     corners: list[Annotated[float, Field(ge=0.0)]]
     """Corners of the accelerometer's filter that they are tried behind [Hz]; 0 for no filter."""
@@ -239,6 +234,7 @@ def _weighted(
 ) -> tuple[list[Row], list[Row], Array]:
     """Rounds of machines with their weights, damping ratios of all, and the posterior's weights."""
     settings, drawn, damping = study.settings, list[Row](), list[Row]()
+    of = np.array([one.group for one in evidence.observations()[:-1]])
 
     def likelihoods(_: int, points: Array) -> Array:
         first = len(drawn)
@@ -248,11 +244,17 @@ def _weighted(
             drawn.append(rows[0] | {"machine": number})
             damping.extend(row | {"machine": number} for row in rows[1:])
         new = drawn[first:]
+        numbers = evidence.log_likelihoods(evidence.counted(new))[:, :-1]  # the last is held out
         psi = np.array([row["supply_pressure"] for row in new])
-        known = evidence.oscillation_likelihood(psi, force)
-        for row, three_g in zip(new, known, strict=True):
-            row["log_three_g"] = float(three_g)
-        return np.sum([[row[f"log_{group}"] for row in new] for group in GROUPS], axis=0)
+        said = {
+            **{name: numbers[:, of == name].sum(axis=1) for name in ("rows", "fits")},
+            "three_g": evidence.oscillation_likelihood(psi, force),
+            "flown": np.where([row["flown"] for row in new], 0.0, -np.inf),
+        }
+        for name, values_of in said.items():
+            for row, value in zip(new, values_of.tolist(), strict=True):
+                row[f"log_{name}"] = value
+        return np.sum([said[group] for group in GROUPS], axis=0)
 
     size = len(settings.unknowns)
     made = sampling.importance(likelihoods, size, settings.draws, settings.rounds, settings.seed)
@@ -263,7 +265,7 @@ def _weighted(
 
 def _count(study: PosteriorStudy) -> int:
     settings = study.settings
-    moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
+    moved = 1 + 2 * len(settings.unknowns)
     flights = settings.simulated * len(study.cabs)
     drawn = settings.rounds * settings.draws
     return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
@@ -272,35 +274,23 @@ def _count(study: PosteriorStudy) -> int:
 def _points(
     study: PosteriorStudy, drawn: Sequence[Row], weights: Array
 ) -> list[tuple[dict[str, float], None, str]]:
-    """The median machine, with one unknown at the ends of its range, or two on a grid."""
+    """The median machine, and it with one unknown at the ends of its range."""
     unknowns, median = study.settings.unknowns, {}
     for name in unknowns:
         values = np.array([row[name] for row in drawn])
         median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
-    moved: list[tuple[dict[str, Any], str]] = [({}, "median")]
-    for name, one in unknowns.items():
-        moved += [
-            ({name: one.at(q)}, f"{name} {end}") for end, q in (("low", 0.05), ("high", 0.95))
-        ]
-    sides = np.linspace(0.0, 1.0, study.settings.grid)
-    for x, y in MAPS:
-        ends = [(unknowns[x].at(p), unknowns[y].at(q)) for p, q in product(sides, sides)]
-        moved += [({x: across, y: up}, f"{x} {y}") for across, up in ends]
-    return [(median | {n: float(v) for n, v in new.items()}, None, about) for new, about in moved]
+    ends = [
+        (median | {name: float(one.at(q))}, None, f"{name} {end}")
+        for name, one in unknowns.items()
+        for end, q in (("low", 0.05), ("high", 0.95))
+    ]
+    return [(median, None, "median"), *ends]
 
 
 def _drawn(task: Task) -> list[Row]:
     """What a machine makes of the evidence, and damping ratios of all laws with all cabs."""
-    study = task.study
-    machines = task.machines(study.cabs)
-    shown = effects.shown(machines, {})
-    row: Row = {
-        **task.values,
-        **shown,
-        **{f"log_{group}": evidence.log_likelihood(shown, group) for group in ("rows", "fits")},
-        "log_flown": 0.0 if shown["flown"] else -np.inf,
-    }
-    return [row, *_dampings(machines, task.laws)]
+    machines = task.machines(task.study.cabs)
+    return [{**task.values, **effects.shown(machines, {})}, *_dampings(machines, task.laws)]
 
 
 _shipped = lru_cache(load_law)

@@ -5,15 +5,14 @@ machines i drawn from a mixture q that all plants share, r = p / q, w = r L over
 
     Z_e = sum r_i L_e,i / sum r_i              var ln(Z_e / Z_0) = sum (w_e,i - w_0,i)^2
 
-and a plant's share is Z_e / sum Z. Check (Laplace): with the numbers shown regressed on z under w,
-m = m0 + J z + e, Z is a Gaussian density of covariance s^2 + <e^2> + J J', of rows and fits alone.
-Left out, a printed number y of deviation s has under the other evidence the rank
+and a plant's share is Z_e / sum Z. Left out, a printed number y of deviation s has under the other
+evidence the rank
 
     u = sum w_i Phi((y - m_i) / s),    w_i of all but y, or of all but its own recording.
 
 Pairs are asked of the machines that count in a plant with one effect, those that weigh 1e-4.
-A discrepancy is one more deviation of every number, as a share or an angle. Made-up reports are
-m + s N(0, 1) of machines drawn with L^a; each is weighed as the report is, its machine left out.
+Made-up reports are m + s N(0, 1) of machines drawn with L^a; each is weighed as the report is, its
+machine left out.
 Verdicts are of machines drawn without the evidence `flown`, with it those of them that can be.
 """
 
@@ -58,12 +57,11 @@ Array = NDArray[np.float64]
 
 NONE, AVERAGE = "none", "average"  #: The plant without effects; the average over plants.
 READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of what is shown.
-DISCREPANCIES = (0.05, 0.1)  #: That are tried, as shares or angles [rad].
 
 TEMPER = 0.25  #: a of made-up machines.
 _REGRESSED = 0.2  # of the machines count in the regression
 _LIGHT = 1e-4  # weight of a machine in a plant from which its pairs are asked
-_NOTHING = dict.fromkeys([one.name for one in evidence.every_number()], np.nan) | {"flown": False}
+_NOTHING = dict.fromkeys([one.name for one in evidence.observations()], np.nan) | {"flown": False}
 _OF = {"rows": "simulated", "fits": "arx"}
 
 
@@ -159,7 +157,7 @@ def _readings(task: Task) -> list[Row]:
             "shift": float(np.mean([one.counted(r[one.name]) for r in read[one.group]]))
             - float(one.counted(linear[one.name]))
         }
-        for one in evidence.every_number()
+        for one in evidence.observations()
     ]
 
 
@@ -210,22 +208,16 @@ class Bank:
         plant: str,
         printed: Array | None = None,
         out: Iterable[int] = (),
-        more: float = 0.0,
         kinds: Iterable[str] = ("three_g", "flown"),
     ) -> Array:
-        """Ln L of all machines but for numbers left `out`, default none; `more` is a discrepancy.
+        """Ln L of all machines but for numbers left `out`, default none.
 
         `printed` (m,) stands in for the report's, `kinds` count beside numbers.
         """
-        stated = evidence.every_number()
-        y = np.array([one.counted(one.value) for one in stated]) if printed is None else printed
-        s = np.array([one.deviation for one in stated])
-        wide = np.hypot(s, more)
-        off = np.abs((self.shown[plant] - y) / wide)
-        off[~(off < evidence.FARTHEST)] = evidence.FARTHEST
-        counts = np.ones(len(stated), dtype=bool)
+        numbers = evidence.log_likelihoods(self.shown[plant], printed)
+        counts = np.ones(numbers.shape[1], dtype=bool)
         counts[[*out, -1]] = False  # the last is held out always
-        total = -0.5 * (off[:, counts] ** 2).sum(axis=1) - np.log(wide / s)[counts].sum()
+        total = numbers[:, counts].sum(axis=1)
         total = total + self.three_g if "three_g" in kinds else total
         return np.where(self.flown[plant] | ("flown" not in kinds), total, -np.inf)
 
@@ -238,54 +230,33 @@ class Bank:
         """Of the posterior, sum 1."""
         return sampling.normalised(self.ratio + self.log_likelihood(plant, **how))
 
-    def number(self, plant: str, name: str) -> Array:
-        """What machines show of a number, as printed, (n,)."""
-        stated = evidence.every_number()
-        place = [one.name for one in stated].index(name)
-        made = self.shown[plant][:, place]
-        return np.exp(made) if stated[place].relative else made
-
     def effect(self, name: str) -> Array:
         """Values of an effect in the unit of the study, (n,)."""
         used = _settings(self.study).used
         column = len(self.study.settings.unknowns) + list(used).index(name)
         return used[name].at(sampling.quantiles(self.points[:, column]))
 
-    def regressed(self, plant: str) -> tuple[Array, Array, Array]:
-        """Numbers linear in the unknowns and the plant's effects: m0, J' and s^2 + <e^2>."""
-        known = len(self.study.settings.unknowns)
-        own = [known + list(self.settings.used).index(name) for name in _parts(plant)]
-        made, stated = self.shown[plant][:, :-1], evidence.every_number()[:-1]
-        weights = self.ratio + self.log_likelihood(plant, kinds=())
+    def guess(self) -> tuple[Array, Array]:
+        """Mean and covariance of the unknowns without effects, numbers linear in them.
+
+        Their prior is the Gaussian of machines that can be flown and swing at 3 g; the error of
+        the linear numbers is added to s^2.
+        """
+        size, made = len(self.study.settings.unknowns), self.shown[NONE][:, :-1]
+        one, points = np.eye(size), self.points[:, :size]
+        printed, s = (each[:-1] for each in evidence.printed_numbers())
+        weights = self.ratio + self.log_likelihood(NONE, kinds=())
         weights = sampling.tempered(weights, _REGRESSED * len(self.ratio))
         weights = np.where(np.isfinite(made).all(axis=1), weights, 0.0)
         root = np.sqrt(weights / weights.sum())[:, None]
-        inputs = np.hstack([np.ones_like(root), self.points[:, [*range(known), *own]]])
+        inputs = np.hstack([np.ones_like(root), points])
         made = np.where(weights[:, None] > 0.0, made, 0.0)
         slopes = np.linalg.lstsq(root * inputs, root * made, rcond=None)[0]
-        left = ((root * (made - inputs @ slopes)) ** 2).sum(axis=0)
-        return slopes[0], slopes[1:], np.array([one.deviation for one in stated]) ** 2 + left
-
-    def laplace(self, plant: str) -> float:
-        """Ln Z of the numbers alone, as a linear model of the unknowns has it."""
-        middle, slopes, spread = self.regressed(plant)
-        printed = np.array([one.counted(one.value) for one in evidence.every_number()[:-1]])
-        s = np.array([one.deviation for one in evidence.every_number()[:-1]])
-        density = stats.multivariate_normal(middle, np.diag(spread) + slopes.T @ slopes)
-        return float(density.logpdf(printed) + 0.5 * np.log(2.0 * np.pi * s**2).sum())
-
-    def guess(self) -> tuple[Array, Array]:
-        """Mean and covariance of the unknowns without effects, by the same linear model.
-
-        Its prior is the Gaussian of machines that can be flown and swing at 3 g.
-        """
+        error = s**2 + ((root * (made - inputs @ slopes)) ** 2).sum(axis=0)
+        middle, slopes = slopes[0], slopes[1:]
         weights = self.ratio + np.where(self.flown[NONE], self.three_g, -np.inf)
-        size = len(self.study.settings.unknowns)
-        one, points = np.eye(size), self.points[:, :size]
         mean, spread = sampling.moments(points, sampling.normalised(weights))
         before = np.linalg.inv(0.8 * spread + 0.2 * one)
-        middle, slopes, error = self.regressed(NONE)
-        printed = np.array([one.counted(one.value) for one in evidence.every_number()[:-1]])
         after: Array = np.asarray(np.linalg.inv(before + slopes @ (slopes / error).T))
         return after @ (before @ mean + slopes @ ((printed - middle) / error)), after
 
@@ -374,13 +345,13 @@ def _made(
     pairs: Iterable[str] = (),
 ) -> tuple[dict[str, Array], dict[str, NDArray[np.bool_]]]:
     """Numbers as counted of all plants, those that only read otherwise too, and what can fly."""
-    used, stated = _settings(study).used, evidence.every_number()
+    used, stated = _settings(study).used, evidence.observations()
     reading = {name: _kind(one) for name, one in used.items() if _kind(one) in READINGS}
     shown, flown = dict[str, Array](), dict[str, NDArray[np.bool_]]()
     for plant in dict.fromkeys((*rows, *reading, *pairs)):
         shifted = [name for name in _parts(plant) if name in reading]
         source = rows["+".join(n for n in _parts(plant) if n not in reading) or NONE]
-        made = np.array([[one.counted(row[one.name]) for one in stated] for row in source])
+        made = evidence.counted(source)
         for name in shifted:
             by = {row["name"]: row["shift"] for row in moved if row["reading"] == reading[name]}
             share = np.array([machine[name] for machine in machines])
