@@ -240,7 +240,7 @@ def exporting() -> dict[str, float]:
 
 def studying(repeat: int) -> dict[str, float]:
     """Linear cases of four machines of the `mismatch` study in one process and in two."""
-    study = load_study("mismatch", changes={"draws": 4, "cabs": ["gfd"], "simulate_every": 0})
+    study = load_study("mismatch", changes={"draws": 4, "cabs": ["gfd"]})
     count, cases = len(study.laws), [case for case in study.cases if case.draw >= 0]
     machines = [cases[i : i + count] for i in range(0, len(cases), count)]
     spent: dict[int, list[float]] = {1: [], 2: []}

@@ -16,7 +16,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.studies.certificate import Certificate
-from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
+from cmf_mj.studies.effects import Rate, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.failure import FailureResult
 from cmf_mj.studies.settings import NOMINAL
@@ -129,8 +129,6 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
         tables["effects"] = climb_table(table)
     if "linear" in methods and any(draw != NOMINAL for draw in done["draw"].to_pylist()):
         tables["rates"] = rates(table).table
-    if {"linear", "matrix"} <= methods:
-        tables["agreement"] = agreement(table).table
     return tables
 
 

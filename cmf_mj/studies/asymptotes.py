@@ -115,6 +115,14 @@ class Asymptotes:
         return min(self.velocities(frequency).values())
 
 
+def stall_forces(hydraulics: Hydraulics) -> NDArray[np.float64]:
+    """Forces at which legs stall with valves fully open [N], (n, 2): pushing, pulling."""
+    cylinder, supply = hydraulics.cylinder, hydraulics.supply
+    high, low = supply.pressure, supply.return_pressure
+    push = cylinder.cap_area * high - cylinder.rod_area * low
+    return np.column_stack([push, cylinder.rod_area * high - cylinder.cap_area * low])
+
+
 def full_speed(
     hydraulics: Hydraulics, load: NDArray[np.float64], high: float, low: float
 ) -> NDArray[np.float64]:
@@ -156,8 +164,7 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
     load = plant.static_load()
     speed = full_speed(hydraulics, load, supply.pressure, supply.return_pressure).min(axis=1)
     drawn = float(np.sum((cylinder.cap_area + cylinder.rod_area) * np.abs(column))) / np.pi
-    high = cylinder.cap_area * supply.pressure - cylinder.rod_area * supply.return_pressure
-    low = cylinder.cap_area * supply.return_pressure - cylinder.rod_area * supply.pressure
+    push, pull = stall_forces(hydraulics).T
     force = np.abs(mass @ column)
     legs = pose_to_legs(about, plant.machine)
     spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, legs)
@@ -169,7 +176,7 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         speed=speed,
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
-        acceleration=float((np.minimum(high - load, load - low) / force).min()),
+        acceleration=float((np.minimum(push - load, load + pull) / force).min()),
         corners=(plant.parameters.drive_lag.si, plant.parameters.valve_lag.si),
         column=column,
         row=np.linalg.inv(jacobian)[index],

@@ -1,4 +1,4 @@
-"""What a finished study says: shares, effects and agreement.
+"""What a finished study says: shares and effects.
 
 Each function takes the table of results. A share of machines has Wilson's score interval.
 """
@@ -105,52 +105,11 @@ def _known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
 
 
 _BOTH = pc.field("stable") & pc.field("stable_other")
-_ALIKE = ("cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law")
-
-
-def _beside(table: pa.Table, other: pa.Table, *alike: str) -> pa.Table:
-    """Rows beside those of `other` on the same machine under the same law, named `_other`."""
-    keys = [*_ALIKE, "dof", *alike]
-    return table.join(other, keys, join_type="inner", right_suffix="_other", use_threads=False)
+_ALIKE = ["cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law", "dof", "method"]
 
 
 def _difference(pairs: pa.Table, name: str) -> NDArray[np.float64]:
     return column(pairs, name) - column(pairs, f"{name}_other")
-
-
-AGREEMENT = (
-    Field("law"),
-    Field("machines", form="d"),
-    Field("same_verdict", form="d"),
-    Field("phase_bandwidth_hz_difference", "-90 deg: median difference [Hz]", ".2f"),
-    Field("damping_ratio_difference", "zeta", ".2f"),
-)
-
-
-def agreement(table: pa.Table) -> Result[dict[str, Any]]:
-    """Linear cases against the same ones simulated, law by law.
-
-    Machines compared, and those with the same verdict: simulated, one is unstable where any step
-    rings on. Medians of |simulated - linear| over all degrees of freedom of the -90 deg bandwidth
-    [Hz] and of the damping ratio from the overshoot.
-    """
-    rows, linear = [], where(finished(table), method="linear")
-    for (law,), simulated in groups(where(finished(table), method="matrix"), "law"):
-        pairs = _beside(simulated, linear, "rung")
-        same = [
-            bool(np.all(machine["stable"])) == machine["stable_other"][0].as_py()
-            for _, machine in groups(pairs, "rung", *_ALIKE)
-        ]
-        if same:
-            medians = {
-                f"{name}_difference": _known(
-                    np.median, np.abs(_difference(pairs.filter(_BOTH), name))
-                )
-                for name in ("phase_bandwidth_hz", "damping_ratio")
-            }
-            counts = {"machines": len(same), "same_verdict": sum(same)}
-            rows.append({"law": law} | counts | medians)
-    return Result(rows, AGREEMENT)
 
 
 CLIMB = (
@@ -171,8 +130,9 @@ def climb(table: pa.Table) -> Result[dict[str, Any]]:
     done, rows = finished(table), []
     rungs, dofs = (done[name].unique().to_pylist() for name in ("rung", "dof"))
     for (before, rung), dof in product(pairwise(rungs), dofs):
-        pairs = _beside(where(done, rung=rung, dof=dof), where(done, rung=before), "method")
-        stable = pairs.filter(_BOTH)
+        here, other = where(done, rung=rung, dof=dof), where(done, rung=before)
+        how: dict[str, Any] = {"join_type": "inner", "right_suffix": "_other"}
+        stable = here.join(other, _ALIKE, use_threads=False, **how).filter(_BOTH)
         names = ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
         changes = {name: _difference(stable, name) for name in names}
         mixed, before_mixed = (largest_crosstalk(stable, dof, end) for end in ("", "_other"))

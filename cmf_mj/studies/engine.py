@@ -324,7 +324,7 @@ def run_study(
 
 def _machine(case: StudyCase) -> Hashable:
     """The laws of a machine that is linearised run together: it is linearised once."""
-    if case.method != "linear":
+    if case.study.method != "linear":
         return case.number
     return case.rung, case.case.cab, case.case.pose, case.draw
 

@@ -3,27 +3,22 @@
     sweep    the compiled simulation of the report's chirp and step in one degree of freedom
     linear   the plant linearised about rest with its actuators, the law closed around it:
              poles, the 6 by 6 response and the steps of all degrees of freedom at once
-    matrix   the compiled simulation of orthogonal multisines in all degrees of freedom, for the
-             6 by 6 response, and of a step in each
 
 Crosstalk is the largest gain, 0.1 to 10 Hz, from the demand of one degree of freedom to the true
 motion of another, each counted in the report's amplitudes (0.33 in and 0.2 deg): 1 is as much as
-was asked for. A `sweep` and a `matrix` see a narrow peak only where they have a line; `linear` has
-lines at the poles.
+was asked for. A `sweep` sees a narrow peak only where it has a line; `linear` has lines at the
+poles.
 """
 
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import control
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj import signals
-from cmf_mj.analysis.frequency_response import bandwidths, matrix_frequency_response
 from cmf_mj.analysis.linear.linear import BAND, Linear, loop_measures
 from cmf_mj.analysis.measurable import dof_history
-from cmf_mj.analysis.measures import Measures, crosstalk, joined, measure_records, step_metrics
+from cmf_mj.analysis.measures import Measures, crosstalk, measure_records
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -33,15 +28,8 @@ from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite
-from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
+from cmf_mj.studies.case import REPORT_AMPLITUDES, Case
 from cmf_mj.studies.settings import NOMINAL, StudyCase, rung_named
-
-MULTISINE_SHARE = 0.25
-"""Amplitude of each of six multisines over that of a sweep: together they ask a leg for no more."""
-
-MULTISINE_PERIOD = 30.0
-"""Of the orthogonal multisines [s]: a line every 0.4 Hz a degree of freedom."""
 
 MEASURED = (
     *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot"),
@@ -59,7 +47,7 @@ class StudyRow(NamedTuple):
     """Measures of one degree of freedom; NaN where a method has none, empty where all failed.
 
     `linear` is stable with all poles within the unit circle, and its mode is the least damped
-    below 50 Hz; the other methods judge the step and have no mode.
+    below 50 Hz; `sweep` judges the step and has no mode.
     """
 
     dof: str
@@ -92,15 +80,13 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
     case = replace(case, law=mismatch.apply(values, case.law))
     errors = mismatch.gain_errors(values)
-    if study_case.method == "linear":
+    if study.method == "linear":
         return _linear(case, plant, errors, {} if shared is None else shared)
     chain = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
     if errors:
         sensors = mismatch.apply(values, load_sensors("ideal"), "mismatched")
         chain = ElectronicsSettings(sensors=sensors, converters="off")
     case = replace(case, electronics=chain, command_delay=int("delay" in rung.effects))
-    if study_case.method == "matrix":
-        return _matrix(case, plant, study_case.sizes, study.seed)
     sweep, step = case.sweep_and_step(plant)
     measures = measure_records(sweep, step, segment=case.segment)
     return [StudyRow(case.dof, measures, _sweep_crosstalk(sweep, case))]
@@ -146,27 +132,3 @@ def _linear(
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
     shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
     return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]
-
-
-def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:
-    amplitudes = dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True))
-    how: dict[str, Any] = {"period": MULTISINE_PERIOD, "periods": 2, "seed": seed}
-    sines = composite.orthogonal_multisines(amplitudes, start=BAND[0], stop=BAND[1], **how)
-    sweep = case.run(sines, plant)
-    try:
-        measured = matrix_frequency_response(sweep)
-    except NoPoseError:
-        measured = None
-    rows = []
-    for i, dof in enumerate(DOFS):
-        command = signals.step(dof, float(sizes[i]) * STEP_PER_AMPLITUDE)
-        step = step_metrics(case.run(command, plant, rate=256))
-        widths, gains = None, _NONE
-        if measured is not None:
-            response = np.asarray(measured.frdata)
-            known = ~np.isnan(response[i, i])
-            lines = np.asarray(measured.omega)[known]
-            widths = bandwidths(control.FrequencyResponseData(response[i, i, known], lines))
-            gains = crosstalk(response, REPORT_AMPLITUDES)[:, i]
-        rows.append(StudyRow(dof, joined(widths, step), gains))
-    return rows

@@ -33,7 +33,7 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.asymptotes import asymptotes, full_speed, stall_forces
 
 POSES = 200  #: Poses of the envelope that are looked at.
 
@@ -72,7 +72,7 @@ class MachineCheck(NamedTuple):
     envelope: NDArray[np.float64]  #: Single-axis excursions [m, rad], (6, 2).
     gap: float  #: Largest gap of a gimbal over the envelope [m].
     conditioning: tuple[float, float]  #: At neutral, at worst over the envelope.
-    stall: tuple[float, float]  #: Force of a cylinder pushing and pulling [N].
+    stall: NDArray[np.float64]  #: Force of a cylinder pushing and pulling [N], (2,).
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
     faults: tuple[str, ...]  #: What does not fit, each with its reason.
@@ -165,7 +165,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     return MachineCheck(
         *(machine, limits, excursion_envelope(None, machine), max(gaps)),
         (conditions[0], conditions[worst]),
-        _stall(plant),
+        stall_forces(plant.hydraulics)[0],
         cabs,
         _by_status(machine),
         tuple(faults),
@@ -207,21 +207,13 @@ def _clearance(
     return float(apart[row, pair]), int(i[pair]) + 1, int(j[pair]) + 1, poses[row]
 
 
-def _stall(plant: Hexapod) -> tuple[float, float]:
-    """Force of a cylinder at the supply's pressure, pushing and pulling [N]."""
-    cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
-    cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
-    high, low = supply.pressure, supply.return_pressure
-    return cap * high - rod * low, rod * high - cap * low
-
-
 def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
     """One cab; what does not fit is added to `faults`."""
     where = f"cabs.{plant.cab}"
     with within(where):
         plant.start()
     supply = plant.hydraulics.supply
-    load, (push, pull) = plant.static_load(), _stall(plant)
+    load, (push, pull) = plant.static_load(), stall_forces(plant.hydraulics)[0]
     share = float(np.maximum(load / push, -load / pull).max())
     most = 1.0 / (1.0 + limits.axes[2].acceleration.si / units.STANDARD_GRAVITY)
     if share > most:

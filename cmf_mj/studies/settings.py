@@ -1,11 +1,10 @@
 """Study specifications: a TOML file in, a table of cases out.
 
     title = "My laws, three cabs, a hundred machines"
-    method = "linear"                  # sweep, linear or matrix, see `evaluation`
+    method = "linear"                  # or sweep, see `evaluation`
     laws = ["velocity", "my_law.toml"]
     cabs = ["gfd", "rfd", "ifd"]
     draws = 100                        # machines with mismatch, and the nominal one
-    simulate_every = 50                # every 50th is also simulated, by `matrix`
 
 A file may begin with `base = "mismatch"`, the name of a shipped specification, and repeat only what
 it changes. The cases are the product of rungs, cabs, poses, draws, laws and degrees of freedom, in
@@ -41,7 +40,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
@@ -138,7 +136,7 @@ def rung_named(name: str) -> Rung:
     return rungs[check_name("rungs", name, rungs)]
 
 
-Method = Literal["sweep", "linear", "matrix"]  #: How a case is measured, see `evaluation`.
+Method = Literal["sweep", "linear"]  #: How a case is measured, see `evaluation`.
 
 NOMINAL = -1  #: Draw of the machine without mismatch.
 
@@ -154,7 +152,7 @@ class StudySettings(Settings):
     """Names, TOML files, or one of several laws of a file, file.toml:name."""
     cabs: list[str] = []  #: Names or TOML files, `all` alone; default the machine's first.
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
-    """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
+    """Degrees of freedom, each a case of a `sweep`; `linear` gives all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
     """Plants: rungs of the ladder, or `machine`."""
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
@@ -166,8 +164,6 @@ class StudySettings(Settings):
     quick: bool = True  #: Sweep in 30 s instead of 100 s.
     seed: Annotated[int, Field(ge=0)] = 0  #: Of the machines drawn and of sensor noise.
     draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, and the nominal one.
-    simulate_every: Annotated[int, Field(ge=0)] = 0
-    """Of a linear study: one machine in this many is simulated too; 0 for none."""
     mismatch: dict[str, Unknown] = {}  #: What scatters from draw to draw, see `Unknowns`.
 
 
@@ -176,23 +172,22 @@ class StudyCase:
     """One line of the table of cases; everything needed to run it anywhere."""
 
     number: int
-    method: Method
     rung: str
     draw: int
     case: Case  #: On the shipped plant; its degree of freedom is empty for all.
     study: StudySettings
 
     @property
-    def sizes(self) -> NDArray[np.float64]:
-        """Amplitudes of sweeps by degree of freedom [m, rad], (6,)."""
-        return np.array([dof_amplitude(dof, self.study.amplitude * units.INCH) for dof in DOFS])
-
-    @property
     def columns(self) -> dict[str, int | str | float]:
         """The case in the table of results."""
         case = self.case
         return {
-            **{"case": self.number, "method": self.method, "rung": self.rung, "cab": case.cab_name},
+            **{
+                "case": self.number,
+                "method": self.study.method,
+                "rung": self.rung,
+                "cab": case.cab_name,
+            },
             **{f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)},
             **{"draw": self.draw, "law": case.law.name},
         }
@@ -215,15 +210,11 @@ class Study:
         machines = product(study.rungs, self.cabs, study.poses, range(NOMINAL, study.draws))
         for rung, cab, pose, draw in machines:
             at = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
-            methods: list[Method] = [study.method]
-            if study.simulate_every and (draw == NOMINAL or draw % study.simulate_every == 0):
-                methods.append("matrix")
-            for method, law in product(methods, self.laws):
-                for dof in study.dofs if method == "sweep" else [""]:
-                    size = dof_amplitude(dof, study.amplitude * units.INCH) if dof else None
-                    machine = ("hexapod", cab, self.hydraulics, law, dof, size)
-                    case = Case(*machine, quick=study.quick, pose=at)
-                    cases.append(StudyCase(len(cases), method, rung, draw, case, study))
+            for law, dof in product(self.laws, study.dofs if study.method == "sweep" else [""]):
+                size = dof_amplitude(dof, study.amplitude * units.INCH) if dof else None
+                machine = ("hexapod", cab, self.hydraulics, law, dof, size)
+                case = Case(*machine, quick=study.quick, pose=at)
+                cases.append(StudyCase(len(cases), rung, draw, case, study))
         return cases
 
     def identity(self) -> dict[str, Any]:
@@ -300,11 +291,9 @@ def _check(settings: StudySettings) -> None:
             raise InputError(f"mismatch.{name}: {one.path}: a study varies all but the machine")
     if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
-    if settings.simulate_every and settings.method != "linear":
-        raise InputError(f"simulate_every: needs method linear, not {settings.method}")
     for name in settings.rungs:
         if not rung_named(name).linear and settings.method == "linear":
             raise InputError(
                 f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
-                "frames need the method sweep or matrix"
+                "frames need the method sweep"
             )

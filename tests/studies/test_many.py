@@ -1,6 +1,5 @@
 """Many runs at once are the single runs to the bit, whatever happens to the others."""
 
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -10,7 +9,6 @@ import pytest
 from cmf_mj import (
     Hexapod,
     InputError,
-    Record,
     RunError,
     SingleLegs,
     attach_hydraulics,
@@ -26,7 +24,6 @@ from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.engine import Backend, Workers
 
 LAWS = ("velocity", "position_error_rate", "acceleration")
 
@@ -147,54 +144,6 @@ def test_drawn_plants_of_any_model_are_their_single_runs(law: str | None) -> Non
             np.testing.assert_array_equal(runs[name][case], single[name])
             np.testing.assert_array_equal(runs[name][case], again[name][case])
     assert np.ptp(runs["cap_pressure"][:, 0, 0]) > 1e5
-
-
-def test_a_folder_keeps_frames_and_the_same_call_runs_what_is_left(tmp_path: Path) -> None:
-    valves, plant, folder = np.full((4, 64, 2), 0.1), press(), tmp_path / "runs"
-
-    def built(case: int) -> Plant:
-        return LIKELY.apply({"mass": 1.0 + 0.1 * case}, plant)
-
-    how: dict[str, Any] = {"channels": KEPT, "start": plant.configuration([0.0, 0.0])}
-    whole = simulate_many(built, None, valves, **how)
-    simulate_many(built, None, valves, folder=folder, **how)
-    journal = folder / "journal.jsonl"
-    lines = journal.read_text().splitlines(keepends=True)
-    assert len(lines) == 4
-    journal.write_text("".join(lines[:2]) + lines[2][:20])  # killed while it wrote
-    frames = sorted(folder.glob("case_*.parquet"))
-    assert [path.name for path in frames] == [f"case_{i:05d}.parquet" for i in range(4)]
-    times = [path.stat().st_mtime_ns for path in frames]
-    resumed = simulate_many(built, None, valves, folder=folder, **how)
-    kept = [path.stat().st_mtime_ns == time for path, time in zip(frames, times, strict=True)]
-    assert sum(kept) == 2
-    for name in KEPT:
-        np.testing.assert_array_equal(resumed[name], whole[name])
-        np.testing.assert_array_equal(Record.load(frames[3])[name], whole[name][3])
-    with pytest.raises(InputError, match="differs in commands"):
-        simulate_many(built, None, 2.0 * valves, folder=folder, **how)
-    with pytest.raises(InputError, match="case_0000[0-3].parquet is of another plant"):
-        simulate_many(lambda case: built(case + 1), None, valves, folder=folder, **how)
-
-
-@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.slow)])
-def test_processes_and_clusters_write_what_threads_do(backend: Backend, tmp_path: Path) -> None:
-    """Machines drawn of a model of one's own."""
-    plant, valves = press(), np.full((3, 512, 2), 0.05)
-    how: dict[str, Any] = {"channels": KEPT, "start": plant.configuration([0.9, 0.9])}
-    how |= {"unknowns": LIKELY, "seed": 3, "record_every": 16}
-    (tmp_path / "b").mkdir()
-    alone = simulate_many(plant, None, valves, folder=tmp_path / "a", **how)
-    shared = simulate_many(
-        plant, None, valves, folder=tmp_path / "b", workers=Workers(2, backend), **how
-    )
-    assert alone.left == shared.left == ("", "", "")
-    for name in KEPT:
-        np.testing.assert_array_equal(alone[name], shared[name])
-    for path in sorted((tmp_path / "a").glob("case_*.parquet")):
-        assert Record.load(path).metadata == Record.load(tmp_path / "b" / path.name).metadata
-    with pytest.raises(InputError, match="workers: need a folder"):
-        simulate_many(plant, None, valves, workers=Workers(2), **how)
 
 
 def test_electronics_go_by_name() -> None:

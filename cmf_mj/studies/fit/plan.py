@@ -54,6 +54,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import load_columns, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, plain
+from cmf_mj.studies.asymptotes import stall_forces
 from cmf_mj.studies.case import RECORDER
 from cmf_mj.studies.fit.campaign import FILE
 from cmf_mj.studies.tuning.search import save_law
@@ -132,18 +133,22 @@ def plan_campaign(
         title = {"title": f"{name}: {one.pose}"}
         runs[name] = room.fitted(one, named | usual | laws[name] | title)
     for name, run in runs.items():
-        one, files = plans[name], _beside(named | laws[name], target / SCENARIOS)
+        one, files = plans[name], named_beside(named | laws[name], target / SCENARIOS)
         scenario = run.table() | {"law": None} | files
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
-        how = "zero" if one.kind == "step" else "spline"
         command = Command.from_pose(demand(run), run.rate)
-        stream = from_command(command, min(HOST_RATE, run.rate), derivatives=how)
-        write_stream(stream, target / f"host/{name}.csv")
+        write_host(command, target / f"host/{name}.csv", held=one.kind == "step")
         said = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
-        tables[name] = said | _beside(laws[name], target) | {"source": source.as_posix()}
-    head = _beside(named, target) | {"recordings": tables}
+        tables[name] = said | named_beside(laws[name], target) | {"source": source.as_posix()}
+    head = named_beside(named, target) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
+
+
+def write_host(command: Command, path: Path, *, held: bool) -> None:
+    """Write a command as a host's frames; between those of steps the demand is `held`."""
+    how = "zero" if held else "spline"
+    write_stream(from_command(command, min(HOST_RATE, command.rate), derivatives=how), path)
 
 
 def _kept(name: str, source: Source, folder: Path) -> str:
@@ -163,7 +168,7 @@ def _slower(law: Law, file: Path) -> Path:
     return save_law(law.model_copy(update=changes), file, "For a recording that is held back.")
 
 
-def _beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
+def named_beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
     """Names as they are, and files as they are named in a folder."""
     files = {key: os.path.relpath(one, folder) for key, one in named.items() if ".toml" in one}
     return {**named} | files
@@ -190,11 +195,8 @@ class Room:
         """Take strokes, limits, masses and forces of the data sheet's machine."""
         self.machine, self._plant, self.share = plant.machine, plant, share
         self._mass, self._load = plant.reflected_mass(np.zeros(6)), plant.static_load()
-        cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
-        cap, rod = cylinder.cap_area, cylinder.rod_area
-        high, low = supply.pressure, supply.return_pressure
-        most, least = cap * high - rod * low, cap * low - rod * high
-        self._left = np.minimum(most - self._load, self._load - least)
+        push, pull = stall_forces(plant.hydraulics).T
+        self._left = np.minimum(push - self._load, self._load + pull)
         limits = load_motion_limits(None, self.machine)
         self._limits, self.reach = limits.leg, np.abs(limits.operational).min(axis=1)
         highest = 1.2 * plant.hydraulic_modes().frequency_hz.max()
@@ -226,14 +228,25 @@ class Room:
 
     def fitted(self, one: Planned, how: Mapping[str, Any]) -> Run:
         """The recording at its part of the largest size, as a run."""
-        size, corner = self.share, STEP_CORNER if one.kind == "step" else None
+
+        def run(size: float) -> Run:
+            return Run(**how, change=plain(one.changes(size)))
+
+        corner = STEP_CORNER if one.kind == "step" else None
+        size = self.largest(lambda size: demand(run(size)), self.share, corner)
+        return run(one.part * size)
+
+    def largest(
+        self, made: Callable[[float], Array], share: float, corner: float | None = None
+    ) -> float:
+        """Size with which the poses that are made of it use a share, or up to 3 % less."""
+        size = share
         for _ in range(12):
-            run = Run(**how, change=plain(one.changes(size)))
-            used = self.use(demand(run), corner)
-            if 0.97 * self.share < used <= self.share:
+            used = self.use(made(size), corner)
+            if 0.97 * share < used <= share:
                 break
-            size *= 0.99 * self.share / used
-        return run.but(change=plain(one.changes(one.part * size)))
+            size *= 0.99 * share / used
+        return size
 
     def pose(self, direction: Mapping[str, float], part: float) -> Array:
         """A pose in this direction where the first leg has used a part of its working stroke."""
