@@ -181,17 +181,12 @@ def _with_cueing() -> None:
 
 
 def _bench(guide: str, out: Path, **named: Any) -> Any:
-    """A guide on a machine with its head, whose files are named from the folder of results."""
+    """A guide on a machine with its head, to stand in the folder of results."""
     from cmf_mj.studies.guide import bench, head_of, load_guide
 
     _with_cueing()
     on = bench(load_guide(guide), **named)
-    return on, head_of(on, **{key: beside_folder(value, out) for key, value in named.items()})
-
-
-def beside_folder(name: str | None, folder: Path) -> str | None:
-    """A TOML file as it is named from a folder, any other name as it is."""
-    return os.path.relpath(name, folder) if name is not None and ".toml" in name else name
+    return on, head_of(on, out, **named)
 
 
 @guides.command("plan")
@@ -227,9 +222,9 @@ def guide_run_command(
     out: options.Out = Path("out/guide"),
 ) -> None:
     """Make the master of a machine, or what is checked against it: recordings, measures, a page."""
-    from cmf_mj.show.measurement import save_master
+    from cmf_mj.show.measurement import save_guide, verdict_table
     from cmf_mj.studies.guide import load_guide, run_guide
-    from cmf_mj.studies.guide_check import load_master, seal
+    from cmf_mj.studies.guide_check import compare, load_master
 
     _with_cueing()
     folder = recordings or out
@@ -238,10 +233,12 @@ def guide_run_command(
         how: dict[str, Any] = {"repetitions": repetitions, "seed": seed, "jobs": jobs}
         with progress_bar("recording") as update:
             run_guide(on, head, out, **how, progress=update)
-    master = seal(load_master(folder))
+    master = load_master(folder)
     if master.head.guide != load_guide(guide):
         raise InputError(f"recordings: {folder} is of another guide than {guide!r}")
-    show(written(save_master(master), folder))
+    master.head.write(folder)
+    rows = compare(master, master)
+    show(verdict_table(rows), written(save_guide(master, master, rows, [], folder), folder))
 
 
 @options.drawing(guides.command)("check")
@@ -264,6 +261,6 @@ def guide_check_command(
     if changed and diagnosis:
         with progress_bar("simulating") as update:
             causes = diagnose(master, since, slopes(master, jobs, update), jobs)
-    paths = report.save_check(master, since, rows, causes, out)
+    paths = report.save_guide(master, since, rows, causes, out)
     tables = [report.causes_table(causes).table] if causes else []
     show(report.verdict_table(rows), *tables, written(paths, out))

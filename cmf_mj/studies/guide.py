@@ -12,11 +12,11 @@
     limits = {}                          # largest size of a measure by its name
     no_limit = "based on simulator capability"
 
-A master is a folder: `guide.toml` says of which guide and machine it is, and which tests were
-`aborted` or recordings `set_aside`, each with the reason; `TEST.1.parquet` and on are the
-repetitions, in any form that `cmf fit` reads; their digests stand in it. A plan is a master without
-recordings, with a host's frames for each test. Measures are computed when a folder is read, see
-`guide_check`, so that a master of an older version is measured as the new one is.
+A master is a folder: `guide.toml` says of which guide and machine it is, and which tests or
+recordings are `left_out`, each with the reason; `TEST.1.parquet` and on are the repetitions, in any
+form that `cmf fit` reads; their digests stand in it. A plan is a master without recordings, with a
+host's frames for each test. Measures are computed when a folder is read, see `guide_check`, so that
+a master of an older version is measured as the new one is.
 """
 
 import copy
@@ -37,7 +37,6 @@ from cmf_mj.core.result import Table
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand
 from cmf_mj.machine.geometry import dof_index
@@ -46,7 +45,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command, Dof, plain
-from cmf_mj.studies.fit.plan import HOST_RATE, STEP_CORNER, Room
+from cmf_mj.studies.fit.plan import STEP_CORNER, Room, named_beside, write_host
 from cmf_mj.studies.measurement import MEASURES, SIGNED, Lines, lines_of
 
 Array = NDArray[np.float64]
@@ -103,10 +102,14 @@ class MasterSettings(Settings):
     columns: str | None = None  #: Column map of recordings; default the facility's.
     version: str = ""  #: That made it.
     simulated: bool = True
-    aborted: Mapping[str, str] = {}  #: Tests that were not finished, and why.
-    set_aside: Mapping[str, str] = {}  #: Recordings that do not count, `TEST.N`, and why.
+    left_out: Mapping[str, str] = {}
+    """Why a test, `TEST`, was not finished, or a recording, `TEST.N`, does not count."""
     digests: Mapping[str, str] = {}  #: Of the recordings by file.
-    known: Mapping[str, Any] = {}  #: What identifies the machine.
+
+    def write(self, folder: Path) -> Path:
+        """Write it into the folder of the master."""
+        table = self.model_dump(mode="json", exclude_defaults=True)
+        return write_text(folder / FILE, tomlkit.dumps(table))
 
 
 def load_guide(source: str | Path) -> GuideSettings:
@@ -153,17 +156,16 @@ class Bench(NamedTuple):
         law = load_law(self.law).name
         return {"machine": self.plant.machine.name, "cab": self.plant.cab, "law": law}
 
+    def about(self, name: str) -> dict[str, Any]:
+        """What a record of a test has to know."""
+        return {"command": self.commands[name].signal.described(), "cab": self.plant.cab}
+
     def legs(self, name: str, rate: float | None = None) -> Array:
         """Demand of the legs [m] in a test, (N, 6), at a rate, by default the control law's."""
         machine, pose = self.plant.machine, self.commands[name].pose
-        if rate is not None:
-            count = int((len(pose) - 1) / machine.rate * rate + 1e-6) + 1
-            pose = pose[
-                np.minimum((np.arange(count) * machine.rate / rate + 1e-6), len(pose) - 1).astype(
-                    int
-                )
-            ]
-        return pose_to_legs(pose, machine)
+        every = machine.rate / (rate or machine.rate)
+        frames = np.arange(int((len(pose) - 1) / every + 1e-6) + 1) * every + 1e-6
+        return pose_to_legs(pose[frames.astype(int)], machine)
 
     def lines(self, name: str, rate: float) -> Lines:
         """Lines of a test's signature, of recordings at a rate [Hz]."""
@@ -215,21 +217,14 @@ def _command(
         return command, room.use(command.pose)
     chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
 
-    def made(size: float | None) -> tuple[Command, float]:
-        sized = table if size is None else _sized(table, size, room)
-        signal = validated(chosen, plain(sized) | {"rate": rate}, kind)
-        command = signal.command()
-        return command, room.use(command.pose, corner)
+    def made(table: Mapping[str, Any]) -> Command:
+        return validated(chosen, plain(table) | {"rate": rate}, kind).command()
 
-    if share is None:
-        return made(None)
-    size = share
-    for _ in range(12):
-        command, used = made(size)
-        if 0.97 * share < used <= share:
-            break
-        size *= 0.99 * share / used
-    return command, used
+    if share is not None:
+        size = room.largest(lambda size: made(_sized(table, size, room)).pose, share, corner)
+        table = _sized(table, size, room)
+    command = made(table)
+    return command, room.use(command.pose, corner)
 
 
 def _sized(table: Mapping[str, Any], size: float, room: Room) -> dict[str, Any]:
@@ -253,17 +248,14 @@ def _sized(table: Mapping[str, Any], size: float, room: Room) -> dict[str, Any]:
 def plan_guide(on: Bench, head: MasterSettings, folder: str | Path) -> Table:
     """Write the head of a master and the host's frames of each test; gives order and times."""
     target = _fresh(folder)
-    rows, begin = [], 0.0
+    rows, end, again = [], 0.0, on.guide.repetitions
     for number, (name, command) in enumerate(on.commands.items(), start=1):
-        how = "zero" if command.signal.kind in ("step", "pulse") else "spline"
-        stream = from_command(command, min(HOST_RATE, command.rate), derivatives=how)
-        write_stream(stream, target / f"host/{name}.csv")
-        again = on.guide.repetitions
-        for _ in range(again):
-            begin += command.duration + BETWEEN
-        row = (number, name, command.duration, again, 100.0 * on.use[name], begin / 60.0)
+        held = command.signal.kind in ("step", "pulse")
+        write_host(command, target / f"host/{name}.csv", held=held)
+        end += again * (command.duration + BETWEEN)
+        row = (number, name, command.duration, again, 100.0 * on.use[name], end / 60.0)
         rows.append((*row, f"{name}.1.csv to {name}.{again}.csv"))
-    write_head(head, target)
+    head.write(target)
     columns = ("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f"))
     more = (("done after [min]", ".0f"), "record as")
     caption = ". ".join(f"{name}: {why}" for name, why in on.impossible.items())
@@ -279,17 +271,14 @@ def _fresh(folder: str | Path) -> Path:
     return target
 
 
-def write_head(head: MasterSettings, folder: Path) -> Path:
-    """Write the head of a master into its folder."""
-    table = head.model_dump(mode="json", exclude_defaults=True)
-    return write_text(folder / FILE, tomlkit.dumps(table))
+def head_of(on: Bench, folder: str | Path = "", **named: Any) -> MasterSettings:
+    """The head of a master, to stand in a folder, of a guide on a machine.
 
-
-def head_of(on: Bench, **named: Any) -> MasterSettings:
-    """The head of a master of a guide on a machine: machine, cab, hydraulics and law by name."""
+    Machine, cab, hydraulics and law are `named`, or files from here.
+    """
     given = {key: str(value) for key, value in named.items() if value is not None}
-    head = {"guide": on.guide.model_dump(), "known": on.known, "version": version("cmf-mj")}
-    return validated(MasterSettings, head | given, FILE)
+    head = {"guide": on.guide.model_dump(), "version": version("cmf-mj")}
+    return validated(MasterSettings, head | named_beside(given, Path(folder)), FILE)
 
 
 def simulated(
@@ -318,14 +307,8 @@ def simulated(
     channels = {key: run[key] for key in ("leg_reference", *SIGNED)}
     channels |= {key: channels[key] + offset for key in ("leg_reference", "leg_position")}
     known = {key: run.metadata[key] for key in ("sample_rate", "law")} | plant.machine.known()
-    return named(Record(run.time, channels, {k: run.units[k] for k in channels}, known), on, name)
-
-
-def named(record: Record, on: Bench, name: str) -> Record:
-    """A record that knows its excitation."""
-    signal, cab = on.commands[name].signal, on.plant.cab
-    said = {**record.metadata, "command": signal.described(), "cab": cab}
-    return Record(record.time, record.channels, record.units, said)
+    units = {key: run.units[key] for key in channels}
+    return Record(run.time, channels, units, known | on.about(name))
 
 
 def run_guide(
@@ -358,4 +341,4 @@ def run_guide(
 
     target.mkdir(parents=True, exist_ok=True)
     digests = dict(on_threads(made, cases, jobs, progress))
-    return write_head(head.model_copy(update={"digests": digests}), target)
+    return head.model_copy(update={"digests": digests}).write(target)

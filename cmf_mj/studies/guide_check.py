@@ -10,14 +10,13 @@ probability alpha. Of a signature s is the mean of all legs, of real and imagina
 degrees of freedom of one leg: what one leg does by chance, with friction above all, the others do.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import special, stats
 from scipy.signal import correlate
 
 from cmf_mj.core.errors import InputError, within
@@ -26,8 +25,8 @@ from cmf_mj.core.settings import beside, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
-from cmf_mj.studies.guide import FILE, Bench, MasterSettings, bench, named, write_head
-from cmf_mj.studies.measurement import MEASURES, Lines, accelerations, signature
+from cmf_mj.studies.guide import FILE, Bench, MasterSettings, bench
+from cmf_mj.studies.measurement import MEASURES, SIGNED, accelerations, signature
 
 Array = NDArray[np.float64]
 
@@ -43,38 +42,32 @@ class Master(NamedTuple):
     """A folder of recordings of a guide, read."""
 
     folder: Path
-    head: MasterSettings
+    head: MasterSettings  #: With the digests of all recordings.
     bench: Bench
     records: Mapping[str, Sequence[Record]]  #: By test.
 
-    def measured(self, name: str, mean: Array | None = None) -> list[dict[str, float]]:
-        """All measures of each repetition of a test; `mean` (N, 3) is the master's acceleration."""
-        found = []
-        histories = [accelerations(record)[:, :3] for record in self.records[name]]
-        for record, history in zip(self.records[name], histories, strict=True):
-            measures: dict[str, float] = {}
-            for measure in self.bench.of[name].measures:
-                with within(f"{name}: {measure}"):
-                    measures |= MEASURES[measure](record)
-            if mean is not None:
-                count = min(len(mean), len(history))
-                off = np.abs(history[:count] - mean[:count]).max() / STANDARD_GRAVITY
-                measures[REPEATABLE] = float(off)
-            found.append(measures)
-        return found
-
-    def mean(self, name: str) -> Array:
-        """Mean linear acceleration of the repetitions of a test [m/s^2], (N, 3)."""
+    def accelerations(self, name: str) -> Array:
+        """Linear accelerations in the repetitions of a test [m/s^2], (n, N, 3)."""
         histories = [accelerations(record)[:, :3] for record in self.records[name]]
         count = min(map(len, histories))
-        return np.asarray(np.mean([one[:count] for one in histories], axis=0))
+        return np.array([one[:count] for one in histories])
+
+    def measured(self, name: str, mean: Array) -> dict[str, Array]:
+        """Measures of a test, each of all repetitions (n,); `mean` (N, 3) is of accelerations."""
+        found: dict[str, list[float]] = {}
+        for record in self.records[name]:
+            for measure in self.bench.of[name].measures:
+                with within(f"{name}: {measure}"):
+                    for what, value in MEASURES[measure](record).items():
+                        found.setdefault(what, []).append(value)
+        felt = self.accelerations(name)
+        count = min(felt.shape[1], len(mean))
+        off = np.abs(felt[:, :count] - mean[:count]).max(axis=(1, 2)) / STANDARD_GRAVITY
+        return {what: np.array(values) for what, values in found.items()} | {REPEATABLE: off}
 
 
-def load_master(
-    folder: str | Path,
-    on: Bench | None = None,
-) -> Master:
-    """Read a master, or what was recorded since; `on` is that of a folder of the same head.
+def load_master(folder: str | Path, on: Bench | None = None) -> Master:
+    """Read a master, or what was recorded since; `on` is its guide on its machine, if at hand.
 
     Raises `InputError` that names the folder and the test that is missing, cut short or another's.
     """
@@ -82,34 +75,22 @@ def load_master(
     if not (where / FILE).is_file():
         raise InputError(f"{where}: holds no {FILE}; allowed: a folder of cmf guide run or plan")
     head = validated(MasterSettings, read_toml(where / FILE), str(where / FILE))
-    if on is None or (on.guide, on.known) != (head.guide, head.known):
+    if on is None:
         with within(where / FILE):
             parts = (head.machine, head.cab, head.hydraulics, head.law)
             on = bench(head.guide, *(beside(where, one) for one in parts))
-    missing = [name for name in on.commands if not _files(where, name, head)]
-    lost = [name for name in missing if name not in head.aborted]
-    if lost:
-        allowed = "allowed: recordings of every test, or a reason under [aborted]"
-        raise InputError(f"{where}: {', '.join(lost)}: no recordings; {allowed}")
-    records = {}
+    records, digests, lost = {}, dict[str, str](), []
     for name in on.commands:
-        if name not in missing:
-            records[name] = [_read(on, name, path, head) for path in _files(where, name, head)]
-    return Master(where, head, on, records)
-
-
-def seal(master: Master) -> Master:
-    """Write the digests of recordings that have none; gives the master with them."""
-    found = {
-        path.name: read_mapped(path, beside(path.parent, master.head.columns), machine).digest
-        for machine in [master.bench.plant.machine]
-        for name in master.records
-        for path in _files(master.folder, name, master.head)
-    }
-    head = master.head.model_copy(update={"digests": found})
-    if found != dict(master.head.digests):
-        write_head(head, master.folder)
-    return master._replace(head=head)
+        read = [_read(on, name, path, head) for path in _files(where, name, head)]
+        if read:
+            records[name] = [record for record, _ in read]
+            digests |= dict(known for _, known in read)
+        elif name not in head.left_out:
+            lost.append(name)
+    if lost:
+        allowed = "allowed: recordings of every test, or a reason under [left_out]"
+        raise InputError(f"{where}: {', '.join(lost)}: no recordings; {allowed}")
+    return Master(where, head.model_copy(update={"digests": digests}), on, records)
 
 
 def _files(folder: Path, name: str, head: MasterSettings) -> list[Path]:
@@ -117,30 +98,29 @@ def _files(folder: Path, name: str, head: MasterSettings) -> list[Path]:
     found = []
     for path in folder.glob(f"{name}.*"):
         number = path.name.removeprefix(f"{name}.").split(".")[0]
-        if number.isdigit() and f"{name}.{number}" not in head.set_aside:
+        if number.isdigit() and f"{name}.{number}" not in head.left_out:
             found.append((int(number), path))
     return [path for _, path in sorted(found)]
 
 
-def _read(on: Bench, name: str, path: Path, head: MasterSettings) -> Record:
-    """A recording from the beginning of its demand, by the largest correlation with the plan."""
+def _read(on: Bench, name: str, path: Path, head: MasterSettings) -> tuple[Record, tuple[str, str]]:
+    """A recording from the beginning of its demand, where it looks most like the plan's; digest."""
     record = read_mapped(path, beside(path.parent, head.columns), on.plant.machine)
-    known = head.digests.get(path.name)
+    known = head.digests.get(path.name, record.digest)
     with within(path):
-        if known is not None and record.digest != known:
+        if record.digest != known:
             raise InputError(f"digest: {record.digest} is not the {known} of {FILE}")
         for channel in ("leg_reference", "leg_position"):
             if channel not in record.channels:
                 raise InputError(f"{channel}: is missing; a test needs it")
         planned, given = on.legs(name, record.rate), record["leg_reference"]
-        lag = 0
+        count, lag = len(planned), 0
         if not head.simulated:
             moved = [
                 (x - x[0]).sum(axis=1) if np.ptp((x - x[0]).sum(axis=1)) else x[:, 0]
                 for x in (given, planned)
             ]
-            lag = int(np.argmax(correlate(moved[0], moved[1], mode="full"))) - len(planned) + 1
-        count = len(planned)
+            lag = int(np.argmax(correlate(*moved, mode="full"))) - count + 1
         if lag < 0 or lag + count > len(given) + 1:
             have = max(0, min(len(given) - lag, len(given))) / record.rate
             raise InputError(f"ends after {have:.1f} s; the test takes {count / record.rate:.1f} s")
@@ -149,8 +129,9 @@ def _read(on: Bench, name: str, path: Path, head: MasterSettings) -> Record:
         if off > ALIKE:
             raise InputError(f"leg_reference: is {off:.0%} off what {name} demands")
         channels = {key: value[part] for key, value in record.channels.items()}
-        cut = Record(np.arange(count) / record.rate, channels, record.units, record.metadata)
-    return named(cut, on, name)
+        about = {**record.metadata, **on.about(name)}
+        cut = Record(np.arange(count) / record.rate, channels, record.units, about)
+    return cut, (path.name, record.digest)
 
 
 class Compared(NamedTuple):
@@ -169,67 +150,58 @@ class Compared(NamedTuple):
     verdict: str
 
 
-def smallest(n: int, m: int, level: float, degrees: float | None = None) -> float:
+def smallest(n: int, m: int, level: float, degrees: float) -> float:
     """Change, in deviations of one repetition, that n of the master and m since find with `POWER`.
 
-    `level` is the two-sided probability of a false alarm, `degrees` of freedom are by default
-    n - 1. The noncentral t at its quantile: P(|t'| > t(level); c) = POWER, c sqrt(1/n + 1/m).
+    `level` is the two-sided probability of a false alarm. The noncentral t of as many degrees of
+    freedom at its quantile: P(|t'| > t(level); c) = POWER, c sqrt(1/n + 1/m).
 
     >>> from cmf_mj.studies.guide_check import smallest
-    >>> round(smallest(6, 2, 0.05), 2)
+    >>> round(smallest(6, 2, 0.05, degrees=5), 2)
     2.97
     """
-    degrees = n - 1.0 if degrees is None else degrees
-    edge = float(stats.t.isf(level / 2.0, degrees))
-    with warnings.catch_warnings():  # SciPy's series may run over far from the root
-        warnings.simplefilter("ignore", RuntimeWarning)
-        shift = optimize.brentq(
-            lambda c: stats.nct.sf(edge, degrees, c) - POWER, 0.0, 20.0 * edge + 9.0
-        )
+    shift = special.nctdtrinc(degrees, 1.0 - POWER, stats.t.isf(level / 2.0, degrees))
     return float(shift * np.sqrt(1.0 / n + 1.0 / m))
 
 
 class Signed(NamedTuple):
     """Signatures of a test's repetitions, of the master and since."""
 
-    lines: Lines
-    difference: Mapping[str, Array]  #: New less master's mean by channel, (rows, legs).
-    deviation: Mapping[str, Array]  #: Of that difference, (rows, 1).
-    degrees: Mapping[str, Array]  #: Of freedom of those, (rows, 1).
-
-    @property
-    def off(self) -> Array:
-        """All differences over their deviations, (K,)."""
-        return np.concatenate([(v / self.deviation[k]).ravel() for k, v in self.difference.items()])
+    difference: Array  #: New less master's mean, (channels, rows, legs).
+    deviation: Array  #: Of that difference, (channels, rows, 1).
+    degrees: Array  #: Of freedom of those, (rows, 1).
 
     def worst(self) -> tuple[float, float]:
         """Student's t of the difference that is least by chance, and its degrees of freedom."""
-        every = [
-            np.broadcast_arrays(np.abs(v / self.deviation[k]), self.degrees[k])
-            for k, v in self.difference.items()
-        ]
-        off, degrees = (np.concatenate([one[i].ravel() for one in every]) for i in (0, 1))
-        least = int(np.argmin(stats.t.logsf(off, degrees)))
+        off = np.abs(self.difference / self.deviation)
+        degrees = np.broadcast_to(self.degrees, off.shape)
+        least = np.unravel_index(int(np.argmin(stats.t.logsf(off, degrees))), off.shape)
         return float(off[least]), float(degrees[least])
 
 
-def signed(master: Master, new: Master, name: str) -> Signed:
-    """Compare the signatures of a test; channels count that both have."""
-    lines = master.bench.lines(name, master.records[name][0].rate)
-    before, after = ([signature(r, lines) for r in one.records[name]] for one in (master, new))
-    n, m, rows = len(before), len(after), lines.size
-    difference, deviation, degrees = {}, {}, {}
-    for channel in before[0].keys() & after[0].keys():
-        old, now = (np.array([one[channel] for one in many]) for many in (before, after))
-        variance = old.var(axis=0, ddof=1).mean(axis=1)
-        parts = 0.5 * (variance[1 : 1 + rows] + variance[1 + rows :])
-        pooled = np.concatenate([variance[:1], parts, parts])[:, None]
-        floor = (_ROUND * np.abs(old).max()) ** 2
-        difference[channel] = now.mean(axis=0) - old.mean(axis=0)
-        deviation[channel] = np.sqrt(np.maximum(pooled, floor) * (1.0 / n + 1.0 / m))
-        share = np.repeat([1.0, 2.0], [1, 2 * rows])[:, None]
-        degrees[channel] = share * (n - 1.0)  # legs move together: they count as one
-    return Signed(lines, difference, deviation, degrees)
+def signed(master: Master, new: Master, name: str, channels: Sequence[str] = ()) -> Signed:
+    """Compare the signatures of a test, of some channels or all that both have."""
+    first = [one.records[name][0] for one in (master, new)]
+    chosen = channels or [c for c in SIGNED if all(c in record.channels for record in first)]
+    lines = master.bench.lines(name, first[0].rate)
+    old, now = (
+        np.array([signature(r, lines, chosen) for r in one.records[name]]) for one in (master, new)
+    )
+    n, m, rows = len(old), len(now), lines.size
+    variance = (_deviation(old) ** 2).mean(axis=2)
+    parts = 0.5 * (variance[:, 1 : 1 + rows] + variance[:, 1 + rows :])
+    pooled = np.concatenate([variance[:, :1], parts, parts], axis=1)[:, :, None]
+    floor = (_ROUND * np.abs(old).max(axis=(0, 2, 3))[:, None, None]) ** 2
+    deviation = np.sqrt(np.maximum(pooled, floor) * (1.0 / n + 1.0 / m))
+    share = np.repeat([1.0, 2.0], [1, 2 * rows])[:, None]
+    degrees = share * (n - 1.0)  # legs move together: they count as one
+    return Signed(now.mean(axis=0) - old.mean(axis=0), deviation, degrees)
+
+
+def _deviation(values: Array) -> Array:
+    """Of repetitions (n, ...); NaN of one alone."""
+    alone = np.full(values.shape[1:], np.nan)
+    return np.asarray(values.std(axis=0, ddof=1)) if len(values) > 1 else alone
 
 
 def check_same(master: Master, new: Master) -> None:
@@ -248,36 +220,33 @@ def check_same(master: Master, new: Master) -> None:
 def compare(master: Master, new: Master) -> list[Compared]:
     """Every measure and signature of every test; `verdict` says what has changed.
 
-    Of a test that was aborted in either there is a row that says so.
+    Of a test that was left out in either there is a row that says so. A master beside itself has
+    its own measures, spreads, and what as many repetitions again would find.
     """
-    check_same(master, new)
-    names = [name for name in master.bench.commands if name in master.records]
-    share = master.head.guide.false_alarm / (2.0 * len(names))
+    if new is not master:
+        check_same(master, new)
+    share = master.head.guide.false_alarm / (2.0 * max(1, len(master.records)))
+    none = float("nan")
     found = []
     for name in master.bench.commands:
         if name not in master.records or name not in new.records:
-            why = new.head.aborted.get(name) or master.head.aborted.get(name, "")
-            none = float("nan")
+            why = new.head.left_out.get(name) or master.head.left_out.get(name, "")
             blank = (none, none, none, none, none, none, none)
-            found.append(Compared(name, "", *blank, f"aborted: {why}"))
+            found.append(Compared(name, "", *blank, f"left out: {why}"))
             continue
-        mean = master.mean(name)
+        mean = master.accelerations(name).mean(axis=0)
         old, now = master.measured(name, mean), new.measured(name, mean)
-        limits = master.bench.of[name].limits
-        count = max(1, len(old[0]) - 1)
-        for measure in old[0]:
-            before, after = (np.array([one[measure] for one in many]) for many in (old, now))
-            if np.isnan(before).all() and np.isnan(after).all():
-                continue
-            limit = limits.get(measure, float("nan"))
-            found.append(_measure(name, measure, before, after, share / count, limit))
+        level = share / max(1, len(old) - 1)
+        for measure, values in old.items():
+            if not (np.isnan(values).all() and np.isnan(now[measure]).all()):
+                limit = master.bench.of[name].limits.get(measure, none)
+                found.append(_measure(name, measure, values, now[measure], level, limit))
         one = signed(master, new, name)
-        (most, degrees), least = one.worst(), share / one.off.size
-        edge = stats.t.isf(least / 2.0, degrees)
-        seen = smallest(len(old), len(now), least, degrees)
+        (most, degrees), least = one.worst(), share / one.difference.size
+        edge = float(stats.t.isf(least / 2.0, degrees))
+        seen = smallest(len(master.records[name]), len(new.records[name]), least, degrees)
         verdict = "changed" if most > edge else "as before"
-        where = (0.0, 1.0, most, most, float(edge), seen, float("nan"))
-        found.append(Compared(name, SIGNATURE, *where, verdict))
+        found.append(Compared(name, SIGNATURE, 0.0, 1.0, most, most, edge, seen, none, verdict))
     return found
 
 
@@ -285,16 +254,15 @@ def _measure(
     test: str, measure: str, old: Array, now: Array, level: float, limit: float
 ) -> Compared:
     n, m = old.size, now.size
-    before, after = old.mean(), now.mean()
-    spread = max(float(old.std(ddof=1)), _ROUND * abs(before))
+    before, after = float(old.mean()), float(now.mean())
+    spread = float(np.maximum(_deviation(old), _ROUND * abs(before)))
     edge = float(stats.t.isf(level / 2.0, n - 1))
     off = (after - before) / (spread * np.sqrt(1.0 / n + 1.0 / m))
-    seen = spread * smallest(n, m, level)
+    seen = spread * smallest(n, m, level, n - 1.0)
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
-        off, edge, seen, after = float("nan"), float("nan"), float("nan"), now.max()
+        off, edge, seen, after = float("nan"), float("nan"), float("nan"), float(now.max())
     gone = np.isnan(now).all() != np.isnan(old).all()
     verdict = "changed" if gone or abs(off) > edge else "as before"
     if abs(after) > limit:
         verdict = "beyond its limit"
-    before, spread, after = float(before), float(spread), float(after)
     return Compared(test, measure, before, spread, after, float(off), edge, seen, limit, verdict)

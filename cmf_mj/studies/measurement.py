@@ -41,6 +41,7 @@ from cmf_mj.studies.case import Case, dof_amplitude
 Array = NDArray[np.float64]
 Lines = NDArray[np.int64]
 Values = dict[str, float]  #: Measures by name, which ends in their unit.
+Measure = Callable[[Record], Values]
 
 SIGNED = ("leg_position", "valve_command", "cap_pressure", "rod_pressure")
 """Channels of a signature, where they are recorded."""
@@ -147,69 +148,60 @@ def _steps(record: Record) -> Values:
     return {f"{record.signal.axis} {k}": float(v) for k, v in shares.items()}
 
 
-def _described(record: Record) -> Values:
-    """Gain and phase of the describing function at each dwell."""
-    found: Values = {}
-    dof = record.signal.axis
-    for dwell, name, part in _dwelt(record):
-        pair = demand_and_position(record, dof, part)
-        value = metrics.describing_function(*pair, record.rate, dwell.frequency)
-        found[f"{dof} {name} gain [dB]"] = 20.0 * float(np.log10(abs(value)))
-        found[f"{dof} {name} phase [deg]"] = float(np.degrees(np.angle(value)))
-    return found
+def _at_dwells(measure: Callable[[Record, str, Dwell, slice], Values]) -> Measure:
+    """The measure of a record of single sines, from that of a dwell's samples along its axis."""
+
+    def measured(record: Record) -> Values:
+        axis = record.signal.axis
+        return {
+            f"{axis} {name} {what}": float(value)
+            for dwell, name, part in _dwelt(record)
+            for what, value in measure(record, axis, dwell, part).items()
+        }
+
+    return measured
 
 
-def _balance(record: Record) -> Values:
-    """Largest difference of two legs in phase and gain, at each dwell."""
-    found: Values = {}
-    for dwell, name, part in _dwelt(record):
-        legs = [
-            metrics.describing_function(one, other, record.rate, dwell.frequency)
-            for one, other in zip(
-                record["leg_reference"][part].T, record["leg_position"][part].T, strict=True
-            )
-        ]
-        found[f"{name} phase between legs [deg]"] = float(np.degrees(np.ptp(np.angle(legs))))
-        found[f"{name} gain between legs [dB]"] = float(np.ptp(20.0 * np.log10(np.abs(legs))))
-    return found
+def _described(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+    """Gain and phase of the describing function."""
+    pair = demand_and_position(record, dof, part)
+    value = metrics.describing_function(*pair, record.rate, dwell.frequency)
+    return {"gain [dB]": 20.0 * np.log10(abs(value)), "phase [deg]": np.degrees(np.angle(value))}
 
 
-def _noise(record: Record) -> Values:
-    """Acceleration noise of each dwell in its parts, shares of the fundamental [%]."""
-    found: Values = {}
-    dof = record.signal.axis
-    moved = accelerations(record)[:, DOFS.index(dof)]
-    for dwell, name, part in _dwelt(record):
-        noise = metrics.acceleration_noise(moved[part], record.rate, dwell.frequency)
-        for share in ("low_harmonics", "high_harmonics", "stochastic", "peak"):
-            title = share.replace("_", " ")
-            found[f"{dof} {name} {title} [%]"] = 100.0 * getattr(noise, share)
-    return found
+def _balance(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+    """Largest difference of two legs in phase and gain."""
+    pairs = zip(record["leg_reference"][part].T, record["leg_position"][part].T, strict=True)
+    legs = [metrics.describing_function(*pair, record.rate, dwell.frequency) for pair in pairs]
+    return {
+        "phase between legs [deg]": np.degrees(np.ptp(np.angle(legs))),
+        "gain between legs [dB]": np.ptp(20.0 * np.log10(np.abs(legs))),
+    }
 
 
-def _bump(record: Record) -> Values:
-    """Largest deviation of the acceleration from its fundamental at each dwell [g].
+def _noise(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+    """Acceleration noise in its parts, shares of the fundamental [%]."""
+    moved = accelerations(record)[part, DOFS.index(dof)]
+    noise = metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+    shares = ("low_harmonics", "high_harmonics", "stochastic", "peak")
+    return {f"{share.replace('_', ' ')} [%]": 100.0 * getattr(noise, share) for share in shares}
+
+
+def _bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+    """Largest deviation of the acceleration from its fundamental [g].
 
     A turn-around shows as a bump where the velocity changes its sign.
     """
-    found: Values = {}
-    dof = record.signal.axis
-    moved = accelerations(record)[:, DOFS.index(dof)]
-    for dwell, name, part in _dwelt(record):
-        noise = metrics.acceleration_noise(moved[part], record.rate, dwell.frequency)
-        size = noise.peak * noise.fundamental / units.STANDARD_GRAVITY
-        found[f"{dof} {name} bump [{by_kind(dof, 'g', 'rad/s^2 over g')}]"] = size
-    return found
+    moved = accelerations(record)[part, DOFS.index(dof)]
+    noise = metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+    size = noise.peak * noise.fundamental / units.STANDARD_GRAVITY
+    return {f"bump [{by_kind(dof, 'g', 'rad/s^2 over g')}]": size}
 
 
-def _loop_width(record: Record) -> Values:
-    """Hysteresis of each dwell [%]."""
-    dof = record.signal.axis
-    return {
-        f"{dof} {name} hysteresis [%]": 100.0
-        * metrics.hysteresis(*demand_and_position(record, dof, part), record.rate, dwell.frequency)
-        for dwell, name, part in _dwelt(record)
-    }
+def _loop_width(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+    """Hysteresis [%]."""
+    pair = demand_and_position(record, dof, part)
+    return {"hysteresis [%]": 100.0 * metrics.hysteresis(*pair, record.rate, dwell.frequency)}
 
 
 def _delay(record: Record) -> Values:
@@ -232,14 +224,14 @@ def _threshold(record: Record) -> Values:
     return {f"{step.dof} {size:.3g} threshold [s]": time}
 
 
-MEASURES: dict[str, Callable[[Record], Values]] = {
+MEASURES: dict[str, Measure] = {
     "response": _responses,
     "step": _steps,
-    "describing_function": _described,
-    "leg_balance": _balance,
-    "acceleration_noise": _noise,
-    "bump": _bump,
-    "hysteresis": _loop_width,
+    "describing_function": _at_dwells(_described),
+    "leg_balance": _at_dwells(_balance),
+    "acceleration_noise": _at_dwells(_noise),
+    "bump": _at_dwells(_bump),
+    "hysteresis": _at_dwells(_loop_width),
     "delay": _delay,
     "dynamic_threshold": _threshold,
 }
@@ -262,15 +254,13 @@ def lines_of(demand: Array, rate: float) -> Lines:
     return np.array(sorted(k for k in found if k < size.size))
 
 
-def signature(record: Record, lines: Lines) -> dict[str, Array]:
-    """Means, real and imaginary parts at lines by channel, (1 + 2 lines, legs)."""
-    found = {}
-    for name in SIGNED:
-        if name in record.channels:
-            spectrum = np.fft.rfft(record[name], axis=0)[[0, *lines]] / len(record.time)
-            parts = [spectrum[:1].real, 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag]
-            found[name] = np.concatenate(parts)
-    return found
+def signature(record: Record, lines: Lines, channels: Sequence[str] = SIGNED) -> Array:
+    """Means, real and imaginary parts at lines, (channels, 1 + 2 lines, legs)."""
+    found = []
+    for name in channels:
+        spectrum = np.fft.rfft(record[name], axis=0)[[0, *lines]] / len(record.time)
+        found.append([*spectrum[:1].real, *2.0 * spectrum[1:].real, *2.0 * spectrum[1:].imag])
+    return np.array(found)
 
 
 class RecordingMeasures(NamedTuple):

@@ -53,7 +53,7 @@ def test_a_number_that_moved_is_named_with_its_size(
     assert first.probability > 0.9
     one = next(x for x in slope.numbers if x.name == name)
     size = one.step * CHANGES[name]
-    size = 100.0 * (np.expm1(size) if one.factor else size)
+    size = 100.0 * (size if one.unit else np.expm1(size))
     assert float(first.size.split()[0]) == pytest.approx(size, rel=0.1)
 
 

@@ -14,7 +14,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
-from cmf_mj.studies.guide_check import _measure, compare, load_master, seal, signed, smallest
+from cmf_mj.studies.guide_check import _measure, compare, load_master, signed, smallest
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +39,14 @@ def test_the_smallest_change_is_found_with_its_power() -> None:
     """Drawn: 20 000 masters and checks; and for many repetitions that of the normal law."""
     n, m, level = 5, 2, 0.01
     draw = np.random.default_rng(3)
-    size = smallest(n, m, level)
+    size = smallest(n, m, level, n - 1)
     old, new = draw.normal(size=(20000, n)), size + draw.normal(size=(20000, m))
     spread = old.std(axis=1, ddof=1) * np.sqrt(1.0 / n + 1.0 / m)
     t = (new.mean(axis=1) - old.mean(axis=1)) / spread
     found = np.mean(np.abs(t) > stats.t.isf(level / 2.0, n - 1))
     assert found == pytest.approx(0.9, abs=0.01)
     normal = (stats.norm.isf(level / 2.0) + stats.norm.isf(0.1)) * np.sqrt(2.0 / 5000)
-    assert smallest(5000, 5000, level) == pytest.approx(normal, rel=0.01)
+    assert smallest(5000, 5000, level, 4999) == pytest.approx(normal, rel=0.01)
 
 
 def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
@@ -77,7 +77,7 @@ def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Pat
         pair = (master._replace(records={"all": records}) for records in (old, new))
         one = signed(*pair, "all")
         off, degrees = one.worst()
-        alarms += off > stats.t.isf(level / one.off.size / 2.0, degrees)
+        alarms += off > stats.t.isf(level / one.difference.size / 2.0, degrees)
     assert stats.binom.sf(alarms, 400, level) > 1e-3
 
 
@@ -87,20 +87,32 @@ def test_nothing_has_changed(folder: Path) -> None:
     assert {"heave peak [dB]", "repeatability [g]"} <= {row.measure for row in rows}
 
 
-def test_an_older_master_is_read_and_what_was_aborted_or_set_aside_is_said(
+def test_an_older_master_is_read_and_what_was_left_out_is_said(
     folder: Path, tmp_path: Path
 ) -> None:
-    old = edited(folder, "master", tmp_path / "old", version=None, known=None, digests=None)
-    aside = edited(folder, "new", tmp_path / "aside", set_aside={"all.2": "somebody walked in"})
+    old = edited(folder, "master", tmp_path / "old", version=None, digests=None)
+    aside = edited(folder, "new", tmp_path / "aside", left_out={"all.2": "somebody walked in"})
     assert len(load_master(aside).records["all"]) == 2
-    assert compare(load_master(old), load_master(aside))
-    again = seal(load_master(old))
+    again = load_master(old)
+    assert compare(again, load_master(aside))
     assert dict(again.head.digests) == dict(load_master(folder / "master").head.digests)
-    cut = edited(folder, "new", tmp_path / "cut", aborted={"all": "pump tripped"})
+    cut = edited(folder, "new", tmp_path / "cut", left_out={"all": "pump tripped"})
     for file in cut.glob("all.*"):
         file.unlink()
     (row,) = compare(load_master(folder / "master"), load_master(cut))
-    assert row.verdict == "aborted: pump tripped"
+    assert row.verdict == "left out: pump tripped"
+
+
+def test_a_master_beside_itself_is_as_before_and_one_recording_has_no_spread(
+    folder: Path, tmp_path: Path
+) -> None:
+    master = load_master(folder / "master")
+    rows = compare(master, master)
+    assert {row.verdict for row in rows} == {"as before"}
+    one = load_master(edited(folder, "new", tmp_path / "one", left_out={"all.1": "", "all.2": ""}))
+    assert all(np.isnan(row.found) for row in compare(one, one))
+    with pytest.raises(InputError, match="all: one recording; allowed: at least 2"):
+        compare(one, master)
 
 
 def test_a_recording_that_begins_late_is_aligned(folder: Path, tmp_path: Path) -> None:
@@ -114,8 +126,9 @@ def test_a_recording_that_begins_late_is_aligned(folder: Path, tmp_path: Path) -
         file.unlink()
         Record(time, channels, record.units, record.metadata).save(file)
     one, other = load_master(late), load_master(folder / "new")
-    for mine, theirs in zip(one.measured("all"), other.measured("all"), strict=True):
-        np.testing.assert_array_equal(list(mine.values()), list(theirs.values()))
+    mean = other.accelerations("all")[0]
+    mine, theirs = (list(each.measured("all", mean).values()) for each in (one, other))
+    np.testing.assert_array_equal(mine, theirs)
 
 
 def test_wrong_folders_and_recordings_are_refused_in_a_sentence(
@@ -157,13 +170,13 @@ def test_a_guide_is_run_checked_and_drawn_from_the_command_line(
     given = ["guide", "run", str(folder / "mine.toml"), "--recordings", str(folder / "master")]
     made = CliRunner().invoke(app, given)
     assert made.exit_code == 0, made.output
-    page = (folder / "master" / "guide.html").read_text()
-    assert page.count("<table>") == 3
-    assert 'img src="all.png"' in page
+    page = (folder / "master" / "guide.md").read_text()
+    assert page.count("\n| --- |") == 4
+    assert "![all](all.png)" in page
     out = ["--against", str(folder / "master"), "--out", str(tmp_path / "out")]
     checked = CliRunner().invoke(app, ["guide", "check", str(folder / "new"), *out])
     assert checked.exit_code == 0, checked.output
     assert "as before" in checked.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"all.png", "all_bode.png", "check.csv", "guide.html"}
+    assert names == {"all.png", "all_bode.png", "measures.csv", "guide.md"}
     assert {"surge", "surge, now"} <= drawn["all_bode.png"] and "all.png" in drawn

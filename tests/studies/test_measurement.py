@@ -93,7 +93,7 @@ def test_a_signature_holds_mean_and_amplitudes_of_a_sum_of_sines() -> None:
     record = Record(time, channels, {"leg_position": "m"}, {"sample_rate": 100.0})
     lines = lines_of(channels["leg_position"], 100.0)
     assert {2, 4, 6, 10} <= set(lines.tolist())
-    found = signature(record, lines)["leg_position"][:, 0]
+    found = signature(record, lines, ["leg_position"])[0, :, 0]
     at = {int(line): i for i, line in enumerate(lines)}
     real, imaginary = found[1 : 1 + lines.size], found[1 + lines.size :]
     assert found[0] == pytest.approx(2.0)
