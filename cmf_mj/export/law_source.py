@@ -1,4 +1,4 @@
-"""`cmf export law --form source`: a law as C99 that a reviewer reads.
+"""`cmf export law`: a law as C99 that a reviewer reads.
 
 The C stands in `c/blocks`, a file a block of the law, with two things for this module to fill in:
 lines between `#if NAME` and `#endif` stay where the law has what NAME says, and `@path@` is the
@@ -20,7 +20,6 @@ from cmf_mj.control import inverse
 from cmf_mj.control.dcl import Dcl, make_dcl
 from cmf_mj.control.law import SIGNALS, Gains, Law
 from cmf_mj.core.errors import InputError
-from cmf_mj.export.operations import operations, stated
 
 PRECISIONS = ("double", "single")  #: Sizes of a law's numbers: of 64 or of 32 bits.
 
@@ -64,13 +63,10 @@ def law_source(law: Law, carrier: str, precision: str = "double") -> dict[str, s
     numbers = _numbers(law, dcl, has)
     there = [name for name, needed in _BLOCKS.items() if has.get(needed, True)]
     source = "\n".join(_filled(f"{name}.c", has, numbers) for name in there)
-    count = operations(source, "cmf_law_step")
     modes = f"modes of {law.bound_modes.source}" if law.bound_modes else ""
     said = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
-    numbers |= {
-        "head": _comment(". ".join([*filter(None, said), f"{law.rate} frames a second."])),
-        "operations": _comment(f"A frame takes at most {stated(count)}."),
-    }
+    head = ". ".join([*filter(None, said), f"{law.rate} frames a second."])
+    numbers["head"] = _comment(head)
     files = {"cmf_law.h": _filled("cmf_law.h", has, numbers), "cmf_law.c": source}
     return {name: _of_precision(code, precision) for name, code in files.items()}
 

@@ -11,25 +11,18 @@ import subprocess
 from collections.abc import Sequence
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
-import numba
-import numpy as np
-from numpy.typing import NDArray
 
 from cmf_mj.analysis.modes import bound
-from cmf_mj.control import dcl
-from cmf_mj.control.engage import engaged
-from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.header import contents, defines
-from cmf_mj.export.law_source import LEGS, PRECISIONS, law_source
-from cmf_mj.export.machine import Frozen, Image, freeze, make_image
-from cmf_mj.export.machine_code import constant_data, machine_code
+from cmf_mj.export.header import contents
+from cmf_mj.export.law_source import PRECISIONS, law_source
+from cmf_mj.export.machine import Frozen, freeze
+from cmf_mj.export.machine_code import constant_data
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.plant import Plant
 
@@ -63,19 +56,15 @@ def machine_files(frozen: Frozen) -> Files:
     code: Files = {f"{name}.o": code for name, code in frozen.objects().items()}
     own: Files = {"cmf_data.o": constant_data(blocks), "cmf_machine.h": header}
     own["cmf.h"] = (_SOURCES / "library" / "cmf.h").read_text("utf-8").replace("2048", rate)
-    return sources("library") | code | own | mujoco_files()
+    home = Path(mujoco.__file__).parent
+    library = next(home.glob("libmujoco.so.*"))
+    own |= {library.name: library, "include": home / "include"}
+    return sources("library") | code | own | licences("mujoco", "cmf-mj")
 
 
 def sources(kind: str) -> Files:
     """What is the same in every export of a kind."""
     return {path.name: path for path in sorted((_SOURCES / kind).iterdir())}
-
-
-def mujoco_files() -> Files:
-    """MuJoCo's library and headers, with the licences."""
-    home = Path(mujoco.__file__).parent
-    library = next(home.glob("libmujoco.so.*"))
-    return {library.name: library, "include": home / "include"} | licences("mujoco", "cmf-mj")
 
 
 def licences(*packages: str) -> Files:
@@ -134,96 +123,23 @@ def _compiler() -> str:
     return compiler
 
 
-class LawParts(NamedTuple):
-    """All that a frame of a law works on."""
-
-    dcl: dcl.Dcl
-    state: dcl.DclState
-    reference: NDArray[np.float64]
-    feedback: LegFeedback
-
-
-def law_frame(parts, first, last):  # type: ignore[no-untyped-def]
-    """One frame of the law; compiled where it is used."""
-    dcl.step(parts.dcl, parts.state, parts.reference, parts.feedback)
-
-
-def law_parts(law: Law) -> LawParts:
-    """A law bound to its machine, engaged at neutral at rest."""
-    block, still = dcl.make_dcl(law, LEGS), np.zeros(LEGS)
-    feedback = LegFeedback(*(np.zeros(LEGS) for _ in LegFeedback._fields))
-    return LawParts(block, engaged(block, still, feedback), still, feedback)
-
-
-def law_code(parts: LawParts) -> bytes:
-    """Object file of a law's frame, the same for every law."""
-    return machine_code("cmf_law_code", law_frame, numba.typeof(parts))
-
-
-FORMS = ("source", "machine-code")
-"""What a law leaves Python as: C99 to read, or code that the loop's own compiler made."""
-
-
 def export_law(
     law: str | Path | Law,
     out: Path,
     cab: str | Path | Cab | None = None,
     *,
-    form: str = "source",
     precision: str = "double",
 ) -> list[Path]:
     """Write a law as C into a folder; the files written.
 
     A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area
-    are those of the cab's machine. Its `source` is C99 for any processor and is not compiled here;
-    `machine-code`, which is double, is built as a library that depends on the C library alone.
-    Raises `InputError` where there is no such law or cab, or no C compiler that is needed, where
-    the form has no such precision, and where single precision cannot hold a number of the law.
+    are those of the cab's machine. It is C99 for any processor, and is not compiled here. Raises
+    `InputError` where there is no such law, cab or precision, and where single precision cannot
+    hold a number of the law.
     """
-    check_name("form", form, FORMS)
     check_name("precision", precision, PRECISIONS)
     carrier = load_cab(cab).known_as
     chosen = bound(load_law(law), carrier)
-    if form == "source":
-        said = f"{carrier.machine.title}, cab {carrier.name}"
-        return write_files(
-            sources("source") | law_source(chosen, said, precision) | licences("cmf-mj"), out
-        )
-    if precision != "double":
-        raise InputError("precision: machine-code is double; allowed: double, or form source")
-    parts = law_parts(chosen)
-    image = make_image(parts)
-    blocks = {
-        "cmf_law_slots_data": np.frombuffer(image.slots.tobytes(), dtype=np.uint8),
-        "cmf_law_memory_data": image.block,
-    }
-    own: Files = {"cmf_law_code.o": law_code(parts), "cmf_law_data.o": constant_data(blocks)}
-    own["cmf_law_data.h"] = _header(chosen, parts, image)
-    return make(sources("law") | own | licences("cmf-mj"), out, "libcmf_law.so", ["cmf_law.c"])
-
-
-def _header(law: Law, parts: LawParts, image: Image) -> str:
-    states = [f'{{"{name}", {image.at[f"state.{name}"]}}}' for name in parts.state.arrays()]
-    inputs = ["reference", *(f"feedback.{name}" for name in LegFeedback._fields)]
-    numbers = {
-        "NAME": f'"{law.name}"',
-        "LEGS": LEGS,
-        "WORDS": image.block.size // 8,
-        "SLOTS": image.slots.size,
-        "STATES": ", ".join(states),
-        "POINTERS": ", ".join(map(str, image.pointers)),
-        "INPUTS": ", ".join(str(image.at[path]) for path in inputs),
-        "OUTPUT": image.at["dcl.workspace.output"],
-        "COMMAND": image.at["dcl.workspace.command"],
-    }
-    lines = [f"/* {law.title.replace('*', '')}", " *"]
-    lines += [" * x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]; y in per cent of full command,"]
-    lines += [" * u in in, in/s, in s, in/s^2, Pa, lbf, per leg or hydraulic mode."]
-    lines += [f" * A frame is 1/{law.rate} s.", " *"]
-    lines += [f" * A {law.state_gain}, C {law.output_gain}"]
-    for letter, gains in (("B", law.input_gain), ("D", law.direct_gain)):
-        values = {name: getattr(gains, name) for name in SIGNALS}
-        lines += [f" * {letter} {name} {gain}" for name, gain in values.items() if np.any(gain)]
-    lines += [" */", "#ifndef CMF_LAW_DATA_H", "#define CMF_LAW_DATA_H"]
-    lines += defines("CMF_LAW", numbers)
-    return "\n".join([*lines, "#endif", ""])
+    said = f"{carrier.machine.title}, cab {carrier.name}"
+    source = law_source(chosen, said, precision)
+    return write_files(sources("source") | source | licences("cmf-mj"), out)

@@ -60,7 +60,7 @@ def attach_hydraulics(
     >>> cmf_mj.attach_hydraulics(press, ["lift"]).legs
     1
     """
-    spec, parameters, neutral = equipped(model, cylinders, hydraulics, timestep)
+    spec, parameters, neutral = _equipped(model, cylinders, hydraulics, timestep)
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
@@ -81,16 +81,13 @@ def attach_hydraulics(
     return plant
 
 
-def equipped(
+def _equipped(
     model: str | Path | mujoco.MjSpec,
     cylinders: Sequence[str] | Mapping[str, float | None],
     hydraulics: str | Path | HydraulicParameters = "hardware",
     timestep: float = FRAME,
 ) -> tuple[mujoco.MjSpec, HydraulicParameters, dict[str, float]]:
-    """The editable model with a motor and stops a cylinder, the set, and lengths at half stroke.
-
-    Arguments and refusals are those of `attach_hydraulics`.
-    """
+    """The editable model with a motor and stops a cylinder, the set, and lengths at half stroke."""
     spec, parameters = opened(model), load_hydraulics(hydraulics)
     if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")

@@ -21,9 +21,10 @@ from cmf_mj import (
     simulate,
 )
 from cmf_mj.control.dcu.play import Arrivals
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import ExportedChannel, channels
-from cmf_mj.export.library import export_library
+from cmf_mj.export.library import export_library, make
 from cmf_mj.export.machine import freeze
 from cmf_mj.facility.operation import operate
 from cmf_mj.plant.events import KINDS, Event
@@ -81,6 +82,25 @@ def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[E
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ExportedChannel]]:
     return export(Hexapod(), "velocity", tmp_path_factory.mktemp("noisy"), True)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("CC", "no-such-compiler", "cc: there is no C compiler"),
+        ("machine", "arm64", "system: Linux"),
+    ],
+)
+def test_without_compiler_or_on_another_system_nothing_is_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, field: str, value: str, said: str
+) -> None:
+    if field == "CC":
+        monkeypatch.setenv(field, value)
+    else:
+        monkeypatch.setattr("platform.machine", lambda: value)
+    with pytest.raises(InputError, match=said):
+        make({"cmf.h": ""}, tmp_path / "out", "libcmf.so", [])
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -1,20 +1,23 @@
 """Machine code of the loop is made once: what is exported after it compiles nothing."""
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import fmpy
+import numba
 import numpy as np
 import pytest
 from hydraulic_equations import changed
 
 from cmf_mj import Hexapod, SingleLegs, load_law
+from cmf_mj.core.errors import RunError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export import machine_code
 from cmf_mj.export.fmu import export_fmu
-from cmf_mj.export.library import export_law, export_library
+from cmf_mj.export.library import export_library
 from cmf_mj.export.machine_code import kept
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters import hydraulics_of
@@ -44,6 +47,21 @@ def test_what_is_kept_is_that_of_its_sources(folder: Path) -> None:
     assert len(list(folder.glob("code-*"))) == 1 and len(list(folder.iterdir())) == 2
 
 
+def test_code_that_calls_what_no_one_knows_is_refused() -> None:
+    """As where another Numba leaves calls of its own, of Python's say, in the code."""
+
+    def known(parts, first, last):  # type: ignore[no-untyped-def]
+        parts[0][0] = math.tanh(parts[0][0])
+
+    def unknown(parts, first, last):  # type: ignore[no-untyped-def]
+        parts[0][0] = math.erf(parts[0][0])
+
+    kind = numba.typeof((np.zeros(1),))
+    assert machine_code.machine_code("known", known, kind)
+    with pytest.raises(RunError, match="machine code of unknown: calls erf; Numba has changed"):
+        machine_code.machine_code("unknown", unknown, kind)
+
+
 @pytest.mark.slow
 def test_exports_after_the_first_compile_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -65,13 +83,11 @@ def test_exports_after_the_first_compile_nothing(
 
     monkeypatch.setattr(machine_code, "kept", noted)
     export_fmu(Hexapod(), "velocity", tmp_path / "first.fmu")
-    export_law("velocity", tmp_path / "law", form="machine-code")
     first = set(asked)
     noise, other = ElectronicsSettings(), tmp_path / "other.fmu"
     export_fmu(Hexapod(machine=slow, hydraulics=oil), "velocity", other, fmi=3, electronics=noise)
     export_library(Hexapod(machine=lab), load_law(lab.law), tmp_path / "b")
     export_library(SingleLegs(), None, tmp_path / "c")
-    export_law("modal_plan", tmp_path / "e", form="machine-code")
     assert set(asked) == first and len(asked) >= len(first) + 4
     unzipped = fmpy.extract(str(other), str(tmp_path / "other"))
     given, expected = (

@@ -3,8 +3,6 @@
  * A cmf_law is plain memory of the caller's, any number of them. Nothing is allocated, nothing is
  * shared, and nothing but the mathematics library is called. Arrays have one entry a leg, or a
  * hydraulic mode where it says so. Lengths are extensions from neutral, positive out.
- *
- * @operations@
  */
 #ifndef CMF_LAW_H
 #define CMF_LAW_H
