@@ -6,7 +6,7 @@ import numpy as np
 from fuzzing import damaged
 
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.facility.host.stream import HostSession, make_stream, write_stream
+from cmf_mj.facility.host.stream import make_stream, write_arrivals, write_stream
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.columns import write_facility_csv
@@ -52,9 +52,7 @@ def make_files(folder: Path, generator: np.random.Generator) -> list[str]:
     write_facility_csv(small_record(), folder / "facility.csv")
     write_stream(stream, folder / "stream.csv")
     write_stream(stream, folder / "stream.parquet")
-    HostSession(Arrivals(26 * number, number, time, stream.values), 900).save(
-        folder / "host.parquet"
-    )
+    write_arrivals(Arrivals(26 * number, number, time, stream.values), folder / "host.parquet")
     small_flight().save(folder / "flight.csv")
     small_flight().save(folder / "flight.parquet")
     small_flight().motion.save(folder / "motion.csv")

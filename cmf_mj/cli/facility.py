@@ -155,7 +155,7 @@ def serve_command(
     tables = [report.account_table(operation, received, refused)]
     if operation.timing is not None:
         tables.append(report.timing_table(operation.timing))
-    arrivals = operation.session.arrivals
+    arrivals = operation.arrivals
     doubts = unit_doubts(arrivals.time, arrivals.values[:, 0], plant.machine)
     show(*tables, *doubts, _end(operation), written(paths))
 

@@ -19,5 +19,4 @@ if "cmf_mj/Hexapod-v0" not in gymnasium.registry:
     gymnasium.register(
         "cmf_mj/Hexapod-v0",
         entry_point="cmf_mj.environments.environment:HexapodEnv",
-        vector_entry_point="cmf_mj.environments.vector:hexapods",
     )

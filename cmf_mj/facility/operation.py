@@ -5,7 +5,7 @@
 
 `operate` runs recorded or made-up frames as fast as it can; `serve` runs the machine in real time
 on frames from the network. Both give an `Operation`: the record, what became of the host's frames,
-and the session, which run again gives the same demand bit for bit.
+and the frames as they arrived, on which `operate` gives the same demand bit for bit.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME, LONGEST
 from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring
-from cmf_mj.facility.host.stream import HostSession, HostStream
+from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
@@ -56,7 +56,7 @@ class Operation(NamedTuple):
     """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale`,
     `host_late`, `host_clock` (rate of the play clock) and `valve_gain` besides those of
     `simulate`."""
-    session: HostSession  #: The host's frames as they arrived.
+    arrivals: Arrivals  #: The host's frames as they arrived.
     counts: dict[str, int]  #: What the DCU made of the frames: accepted, late, missing and so on.
     rejections: dict[str, int]  #: Frames the DCU refused, by reason.
     unused: dict[str, int]
@@ -105,7 +105,7 @@ def operate(
     run = _hosted(plant, law, arrivals, seconds, options)
     session = run.session()
     _advance(session, progress)
-    return _operation(session, run, arrivals, {}, None)
+    return _operation(session, arrivals, {}, None)
 
 
 def serve(
@@ -146,7 +146,7 @@ def serve(
     arrivals = logged(log, int((log.frame < NEVER).sum()))
     unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
     timing = None if pace is None else Timing(pace.busy, pace.late, machine.frame)
-    return _operation(session, run, arrivals, unused, timing)
+    return _operation(session, arrivals, unused, timing)
 
 
 def _hosted(
@@ -183,23 +183,17 @@ def _advance(
 
 
 def _operation(
-    session: Session,
-    run: Run,
-    arrivals: Arrivals,
-    unused: dict[str, int],
-    timing: Timing | None,
+    session: Session, arrivals: Arrivals, unused: dict[str, int], timing: Timing | None
 ) -> Operation:
-    assert run.operation is not None
     time, channels, units = session.history()
-    state, unit = session.source.dcu_state, dcu_of(session.plant.machine, run.operation.dcu)
+    state = session.source.dcu_state
     late = float(channels["host_late"].mean()) * session.frame / session.rate
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
         "host_late": late,
     }
     record = Record(time, channels, units, session.describe() | context)
-    played = HostSession(arrivals, session.frame, np.array(run.start), unit)
-    return Operation(record, played, state.counts, state.rejections, unused, timing)
+    return Operation(record, arrivals, state.counts, state.rejections, unused, timing)
 
 
 def account(
@@ -219,7 +213,7 @@ def account(
     came to its port.
     """
     counts, refused = dict(operation.counts), dict(operation.rejections)
-    arrived = operation.session.arrivals.frame.size
+    arrived = operation.arrivals.frame.size
     unused = {name: operation.unused.get(name, 0) for name in ("early", "lost", "thinned")}
     before = arrived + sum(unused.values())
     all_frames = before if received is None else received

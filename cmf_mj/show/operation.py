@@ -4,6 +4,7 @@ Of capacity, what a manoeuvre took out of the supply; and the envelope, the larg
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from cmf_mj.core import units
 from cmf_mj.core.result import Result, Table
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
+from cmf_mj.facility.host.stream import write_arrivals
 from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.facility.replay import Replay
 from cmf_mj.facility.run import Run
@@ -189,7 +191,7 @@ def save_operation(
     received: int | None = None,
     datagrams: Mapping[str, int] | None = None,
 ) -> list[Path]:
-    """Write record, host session, account and figures of a run.
+    """Write record, host's frames, account and figures of a run.
 
     `record.parquet`, `host.parquet`, `account.csv` and `operation.png`; in real time also
     `timing.csv` (all percentiles in steps of 0.1) and `timing.png`.
@@ -197,7 +199,7 @@ def save_operation(
     counts = account(operation, received, datagrams)
     files: dict[str, Any] = {
         "record.parquet": operation.record,
-        "host.parquet": operation.session,
+        "host.parquet": partial(write_arrivals, operation.arrivals),
         "account.csv": {"name": counts.keys(), "count": counts.values()},
         "operation.png": overview_figure(operation.record),
     }

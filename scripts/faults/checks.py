@@ -82,7 +82,7 @@ def _speed(run: Run) -> tuple[float, float]:
     """Largest speed and acceleration of the host as the machine's clock sees them."""
     plan, column = run.plan, DOFS.index(run.plan.dof)
     if plan.door == "telemetry":
-        values = [p.operation.session.arrivals.values for p in run.parts]
+        values = [p.operation.arrivals.values for p in run.parts]
         rows = np.concatenate(values)[:, 1:]
         largest = np.abs(rows).max(axis=(0, 2)) if rows.size else np.zeros(2)
         return float(largest[0]), float(largest[1])
@@ -106,7 +106,7 @@ def hulls(frames: NDArray[np.int64], poses: Array, count: int, second: int) -> t
 
 def _own(part: Part, door: str) -> tuple[NDArray[np.int64], Array]:
     """Arrival frames and poses of what the host means, without what it cannot mean."""
-    arrivals = part.operation.session.arrivals
+    arrivals = part.operation.arrivals
     pose = arrivals.values[:, 0]
     true = np.isfinite(arrivals.values).all(axis=(1, 2))
     if door != "telemetry":  # there what is wild is flown

@@ -21,7 +21,7 @@ import cmf_mj
 from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Loader, Settings, validated
-from cmf_mj.facility.host.stream import HostSession, read_stream
+from cmf_mj.facility.host.stream import read_arrivals, read_stream
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
@@ -144,7 +144,7 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("facility.csv", read_mapped),
         ("stream.csv", read_stream),
         ("stream.parquet", read_stream),
-        ("host.parquet", HostSession.load),
+        ("host.parquet", read_arrivals),
         ("flight.csv", load_flight),
         ("flight.parquet", load_flight),
         ("motion.csv", load_flight),

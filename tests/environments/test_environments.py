@@ -1,6 +1,5 @@
 """The Gymnasium environments: checked, repeatable, side by side, and what they say they do."""
 
-import time
 import warnings
 from typing import Any
 
@@ -9,12 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AsyncVectorEnv
 
 from cmf_mj import InputError, attach_hydraulics, drive, load_law, pose_to_legs, simulate
 from cmf_mj.environments import MachineEnv, ObservedQuantity
 from cmf_mj.environments.environment import HexapodEnv
-from cmf_mj.environments.vector import ThreadVectorEnv, hexapods
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns, load_unknowns
@@ -85,32 +82,25 @@ def test_a_seed_gives_its_bits_again_and_another_seed_others(options: dict[str, 
     assert run(first, 3) != run(first, 4)
 
 
-def test_threads_give_the_bits_of_one_environment_after_the_other() -> None:
-    with_two, alone = hexapods(num_envs=3, threads=2), [HexapodEnv() for _ in range(3)]
-    seen, infos = with_two.reset(seed=7)
+def test_processes_give_the_bits_of_one_environment_after_the_other() -> None:
+    """The run of 1/16 s ends in between: each is reset by the step after."""
+    many = gymnasium.make_vec(
+        "cmf_mj/Hexapod-v0", num_envs=2, vectorization_mode="async", seconds=0.0625
+    )
+    alone = [HexapodEnv(seconds=0.0625) for _ in range(2)]
+    seen, infos = many.reset(seed=7)
     for index, env in enumerate(alone):
         own, info = env.reset(seed=7 + index)
         assert (own == seen[index]).all() and (info["target"] == infos["target"][index]).all()
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6)).astype(np.float32)
-    for _ in range(5):
-        seen, rewards, *_ = with_two.step(actions)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 6)).astype(np.float32)
+    for ended in (False, True):
+        seen, rewards, _, cut, _ = many.step(actions)
         for index, env in enumerate(alone):
             own, reward, *_ = env.step(actions[index])
             assert (own == seen[index]).all() and reward == rewards[index]
-    with_two.close()
-
-
-def test_processes_of_many_cores_give_the_bits_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: 8)
-    vectors = [hexapods(num_envs=2, threads=threads) for threads in (None, 2)]
-    assert [type(one) for one in vectors] == [AsyncVectorEnv, ThreadVectorEnv]
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 6)).astype(np.float32)
-    found = []
-    for vector in vectors:
-        seen = [vector.reset(seed=7)[0].copy()] + [vector.step(actions)[0].copy() for _ in range(3)]
-        found.append(np.array(seen).tobytes())
-        vector.close()
-    assert found[0] == found[1]
+        assert cut.tolist() == [ended] * 2
+    assert many.step(actions)[3].tolist() == [False] * 2
+    many.close()
 
 
 def test_a_pose_demand_is_the_run_of_that_ramp() -> None:
@@ -260,9 +250,6 @@ def test_wrong_options_are_refused_by_name() -> None:
         (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),
         (lambda: HexapodEnv(seconds=float("inf")), "seconds: inf is refused"),
         (lambda: HexapodEnv(seconds="2"), "seconds: holds <U1"),  # type: ignore[arg-type]
-        (lambda: hexapods(num_envs=0), "num_envs: 0 is refused"),
-        (lambda: hexapods(num_envs=1.5), r"num_envs: 1\.5 is refused"),
-        (lambda: hexapods(num_envs=1, threads=0), "threads: 0 is refused"),
     ):
         with pytest.raises(InputError, match=words):
             make()
@@ -285,52 +272,3 @@ def test_wrong_options_of_a_reset_are_refused_by_name(make: Any, options: Any, w
     """NaN gave a reward of NaN, another shape a failure inside NumPy, another name nothing."""
     with pytest.raises(InputError, match=words):
         make().reset(seed=1, options=options)
-
-
-@pytest.mark.parametrize(
-    "actions", [np.zeros((2, 6)), np.array([[0.0] * 6, [np.nan] * 6, [0] * 6])]
-)
-def test_a_vector_steps_all_its_environments_or_none(actions: Any) -> None:
-    """A refused action left the others a step ahead, on threads that still ran."""
-    vector = hexapods(num_envs=3, threads=2)
-    vector.reset(seed=4)
-    with pytest.raises(InputError, match=r"(?s)actions: .* finite numbers of shape \(3, 6\)"):
-        vector.step(actions)
-    vector.close()
-    assert [env.unwrapped.session.frame for env in vector.envs] == [0, 0, 0]
-
-
-def test_vectors_are_made_by_gymnasium() -> None:
-    made = gymnasium.make_vec(
-        "cmf_mj/Hexapod-v0",
-        num_envs=2,
-        vectorization_mode="vector_entry_point",
-        seconds=0.0625,
-    )
-    assert isinstance(made.unwrapped, ThreadVectorEnv)
-    made.reset(seed=0)
-    ends = [made.step(np.zeros((2, 6), dtype=np.float32)) for _ in range(3)]
-    assert [end[3].tolist() for end in ends] == [[False] * 2, [True] * 2, [False] * 2]
-    made.close()
-
-
-@pytest.mark.slow
-def test_threads_do_not_hold_one_another_up() -> None:
-    """In processor time two threads waste little: what they wasted would show in every pair.
-
-    A core that another process shares makes this process slower for a moment, not in all pairs.
-    """
-
-    def cost(threads: int) -> float:
-        vector = hexapods(num_envs=8, threads=threads, seconds=60.0)
-        vector.reset(seed=0)
-        still = np.zeros((8, 6), dtype=np.float32)
-        vector.step(still)
-        begun = time.process_time()
-        for _ in range(40):
-            vector.step(still)
-        spent = time.process_time() - begun
-        vector.close()
-        return spent
-
-    assert min(cost(2) / cost(1) for _ in range(6)) < 1.15

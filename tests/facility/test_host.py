@@ -22,7 +22,7 @@ from cmf_mj import signals
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.play import Arrivals, feed, upsample
-from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
+from cmf_mj.control.dcu.state import make_dcu, resting
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.host.handover import (
     NEVER,
@@ -35,14 +35,15 @@ from cmf_mj.facility.host.handover import (
 )
 from cmf_mj.facility.host.stream import (
     HostFrame,
-    HostSession,
     HostStream,
     differentiate,
     from_command,
     make_stream,
+    read_arrivals,
     read_stream,
     resample,
     unit_doubts,
+    write_arrivals,
     write_stream,
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
@@ -201,27 +202,20 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not a readable Parquet file"):
         read_stream(tmp_path / "none.parquet")
     path = write_stream(wave(), tmp_path / "run.parquet")
-    with pytest.raises(ValueError, match="carries no cmf_mj_host header"):
-        HostSession.load(path)
+    with pytest.raises(ValueError, match="control_frame: column is missing"):
+        read_arrivals(path)
 
 
-def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> None:
+def test_bad_frames_come_back_bit_for_bit(tmp_path: Path) -> None:
     arrivals = arrivals_of(wave(120))
     arrivals.values[30, 1, 2] = np.nan
     arrivals.values[31, 0, 0] = np.inf
     arrivals.time[40] = np.nan
     arrivals.sequence[50] = 49
     arrivals.frame[60:] += 400
-    table = load_dcu().model_dump()
-    table["delay"]["transmission"]["value"] = 11.0
-    session = HostSession(arrivals, 4000, np.full(6, 0.01), DcuSettings.model_validate(table))
-    demand = session.replay()
-    again = HostSession.load(session.save(tmp_path / "session.parquet"))
-    assert again.settings == session.settings
-    for left, right in zip(arrivals, again.arrivals, strict=True):
+    again = read_arrivals(write_arrivals(arrivals, tmp_path / "host.parquet"))
+    for left, right in zip(arrivals, again, strict=True):
         assert left.tobytes() == right.tobytes()
-    assert again.replay().tobytes() == demand.tobytes()
-    assert np.ptp(demand[:, 0]) > 0.05
 
 
 # Datagrams
@@ -535,7 +529,7 @@ def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
     assert counts["lost"] == counts["thinned"] == 0
     assert counts["wrong_sender"] > 0.5 * done.garbage
     assert counts["received"] == counts["early"] + counts["after_end"] + (
-        done.operation.session.arrivals.frame.size
+        done.operation.arrivals.frame.size
     )
 
 
@@ -650,8 +644,8 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
     assert state.counts["accepted"] + int(state.rejected.sum()) + refused == len(datagrams)
 
 
-def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
+def test_no_frames_of_a_silent_host_are_kept(tmp_path: Path) -> None:
     number, none = np.arange(0), np.zeros((0, 3, 6))
-    session = HostSession(Arrivals(number, number, number / 80.0, none), 900)
-    again = HostSession.load(session.save(tmp_path / "session.parquet"))
-    assert again.arrivals.values.shape == none.shape and again.frames == 900
+    path = tmp_path / "host.parquet"
+    write_arrivals(Arrivals(number, number, number / 80.0, none), path)
+    assert read_arrivals(path).values.shape == none.shape

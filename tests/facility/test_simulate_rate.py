@@ -13,6 +13,7 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import dcu_of
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
@@ -100,7 +101,7 @@ def test_the_facility_follows_a_host_at_another_rate() -> None:
     for rate in (1000, 2048):
         plant = Hexapod(machine=machine(rate))
         run = operate(plant, "velocity", make_stream(time, pose), electronics=None, record_every=10)
-        delay = sum(run.session.settings.delay.parts(rate).values())
+        delay = sum(dcu_of(plant.machine).delay.parts(rate).values())
         late = run.record.time[(run.record.time > 1.5) & (run.record.time < 2.8)]
         demand = np.interp(late, run.record.time, run.record["demand_pose"][:, 2])
         meant = 0.02 * (1.0 - np.cos(np.pi * (late - delay)))

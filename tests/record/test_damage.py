@@ -18,7 +18,7 @@ import pytest
 from cmf_mj import InputError
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.files import write_parquet
-from cmf_mj.facility.host.stream import HostSession
+from cmf_mj.facility.host.stream import read_arrivals, write_arrivals
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.record.record import Record
 from cmf_mj.studies.engine import JOURNAL, SPECIFICATION, Journal
@@ -34,21 +34,20 @@ def record() -> Record:
     return Record(np.arange(rows) / 128.0, legs, dict.fromkeys(legs, "m"), metadata)
 
 
-def session() -> HostSession:
+def arrivals() -> Arrivals:
     number = np.arange(32)
     values = GENERATOR.normal(size=(32, 3, 6))
-    return HostSession(Arrivals(26 * number, number, number / 80.0, values), 900)
+    return Arrivals(26 * number, number, number / 80.0, values)
 
 
-def content(thing: Record | HostSession | Flight) -> Any:
+def content(thing: Record | Arrivals | Flight) -> Any:
     """Everything that a reader gives, to the bit."""
     if isinstance(thing, Record):
         arrays, rest = dict(thing.channels) | {"time": thing.time}, [thing.units, thing.metadata]
     elif isinstance(thing, Flight):
         arrays, rest = {**thing.motion.columns(), **thing.others}, [thing.origin.model_dump()]
     else:
-        arrays = thing.arrivals._asdict() | {"start": thing.start}
-        rest = [thing.frames, thing.settings.model_dump()]
+        arrays, rest = thing._asdict(), []
     return [(n, v.dtype, v.shape, v.tobytes()) for n, v in arrays.items()], json.dumps(rest)
 
 
@@ -67,7 +66,7 @@ def flipped(path: Path, generator: np.random.Generator) -> Iterator[int]:
     ("name", "write", "read"),
     [
         ("run.parquet", lambda path: record().save(path), Record.load),
-        ("host.parquet", lambda path: session().save(path), HostSession.load),
+        ("host.parquet", lambda path: write_arrivals(arrivals(), path), read_arrivals),
         ("flight.parquet", lambda path: load_flight("gusts").save(path), load_flight),
     ],
     ids=["record", "host", "flight"],

@@ -4,34 +4,30 @@ Derivatives of a stream of poses are those of the quintic spline through them (n
 Its pieces are what the DCU puts between two frames, so that the demand is that spline. It looks
 ahead and rings at jumps: take it for histories without; a host that steps sends zero derivatives.
 
-In files streams and sessions are CSV and Parquet tables of the same columns, SI:
+In files streams, and what came of them in a run, are tables of the same columns, SI:
 
 time                                           [s]
 surge, sway, heave, roll, pitch, yaw           pose [m, rad], z down
 surge_velocity ... yaw_velocity                [m/s, rad/s]      both or neither
 surge_acceleration ... yaw_acceleration        [m/s^2, rad/s^2]
 sequence                                       optional
-control_frame                                  sessions only
+control_frame                                  in which it came, of a run
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 from scipy.interpolate import BPoly, make_interp_spline
 
-from cmf_mj.control.dcu.play import Arrivals, upsample
-from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core import units
 from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import read_column, read_headed, read_table, write_parquet, write_table
-from cmf_mj.core.settings import FileHeader, validated
+from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import Machine
@@ -266,15 +262,7 @@ def unit_doubts(
 
 
 _KINDS = ("", "_velocity", "_acceleration")
-_SCHEMA_KEY = "cmf_mj_host"
-
-
-class StreamHeader(FileHeader):
-    """What the schema of a session's file holds."""
-
-    frames: Annotated[int, Field(ge=0)]  #: Control frames of the run.
-    start: Annotated[list[float], Field(min_length=6, max_length=6)]  #: Pose before.
-    settings: dict[str, Any]  #: Of the DCU.
+_ARRIVED = "control_frame"  #: Column that sessions alone have.
 
 
 def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
@@ -308,42 +296,22 @@ def write_stream(stream: HostStream, path: str | Path) -> Path:
     return write_table(_table(stream.sequence, stream.time, stream.values), Path(path))
 
 
-@dataclass(frozen=True)
-class HostSession:
-    """Everything a DCU got in a run, good or bad, and all it takes to run it again."""
+def write_arrivals(frames: Arrivals, path: str | Path) -> Path:
+    """Write what a DCU got in a run, good or bad, as Parquet; `operate` runs it again."""
+    table = _table(frames.sequence, frames.time, frames.values)
+    return write_parquet(table.append_column(_ARRIVED, pa.array(frames.frame)), Path(path))
 
-    arrivals: Arrivals  #: Frames with the control frame in which they reached the DCU.
-    frames: int  #: Control frames of the run.
-    start: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
-    """Pose the demand rested at before [m, rad], (6,)."""
-    settings: DcuSettings = field(default_factory=load_dcu)  #: The DCU.
 
-    def replay(self) -> NDArray[np.float64]:
-        """The demand (frames, 3, 6) of the run, bit for bit."""
-        compiled = make_dcu(self.settings)
-        return upsample(compiled, resting(compiled, self.start), self.arrivals, self.frames)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the session as Parquet; the file appears only when it is complete."""
-        table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
-        table = table.append_column("control_frame", pa.array(self.arrivals.frame))
-        start = np.asarray(self.start, dtype=float).tolist()
-        header = {"frames": self.frames, "start": start, "settings": self.settings.model_dump()}
-        return write_parquet(table, Path(path), (_SCHEMA_KEY, header))
-
-    @staticmethod
-    def load(path: str | Path) -> "HostSession":
-        """Read a session written by `save`; numbers come back bit for bit."""
-        source = Path(path)
-        table, header = read_headed(source, _SCHEMA_KEY, StreamHeader)
-        frame, sequence = (
-            read_column(source, table, name, pa.int64()) for name in ("control_frame", "sequence")
-        )
-        values = np.stack([_motion(source, table, kind) for kind in _KINDS], axis=1)
-        time = read_column(source, table, "time")
-        arrivals = Arrivals(frame, sequence, time, np.ascontiguousarray(values))
-        settings = validated(DcuSettings, header.settings, f"{source}: settings")
-        return HostSession(arrivals, header.frames, np.array(header.start), settings)
+def read_arrivals(path: str | Path) -> Arrivals:
+    """Read what `write_arrivals` wrote; numbers come back bit for bit."""
+    source = Path(path)
+    table = read_table(source)
+    frame, sequence = (
+        read_column(source, table, name, pa.int64()) for name in (_ARRIVED, "sequence")
+    )
+    values = np.stack([_motion(source, table, kind) for kind in _KINDS], axis=1)
+    time = read_column(source, table, "time")
+    return Arrivals(frame, sequence, time, np.ascontiguousarray(values))
 
 
 def _table(
