@@ -124,7 +124,6 @@ def runs_of(root: Path, results: Path, comparison: bool) -> dict[str, list[str]]
     for name, table in tomllib.loads(CASES.read_text(encoding="utf-8")).items():
         file = results / f"{name}.toml"
         file.parent.mkdir(parents=True, exist_ok=True)
-        table["outputs"] = {"plot": False}
         file.write_text(_toml(table), encoding="utf-8")
         runs[name] = ["-c", _CMF, "run", str(file), "--out", str(results / name)]
     host = str(root / "scenarios" / "host_flight.toml")

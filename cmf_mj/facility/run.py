@@ -37,7 +37,6 @@ from cmf_mj.facility.settings import (
     Due,
     Gains,
     HostChain,
-    Outputs,
     SessionSettings,
     Signals,
     built_or_named,
@@ -114,7 +113,6 @@ class Run(Arguments):
     """Keep one control frame in this many."""
     command_delay: Annotated[int, BeforeValidator(whole_number), Field(ge=0, le=RATE)] = 1
     """Control frames from the DCL to the valves."""
-    outputs: Outputs = Outputs()  #: What `cmf run` writes.
     change: tuple[Change, ...] = ()  #: What changes, in order of time; of signals.
 
     @field_validator("*")

@@ -68,7 +68,7 @@ def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
     def one(key: str, value: Any) -> Any:
         if isinstance(value, Mapping):
-            return value if key == "outputs" else _located(value, folder)
+            return _located(value, folder)
         if isinstance(value, tuple):
             return tuple(one("", entry) for entry in value)
         named = key in _FILES and isinstance(value, str) and ".toml" in value

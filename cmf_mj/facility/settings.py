@@ -1,7 +1,7 @@
 """Parts of a run's description, as scenario files have them and as a session takes them.
 
-`HostChain` is the way from host to valves, `Change` what changes from a frame on, `Outputs` what
-`cmf run` writes; `SessionSettings` is what a session is given. Below are checks that a description
+`HostChain` is the way from host to valves, `Change` what changes from a frame on;
+`SessionSettings` is what a session is given. Below are checks that a description
 fits its plant, and laws with changed gains. `Run` is made of all of them.
 """
 
@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 
 from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.play import Arrivals
@@ -23,7 +23,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.settings import Settings, Time, checked_name, merged, name_or, validated
+from cmf_mj.core.settings import Settings, Time, merged, name_or, validated
 from cmf_mj.core.units import INCH, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, Source, from_host
@@ -77,16 +77,6 @@ def built_or_named(value: Any) -> Any:
 def plural(one: str, many: str, default: Any = ()) -> Any:
     """A field of several, which a file has by the name of one: `[[event]]`."""
     return Field(default, validation_alias=AliasChoices(one, many), serialization_alias=one)
-
-
-def _ending(*allowed: str) -> AfterValidator:
-    def check(name: str) -> str:
-        if Path(name).suffix not in allowed or Path(name).name != name:
-            raise InputError(f"must be a plain file name that ends in {' or '.join(allowed)}")
-        checked_name(Path(name).stem)
-        return name
-
-    return AfterValidator(check)
 
 
 class Push(Settings):
@@ -244,15 +234,6 @@ class SessionSettings(NamedTuple):
     protection: ProtectionSettings | None = None
     electronics: ElectronicsSettings | None = None
     dcu: DcuSettings | None = None  #: Of a run with a host.
-
-
-class Outputs(Settings):
-    """What `cmf run` writes, besides the scenario itself."""
-
-    record: Annotated[str, _ending(".parquet")] | Literal[False] = "record.parquet"
-    """All signals, or false."""
-    plot: Annotated[str, _ending(".png", ".svg", ".pdf")] | Literal[False] = "overview.png"
-    """Figure of demand, response, valves and pressures, or false."""
 
 
 @lru_cache

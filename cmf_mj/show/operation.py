@@ -75,19 +75,15 @@ def overview_figure(
 
 
 def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
-    """Write what a scenario asks for under `outputs`, and the scenario itself.
-
-    The scenario goes to `scenario.toml`, with absolute names of the files in it.
-    """
-    outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
-    if outputs.record:
-        paths.append(record.save(folder / outputs.record))
-    if outputs.plot:
-        changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
-        events = [event.at for event in scenario.events]
-        figure = overview_figure(record, scenario.title, changes, events)
-        paths.append(look.save_figure(figure, folder / outputs.plot))
-    return paths
+    """Write the scenario, with absolute names of the files in it, its record and a figure."""
+    changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
+    events = [event.at for event in scenario.events]
+    files = {
+        "scenario.toml": partial(save_scenario, scenario),
+        "record.parquet": record,
+        "overview.png": overview_figure(record, scenario.title, changes, events),
+    }
+    return look.save_files(files, folder)
 
 
 def _operating(axis: Axes, record: Record) -> None:

@@ -86,14 +86,12 @@ def test_failure(mine: str, tmp_path: Path) -> None:
 
 def test_run(mine: str, tmp_path: Path) -> None:
     scenario = tmp_path / "mine.toml"
-    scenario.write_text(
-        f'law = "modal_plan"\ncab = "{mine}"\nduration = 0.5\noutputs = {{ plot = false }}\n'
-    )
+    scenario.write_text(f'law = "modal_plan"\ncab = "{mine}"\nduration = 0.5\n')
     cmf("run", str(scenario), "--out", str(tmp_path / "out"))
     record = Record.load(tmp_path / "out" / "record.parquet")
     assert list(record.metadata["law_parameters"]["modes"]) == ["heavy_cab"]
     assert record.metadata["scenario"]["cab"] == mine
-    scenario.write_text("duration = 0.1\noutputs = { plot = false }\n")
+    scenario.write_text("duration = 0.1\n")
     cmf("run", str(scenario), "--cab", mine, "--out", str(tmp_path / "other"))
     other = Record.load(tmp_path / "other" / "record.parquet")
     assert other.metadata["cab"] == "heavy_cab"

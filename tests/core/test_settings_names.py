@@ -20,7 +20,6 @@ from cmf_mj.core.settings import checked_name, validated
 from cmf_mj.electronics.converter import load_converters
 from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.scenario import scenario_names
-from cmf_mj.facility.settings import Outputs
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.models import CABS
@@ -132,12 +131,6 @@ def test_so_is_the_name_of_a_model() -> None:
         attach_hydraulics(press, ["lift"])
     press.modelname = "press 3.1"
     assert attach_hydraulics(press, ["lift"]).name == "press 3.1"
-
-
-@pytest.mark.parametrize("stem", ["../x", "n" * 300, "a[/b]c", "a\nb"])
-def test_so_is_a_file_of_a_scenario(stem: str) -> None:
-    with pytest.raises(InputError, match="output: record: .* is refused"):
-        validated(Outputs, {"record": f"{stem}.parquet"}, "output")
 
 
 def test_all_shipped_and_generated_names_pass() -> None:

@@ -60,7 +60,6 @@ def test_every_field_survives_the_file(tmp_path: Path) -> None:
         event=[{"at": 0.1, "kind": "valve_hard_over", "leg": 2, "size": [50.0, "%"]}],
         electronics={"sensors": "ideal"},
         operation={"begin": "engaged", "request": [{"at": 0.2, "request": "hold"}]},
-        outputs={"record": False, "plot": "a.svg"},
         change=[{"at": 0.1, "signal": [], "fade": 0.0}, {"frame": 999, "push": {}}],
     )
     assert load_scenario(save_scenario(full, tmp_path / "full.toml")) == full
@@ -98,10 +97,6 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
         ({"change": [{"at": 1.0, "request": "hold"}]}, "request 'hold' needs [operation]"),
         ({"change": [{"at": 1.0, "failure": [{"kind": "valve_dead"}]}]}, "leg: is missing"),
         ({"plant": "single_legs", "operation": {}}, "operation: is for the hexapod"),
-        (
-            {"outputs": {"record": "../x.parquet"}},
-            "must be a plain file name that ends in",
-        ),
     ],
 )
 def test_what_is_refused_is_named(table: dict[str, Any], said: str) -> None:
