@@ -8,7 +8,6 @@ A recording at a lower rate, such as the facility's 128 Hz, is brought to the ma
 cubic splines, which cannot be exact: what lay between the samples is lost.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.arrays import check_finite, real
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.electronics.sensors import at_frame
@@ -83,14 +82,11 @@ def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-un
         output[frame] = dcl.workspace.output
 
 
-def replay(
-    record: Record, law: str | Law | None = None, feedback: Mapping[str, str] | None = None
-) -> Replay:
+def replay(record: Record, law: str | Law | None = None) -> Replay:
     """Run a law on the recorded demand and feedback of a run, by default the law that made it.
 
     The record has `leg_reference`, `leg_position` and whatever else the law reads, at the control
-    rate or a whole fraction of it. `feedback` names the recorded channel of a feedback where it is
-    not that of `FEEDBACK`.
+    rate or a whole fraction of it.
     """
     made = record.metadata
     cab = recorded_cab(made)
@@ -105,7 +101,7 @@ def replay(
         allowed = f"allowed: {carrier.rate} Hz over an integer"
         raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
     frames_per_row = int(ratio)
-    histories = _feedback(record, loaded, feedback or {})
+    histories = _feedback(record, loaded)
     reference = _legs(record, "leg_reference")
     if frames_per_row > 1:
         reference = _interpolated(reference, frames_per_row)
@@ -145,17 +141,15 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     return np.array(values, order="C")  # the compiled law takes writable ones only
 
 
-def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback:
+def _feedback(record: Record, law: Law) -> LegFeedback:
     """Histories (N, n) of what the DCL reads; zeros of what is neither recorded nor needed.
 
     What gravity adds to accelerometers is added to recorded accelerations where the law of the
     record read them without gravity and this law reads them with it, and subtracted in the
     opposite case.
     """
-    for name in names:
-        check_name("feedback", name, FEEDBACK)
     histories = []
-    for field, channel in (FEEDBACK | dict(names)).items():
+    for field, channel in FEEDBACK.items():
         acting = (
             field == "position"
             or (field == "velocity" and law.reads_velocity)
@@ -166,12 +160,12 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback
                 for gains in (law.direct_gain, law.input_gain)
             )
         )
-        if acting and channel not in record.channels:
+        present = channel in record.channels
+        if acting and not present:
             raise InputError(
                 f"{channel}: is not recorded, and the law {law.name} reads it; recorded: "
                 f"{', '.join(record.channels)}"
             )
-        present = channel in record.channels
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
     read = LegFeedback(*histories)
@@ -179,7 +173,7 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback
     sensors = (made.get("electronics") or {}).get("sensors", {})
     without = made.get("law_parameters", {}).get("gravity_compensation", True)
     shift = int(bool(without)) - int(law.gravity_compensation)
-    recorded = "acceleration" not in names and FEEDBACK["acceleration"] in record.channels
+    recorded = FEEDBACK["acceleration"] in record.channels
     if shift and recorded and sensors.get("gravity", False):
         felt = gravity_history(_legs(record, "leg_position"), recorded_machine(made))
         read.acceleration[:] += shift * felt

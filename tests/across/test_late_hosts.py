@@ -302,7 +302,7 @@ class Native:
 
 def test_a_host_of_80_hz_that_comes_at_72_is_followed_over_udp() -> None:
     stream = sine(0.005, 80.0, 10.0, 0.2 / 0.9)
-    rows = iter(stream.frames())
+    rows = map(stream.row, range(stream.time.size))
     with UdpReceiver() as receiver, socket.socket(type=socket.SOCK_DGRAM) as line:
         door = Native(receiver)
 

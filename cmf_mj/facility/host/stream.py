@@ -14,7 +14,6 @@ sequence                                       optional
 control_frame                                  in which it came, of a run
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,10 +65,6 @@ class HostStream(NamedTuple):
     def values(self) -> NDArray[np.float64]:
         """Pose, velocity and acceleration, (N, 3, 6)."""
         return np.stack([self.pose, self.velocity, self.acceleration], axis=1)
-
-    def frames(self) -> Iterator[HostFrame]:
-        """The frames one by one."""
-        return (self.row(index) for index in range(self.time.size))
 
     def row(self, index: int) -> HostFrame:
         """One frame."""
