@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +19,9 @@ from pydantic import (
     PlainValidator,
     ValidationError,
     field_validator,
+    model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from cmf_mj.core.errors import InputError, reason, similar, unknown_name
 from cmf_mj.core.units import LONGEST
@@ -57,6 +59,9 @@ def in_range(value: Any) -> Any:
     return value
 
 
+_UNKNOWN = "unknown_field"  #: Kind of the error of a key that a table has not.
+
+
 class Settings(BaseModel):
     """A table of a settings file: immutable, no unknown keys, numbers `in_range`."""
 
@@ -66,6 +71,19 @@ class Settings(BaseModel):
     @classmethod
     def _numbers(cls, value: Any) -> Any:
         return in_range(value)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, table: Any) -> Any:
+        taken, named = {}, []
+        for name, field in cls.model_fields.items():
+            named += [] if field.exclude else [field.serialization_alias or name]
+            taken |= dict.fromkeys([name, *getattr(field.validation_alias, "choices", ())])
+        others = table.keys() - taken if isinstance(table, Mapping) else ()
+        for key in sorted(others) if cls.model_config["extra"] == "forbid" else ():
+            said = f"is not a known field; allowed: {', '.join(sorted(named))}{similar(key, named)}"
+            raise PydanticCustomError(_UNKNOWN, "{said}", {"said": f"{key}: {said}"})
+        return table
 
 
 def name_or(*loaded: type) -> PlainValidator:
@@ -201,11 +219,11 @@ def validated(model: type[Model], table: object, where: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise _refusal(model, error, where) from None
+        raise _refusal(error, where) from None
 
 
-def _refusal(model: type[BaseModel], error: ValidationError, where: str) -> InputError:
-    said = [_explain(model, e, where) for e in error.errors()]
+def _refusal(error: ValidationError, where: str) -> InputError:
+    said = [_explain(e, where) for e in error.errors()]
     more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
     return InputError("\n".join(said[:_FAULTS] + more))
 
@@ -218,7 +236,7 @@ class Arguments(Settings):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            lines = str(_refusal(type(self), error, "")).splitlines()
+            lines = str(_refusal(error, "")).splitlines()
             raise InputError("\n".join(line.removeprefix(": ") for line in lines)) from None
 
 
@@ -344,18 +362,16 @@ def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
     return path
 
 
-def _explain(model: type[BaseModel], error: Any, where: str) -> str:
+def _explain(error: Any, where: str) -> str:
     # Names pydantic gives to the alternatives of a union are no keys of the file.
     location = [str(part) for part in error["loc"] if not set("[(-") & set(str(part))]
     field = ".".join(location)
     message = error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]
-    if not field:
+    if not field and error["type"] != _UNKNOWN:
         return "\n".join(f"{where}: {line}" for line in message.splitlines())
-    if error["type"] == "extra_forbidden":
-        names = _field_names(model, location[:-1])
-        said = f"{', '.join(names)}{similar(location[-1], names)}"
-        return f"{where}: {field}: is not a known field; allowed: {said}"
+    if error["type"] == _UNKNOWN:
+        return f"{where}: {'.'.join([*location, message])}"
     if error["type"] == "missing":
         return f"{where}: {field}: is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
@@ -363,30 +379,3 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
     given = repr(error["input"])
     given = given if len(given) <= _SHOWN else f"{given[:_SHOWN]}..."
     return f"{where}: {field}: {given} is refused: {allowed}"
-
-
-def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
-    tags: dict[Any, type[BaseModel]] = {}
-    for part in path:
-        known = {one.serialization_alias: one for one in model.model_fields.values()}
-        if field := model.model_fields.get(part) or known.get(part):
-            within = _models_in(field.annotation)
-            tags = {tag: one for one in within for tag in _tags(one)}
-            model = within[0] if len(within) == 1 else model
-        elif part in tags:
-            model = tags[part]
-    fields = [(name, field) for name, field in model.model_fields.items() if not field.exclude]
-    return sorted(field.serialization_alias or name for name, field in fields)
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Settings classes in an annotation: itself, of a list's elements, or of a union."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
-
-
-def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    """Values of `kind` that tell a class from the others of its union."""
-    kind = model.model_fields.get("kind")
-    return () if kind is None else get_args(kind.annotation)

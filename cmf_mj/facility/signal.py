@@ -1,7 +1,7 @@
 """What a run demands: signals, made block by block as it goes, or a table that was made before.
 
 The module has three parts. `ScenarioSignal` is the signals of scenario files: those of
-`cmf_mj.signals`, and two from files. Here a step and a pulse need no `duration`, a sine without
+`cmf_mj.signals`, and host files. Here a step and a pulse need no `duration`, a sine without
 `cycles` goes on for ever, and a multisine is faded. `added` is the sum of several.
 
 `LayeredDemand` lets motions take over from each other as a run goes, and a feed makes blocks of
@@ -31,7 +31,6 @@ from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
-from cmf_mj.record.record import Record
 from cmf_mj.signals import composite, single
 from cmf_mj.signals.composite import quintic
 from cmf_mj.signals.signal import (
@@ -69,11 +68,6 @@ class FadedMultisine(single.Multisine):
     fade: Wait = 1.0
 
 
-def _check_file(file: str) -> None:
-    if not Path(file).is_file():
-        raise InputError(f"{file}: cannot be read: there is no such file")
-
-
 class HostFile(Signal):
     """A host's frames from a CSV or Parquet file, joined by quintics."""
 
@@ -83,7 +77,8 @@ class HostFile(Signal):
     """How velocities are made where the file has none."""
 
     def _check(self) -> None:
-        _check_file(self.file)
+        if not Path(self.file).is_file():
+            raise InputError(f"{self.file}: cannot be read: there is no such file")
 
     def command(self, seed: int = 0) -> Command:
         """Poses from the first frame's time to the last one's."""
@@ -94,23 +89,6 @@ class HostFile(Signal):
         check_length(float(since[-1]), self.rate)
         time = np.arange(int(np.floor(since[-1] * self.rate + 1e-9)) + 1) / self.rate
         return Command(BPoly.from_derivatives(since, stream.values)(time), self)
-
-
-class Recorded(Signal):
-    """The demand of a record of an earlier run."""
-
-    kind: Literal["recorded"]
-    file: str  #: Parquet record with a `demand_pose` of every frame.
-
-    def _check(self) -> None:
-        _check_file(self.file)
-
-    def command(self, seed: int = 0) -> Command:
-        """The recorded demand."""
-        record = Record.load(self.file)
-        if abs(record.rate - self.rate) > 1e-9:
-            raise InputError(f"{self.file}: sample_rate: {record.rate:g}; allowed: {self.rate} Hz")
-        return Command(record["demand_pose"], self)
 
 
 ScenarioSignal = Annotated[
@@ -125,8 +103,7 @@ ScenarioSignal = Annotated[
     | composite.FadedSines
     | composite.AccelerationStep
     | composite.Waypoints
-    | HostFile
-    | Recorded,
+    | HostFile,
     Field(discriminator="kind"),
 ]
 """Any signal of a scenario file, by its `kind`."""

@@ -70,7 +70,7 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "b.parquet").touch()
-    path.write_text("law = 'mine.toml'\n[[signal]]\nkind = 'recorded'\nfile = 'a/b.parquet'\n")
+    path.write_text("law = 'mine.toml'\n[[signal]]\nkind = 'host'\nfile = 'a/b.parquet'\n")
     found = load_scenario(path)
     assert found.law == str(tmp_path / "mine.toml")
     assert found.signal[0].model_dump()["file"] == str(tmp_path / "a" / "b.parquet")
