@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj.analysis.spectra import SEGMENT
-from cmf_mj.core.arrays import check_finite
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian
@@ -48,10 +48,9 @@ def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
 
 def checked_legs(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
     """A leg channel (N, n) of finite numbers; for a degree of freedom none is beyond the stops."""
-    values = record[channel]
-    if values.ndim != 2 or values.size == 0:
+    values = shaped(channel, record[channel], None, None)
+    if values.size == 0:
         raise InputError(f"{channel}: shape is {values.shape}; allowed: rows of a number a leg")
-    check_finite(channel, values)
     if not dof.startswith("leg_"):
         most = recorded_machine(record.metadata).half_stroke + _ELASTIC
         beyond = np.abs(values) > most

@@ -68,14 +68,6 @@ def shaped(
     return array
 
 
-def check_finite(name: str, values: NDArray[np.float64]) -> None:
-    """Refuse rows of numbers that are not finite."""
-    bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
-
-
 def frozen(values: ArrayLike) -> NDArray[np.float64]:
     """A read-only view, which cannot be made writable, of the array itself or of a copy.
 

@@ -19,7 +19,7 @@ from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.arrays import check_finite, real
+from cmf_mj.core.arrays import real, shaped
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
@@ -133,12 +133,10 @@ def _begun(record: Record, law: Law, legs: int) -> DclState | None:
 
 def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     """A copy of a channel with a column for each leg, (N, n), finite and as long as positions."""
-    values = record[channel]
-    legs = record["leg_position"].shape
-    if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
-        raise InputError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
-    check_finite(channel, values)
-    return np.array(values, order="C")  # the compiled law takes writable ones only
+    rows, legs = shaped("leg_position", record["leg_position"], None, None).shape
+    if rows < 2:
+        raise InputError(f"leg_position: has {rows} rows; allowed: at least 2")
+    return shaped(channel, record[channel], rows, legs)
 
 
 def _feedback(record: Record, law: Law) -> LegFeedback:

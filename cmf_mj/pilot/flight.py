@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
-from cmf_mj.core.arrays import FrozenDict, check_finite, frozen
+from cmf_mj.core.arrays import FrozenDict, frozen, shaped
 from cmf_mj.core.errors import InputError, reason, unknown_name, within
 from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import FileHeader, Settings, check_file, parsed_json, validated
@@ -76,13 +76,9 @@ class Flight:
 
     def __post_init__(self) -> None:
         """Freeze the other columns; lengths and numbers that are not finite are refused by name."""
-        others = {name: np.array(values, dtype=float) for name, values in self.others.items()}
-        for name, values in others.items():
-            if values.shape != self.motion.time.shape:
-                raise InputError(f"{name}: shape {values.shape}; allowed: {self.motion.time.shape}")
-            check_finite(name, values)
-        frozen_others = {name: frozen(values) for name, values in others.items()}
-        object.__setattr__(self, "others", FrozenDict(frozen_others))
+        count = self.motion.time.size
+        others = {name: frozen(shaped(name, one, count)) for name, one in self.others.items()}
+        object.__setattr__(self, "others", FrozenDict(others))
 
     def save(self, path: str | Path) -> Path:
         """Write as CSV or Parquet, by the name's end; the file appears when it is complete."""
