@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from fuzz_files import make_files
 
+from cmf_mj import SingleLegs, signals, simulate
+
 LINES = {
     "run": "run heave_step --out {out}",
     "compare": "compare --laws velocity --dofs heave --quick --out {out}",
@@ -12,7 +14,7 @@ LINES = {
     "capacity": "capacity --signal sine --dofs heave --out {out}",
     "linearize": "linearize --out {out}",
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
-    "measure": "measure --record --out {out}",
+    "measure": "measure {swept} --out {out}",
     "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
@@ -47,7 +49,10 @@ def line_of(words: str, folder: Path) -> list[str]:
     (source := folder / "files").mkdir()
     make_files(source, np.random.default_rng(19))
     names = {"facility": "facility.csv", "stream": "stream.csv", "motion": "motion.csv"}
-    names |= {"campaign": "campaign.toml"}
+    names |= {"campaign": "campaign.toml", "swept": "swept.parquet"}
+    if words == "measure":
+        chirp = signals.chirp("heave", 0.004, duration=24.0)
+        simulate(SingleLegs(), "velocity", chirp, record_every=16).save(source / "swept.parquet")
     places = {name: str(source / file) for name, file in names.items()}
     recording = str(source / "run.parquet")
     return LINES[words].format(out=folder / "out", recording=recording, **places).split()

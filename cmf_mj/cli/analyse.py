@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Option
 
@@ -14,7 +14,6 @@ from cmf_mj.cli.common import (
     app,
     friction_option,
     in_si,
-    noise_choice,
     pose_option,
     progress_bar,
     show,
@@ -22,9 +21,6 @@ from cmf_mj.cli.common import (
 )
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
-
-if TYPE_CHECKING:
-    from cmf_mj.studies.case import Case
 
 command = partial(app.command, rich_help_panel="Analyse")
 drawing = options.drawing(command)
@@ -94,54 +90,20 @@ def modes_command(
 
 @drawing("measure")
 def measure_command(
-    files: options.Recordings = None,
-    record: Annotated[bool, Option("--record", help="write the rounds of a session")] = False,
-    law: options.Law = "velocity",
+    files: options.Recordings,
     dof: options.Dof = "heave",
-    plant: options.PlantName = "hexapod",
     machine: options.Machine = "cmf",
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "hardware",
-    amplitude: options.Amplitude = None,
-    noise: options.Noise = False,
     estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
     columns: options.Columns = None,
     out: options.Out = Path("out/measure"),
 ) -> None:
-    """Measure the response in recordings (rounds of one), or record the rounds of a session."""
+    """Measure the response in recordings, the rounds of one session."""
     from cmf_mj.show import measurement as report
-    from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import measure_recordings
 
-    if record == bool(files):
-        raise InputError("files: name recordings, or use --record, not both and not neither")
-    if files:
-        measures = measure_recordings(files, dof, estimator, columns, machine)
-        paths = report.save_recordings(measures, out)
-        return show(report.recordings_table(measures), written(paths))
-    how: dict[str, Any] = {"amplitude": in_si(dof, amplitude), "electronics": noise_choice(noise)}
-    _record(make_case(law, dof, plant, cab, hydraulics, **how), out)
-
-
-def _record(case: Case, out: Path) -> None:
-    """Run five rounds of seven sines, and write five CSV files of the facility."""
-    from cmf_mj.core import units
-    from cmf_mj.core.files import in_folder
-    from cmf_mj.machine.geometry import dof_index, dof_unit
-    from cmf_mj.record.columns import write_facility_csv
-    from cmf_mj.signals.peaks import peaks
-    from cmf_mj.studies.measurement import facility_session, session_commands
-
-    rounds = [peaks(command) for command in session_commands(case.dof, case.size, case.on)]
-    index, unit = dof_index(case.dof), dof_unit(case.dof)
-    velocity, acceleration = (
-        units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in rounds))
-        for kind in ("velocity", "acceleration")
-    )
-    show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
-    for number, record in enumerate(facility_session(case), start=1):
-        name = f"{record.metadata['law']}_{case.dof}_{number}of{len(rounds)}.csv"
-        print(write_facility_csv(record, in_folder(out, name)))
+    measures = measure_recordings(files, dof, estimator, columns, machine)
+    paths = report.save_recordings(measures, out)
+    show(report.recordings_table(measures), written(paths))
 
 
 def parse_orders(text: str) -> tuple[int, int, int]:
@@ -155,7 +117,7 @@ def parse_orders(text: str) -> tuple[int, int, int]:
 
 @drawing("identify")
 def identify_command(
-    files: options.Recordings = None,
+    files: options.SomeRecordings = None,
     simulate: options.Simulate = False,
     law: options.OtherLaw = None,
     dof: options.AnyDof = "heave",

@@ -194,7 +194,8 @@ FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxH
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
-Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
+_files = Argument(help="facility CSV or Parquet files")
+Recordings, SomeRecordings = Annotated[list[Path], _files], Annotated[list[Path] | None, _files]
 _MAP = "TOML file of `cmf recording new`; default the facility's columns"
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]

@@ -26,17 +26,14 @@ from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import legs_to_pose
-from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
+from cmf_mj.machine.machine import load_machine, recorded_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.record.columns import load_columns, read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
-from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command, Dwell
-from cmf_mj.studies.case import Case, dof_amplitude
+from cmf_mj.signals.signal import Dwell
 
 Array = NDArray[np.float64]
 Lines = NDArray[np.int64]
@@ -52,26 +49,6 @@ _DRIVEN = 1e-3  # amplitude of a line over the largest, from which on it is one
 CROSSTALK = 1.0  #: Frequency at which crosstalk is read [Hz].
 
 SMOOTH = 10.0  #: Frequency below which positions are differentiated to accelerations [Hz].
-
-
-def session_commands(
-    dof: str, amplitude: float | None = None, machine: str | Machine = CMF
-) -> list[Command]:
-    """The five rounds of seven sines of Table 2-3, within a machine's operational limits.
-
-    `amplitude` of each sine [m or rad] defaults to the report's 0.33 in or 0.2 deg.
-    """
-    size = dof_amplitude(dof) if amplitude is None else amplitude
-    numbers = range(1, len(composite.ROUNDS) + 1)
-    commands = [composite.seven_sines(dof, size, number) for number in numbers]
-    for command in commands:
-        check_limits(command, machine=machine)
-    return commands
-
-
-def facility_session(case: Case) -> list[Record]:
-    """The facility's frequency-response session: five rounds of seven sines, at 128 Hz."""
-    return on_threads(case.run, session_commands(case.dof, case.size, case.on))
 
 
 def demand_and_position(record: Record, dof: str, part: slice = slice(None)) -> tuple[Array, Array]:

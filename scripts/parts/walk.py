@@ -31,7 +31,7 @@ from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.facility.host.stream import from_command, write_stream
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.signals import sine
+from cmf_mj.signals import chirp, sine
 
 HYDRAULICS: Mapping[str, Mapping[str, tuple[float, str]]] = {
     "friction": {"coulomb_friction": (60.0, "N"), "breakaway_friction": (70.0, "N")},
@@ -56,7 +56,7 @@ COMMANDS: dict[str, str] = {
     "modes": "modes {cabs} --samples 90 --rounds 0 --points 3",
     "compare": "compare {machine} --dofs heave --quick --no-records",
     "guide run": f"guide run {GUIDE} {{machine}} --repetitions 2",
-    "measure": "measure --record {machine}",
+    "measure": "measure swept.parquet {machine}",
     "identify": "identify {machine} --simulate --orders 2,1,1 --method arx",
     "run": "run run.toml {cab}",
     "replay": "replay record.parquet",
@@ -171,6 +171,8 @@ def write_inputs(folder: Path, kind: Kind) -> None:
     command = sine("heave", 0.004, 2.0, cycles=4.0)
     record = cmf_mj.simulate(plant, law, command, record_every=8)
     record.save(folder / "record.parquet")
+    swept = cmf_mj.simulate(plant, law, chirp("heave", 0.002, duration=24.0), record_every=8)
+    swept.save(folder / "swept.parquet")
     write_stream(from_command(command), folder / "host.csv")
     flight = load_flight("turn")
     short = flight.motion.time < flight.motion.time[0] + 6.0

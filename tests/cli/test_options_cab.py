@@ -114,7 +114,6 @@ def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:
         ("failure", "pump_lost"),
         ("run", "heave_sine"),
         ("linearize",),
-        ("measure", "--record"),
         ("video",),
         ("tune",),
     ],

@@ -11,17 +11,18 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
 from cmf_mj.cli.common import app
+from cmf_mj.core.threads import on_threads
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import read_mapped, write_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.studies.case import AMPLITUDE, RECORDER, make_case
-from cmf_mj.studies.measurement import facility_session
 
 
 def written(plant: str, folder: Path) -> list[Path]:
     """The five files of a session; its records, which are large, are gone."""
-    session = facility_session(make_case("velocity", "heave", plant))
+    rounds = [composite.seven_sines("heave", AMPLITUDE, number) for number in range(1, 6)]
+    session = on_threads(make_case("velocity", "heave", plant).run, rounds)
     return [write_facility_csv(r, folder / f"{i}of5.csv") for i, r in enumerate(session, start=1)]
 
 
@@ -123,13 +124,7 @@ def test_rounds_of_different_rates_or_without_demand_are_refused() -> None:
         rounds_response([coarse, fine])
 
 
-def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
-    made = CliRunner().invoke(
-        app, ["measure", "--record", "--plant", "single_legs", "--out", str(tmp_path / "r")]
-    )
-    assert made.exit_code == 0, made.output
-    files = sorted((tmp_path / "r").glob("*.csv"))
-    assert [path.name for path in files] == [f"velocity_heave_{i}of5.csv" for i in range(1, 6)]
+def test_files_are_measured_from_the_command_line(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "m"
     measured = CliRunner().invoke(app, ["measure", *map(str, files), "--out", str(out)])
     assert measured.exit_code == 0, measured.output
