@@ -74,7 +74,7 @@ class Settings(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _known(cls, table: Any) -> Any:
+    def _no_other_keys(cls, table: Any) -> Any:
         taken, named = {}, []
         for name, field in cls.model_fields.items():
             named += [] if field.exclude else [field.serialization_alias or name]

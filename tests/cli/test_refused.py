@@ -45,7 +45,7 @@ REFUSED = {
     "linearize --dofs twist": "twist",
     "linearize --pose 0,0,-60,0,0,0": "pose: puts leg",
     "measure missing.csv": "missing.csv",
-    "measure notes.txt": "ending '.txt' is not one of .csv, .parquet",
+    "measure notes.txt": "notes.txt: cannot be read",
     "measure a.csv --estimator h3": "estimator: 'h3' is not one of h1",
     "measure a.csv --dof up": "dof: 'up' is not one of surge",
     "failure fire": "event: 'fire' is not one of pump_lost",

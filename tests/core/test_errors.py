@@ -97,7 +97,7 @@ def test_a_step_with_gaps_is_not_left_out_of_a_figure() -> None:
     legs[-1] = np.nan
     broken = changed(STEP, leg_position=legs)
     result = CaseResult(make_case("velocity"), None, Measures(), broken, 0.0, 0.0)
-    with pytest.raises(InputError, match="leg_position: row"):
+    with pytest.raises(InputError, match=r"leg_position\[\d+, 0\]: nan"):
         step_figure([result])
 
 

@@ -76,7 +76,7 @@ def test_a_file_without_units_and_origin_is_in_si(name: str, tmp_path: Path) -> 
 
 def test_what_cannot_be_loaded_or_saved_is_named(tmp_path: Path) -> None:
     flight = example()
-    with pytest.raises(ValueError, match=r"airspeed: shape \(3,\); allowed: \(40,\)"):
+    with pytest.raises(ValueError, match=r"airspeed: shape is \(3,\); allowed: \(40,\)"):
         Flight(flight.motion, flight.origin, {"airspeed": np.zeros(3)})
     for refused in (flight.save, load_flight):
         with pytest.raises(ValueError, match=r"must end in .csv or .parquet"):
