@@ -89,7 +89,7 @@ PYTHONS ?= 3.11 3.12 3.13
 
 # Environments of their own in build/versions; `pre` only tells.
 test-versions:
-	$(PYTHON) scripts/check_versions.py lowest newest plain pre --pythons $(PYTHONS)
+	$(PYTHON) scripts/check_versions.py lowest newest pre --pythons $(PYTHONS)
 
 links: $(VENV)/ready-dev
 	$(SPHINX) --builder dummy -D plot_gallery=0 -D smartquotes=0 docs build/links

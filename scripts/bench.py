@@ -12,11 +12,10 @@ open-loop run of `tests/crosscheck` in Exudyn over ours: with steps of one frame
 with steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
 frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
 --many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall
-and what the process grew by meanwhile. --plain adds the CPU time of a Numba without its inside
-(`cmf_mj/core/numba_inside.py`) over that of one with it: to compile a first run, and of a frame.
---flight adds the seconds flown per second of one processor, washout, whole facility, record and
-comparison of what is felt included, and that time over as many bare steps. --study adds the cost of
-a linear case of the `mismatch` study, and the processor time of one process over that of two.
+and what the process grew by meanwhile. --flight adds the seconds flown per second of one processor,
+washout, whole facility, record and comparison of what is felt included, and that time over as many
+bare steps. --study adds the cost of a linear case of the `mismatch` study, and the processor time
+of one process over that of two.
 --exports adds the CPU time of a first FMU with nothing kept, and that of others over it.
 """
 
@@ -37,7 +36,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from check_versions import PLAIN
 from joblib import Parallel, delayed, parallel_config
 from numba import njit
 from threadpoolctl import threadpool_limits
@@ -144,36 +142,6 @@ def against_exudyn(repeat: int) -> dict[str, float]:
     }
 
 
-HEAVE = """
-import time
-from cmf_mj import Hexapod, signals, simulate
-command, times = signals.sine("heave", 0.02, 1.0, cycles=8), [time.process_time()]
-plant = Hexapod()
-for _ in range(9):
-    simulate(plant, "velocity", command)
-    times.append(time.process_time())
-print(times[1] - times[0], min(b - a for a, b in zip(times[1:], times[2:])))
-"""
-"""CPU times of a first run with nothing compiled, and the least of another."""
-
-
-def against_plain(repeat: int) -> dict[str, float]:
-    """CPU time of compiling and running by `njit` alone over that with the inside of Numba."""
-    times: dict[str, list[list[float]]] = {"": [], PLAIN: []}
-    with tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {"NUMBA_CACHE_DIR": folder}
-        for _ in range(repeat):
-            for before, rows in times.items():
-                command = [sys.executable, "-c", before + HEAVE]
-                done = subprocess.run(
-                    command, env=environment, check=True, capture_output=True, text=True
-                )
-                rows.append([float(word) for word in done.stdout.split()])
-    (first, _), (plain, _) = (rows[0] for rows in times.values())
-    own, other = (min(row[1] for row in rows) for rows in times.values())
-    return {"plain_compile": round(plain / first, 1), "plain_frame": round(other / own, 2)}
-
-
 def ten_thousand() -> dict[str, float]:
     """Seconds by the clock for 10 000 heave cases of a second, and growth in memory [MiB]."""
     time_axis = np.arange(RATE) / RATE
@@ -278,8 +246,6 @@ def table(result: dict[str, Any]) -> Table:
         "second_compare_s": "the same again [s]",
         "many_s": "10 000 one-second heave cases, `simulate_many`, two cores [s]",
         "many_growth_mib": "memory that the last 9000 of them took [MiB]",
-        "plain_compile": "CPU time to compile by `njit` alone over that with Numba's inside",
-        "plain_frame": "the same of a frame",
         "flight_real_time_factor": "seconds flown with the pilot per second of one processor",
         "flight": "a flight's time over as many bare steps of the headless model",
         "study_case_s": "a linear case of the `mismatch` study, processor time [s]",
@@ -309,7 +275,6 @@ def main() -> None:
     parser.add_argument("--start", action="store_true", help="also import, help, first comparison")
     parser.add_argument("--exudyn", action="store_true", help="also against Exudyn")
     parser.add_argument("--many", action="store_true", help="also ten thousand short cases")
-    parser.add_argument("--plain", action="store_true", help="also against plain njit")
     parser.add_argument("--flight", action="store_true", help="also a flight")
     parser.add_argument("--study", action="store_true", help="also a study in two processes")
     parser.add_argument("--exports", action="store_true", help="also exports")
@@ -362,8 +327,6 @@ def main() -> None:
         result |= starting(dict(os.environ))
     if options.many:
         result |= ten_thousand()
-    if options.plain:
-        result |= against_plain(3)
     if options.flight:
         with native.untimed():
             result |= flying(3, lambda count: bare_seconds(headless, load, count))

@@ -4,9 +4,8 @@
 
 Each pair of versions and Python gets a virtual environment of its own below `--folder`. The lowest
 are those that pyproject.toml names, of the package and its extras; what these need in turn, and
-the tools of the tests, are as new as goes with them. With `plain`, the newest Numba has lost one of
-the names of its inside that the compiler takes (`cmf_mj/core/numba_inside.py`). A failure ends with
-status 1; one of `pre` is only reported.
+the tools of the tests, are as new as goes with them. A failure ends with status 1; one of
+`pre` is only reported.
 """
 
 import argparse
@@ -34,15 +33,6 @@ TOOLS = (
 BY_NAME = ("mujoco", "numba")
 """Packages whose pre-releases are tried, by `pre`."""
 
-PLAIN = "\ndel UserWideCacheLocator\n"
-"""What `plain` adds to `numba.core.caching`."""
-
-OF_THE_INSIDE = (
-    *("core/test_compiled.py", "export/test_law.py"),
-    *("across/test_fuzz_cli.py", "across/test_fuzz_files.py"),
-)
-"""Tests that import the compiler's inside, or export, which needs it and says so without."""
-
 _NEEDED = re.compile(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?>=([0-9.]+)")
 
 
@@ -58,24 +48,21 @@ def install(python: str, kind: str, folder: Path) -> Path:
     """An environment with the versions of a kind; its interpreter."""
     here = folder / f"{kind}-{python}"
     subprocess.run([f"python{python}", "-m", "venv", "--clear", here], check=True)
-    inside = here / "bin" / "python"
+    interpreter = here / "bin" / "python"
     pins = lowest((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     (here / "pins.txt").write_text("\n".join(pins) + "\n", encoding="utf-8")
-    pip = [str(inside), "-m", "pip", "install", "--quiet"]
+    pip = [str(interpreter), "-m", "pip", "install", "--quiet"]
     subprocess.run([*pip, "--upgrade", "pip"], check=True)
     limits = ["--constraint", str(here / "pins.txt")] if kind == "lowest" else []
     package = f"{ROOT}[{','.join(EXTRAS)}]"
     subprocess.run([*pip, *limits, package, *TOOLS], check=True)
     if kind == "pre":
         subprocess.run([*pip, "--pre", "--upgrade", *BY_NAME], check=True)
-    if kind == "plain":
-        caching = here / "lib" / f"python{python}" / "site-packages/numba/core/caching.py"
-        caching.write_text(caching.read_text(encoding="utf-8") + PLAIN, encoding="utf-8")
-    return inside
+    return interpreter
 
 
-def tested(python: Path, kind: str, tests: list[str], workers: str) -> bool:
-    """Whether the tests pass on the sources of this checkout; of `plain` not those of the inside.
+def tested(python: Path, tests: list[str], workers: str) -> bool:
+    """Whether the tests pass on the sources of this checkout.
 
     What newer packages warn of in older ones is no error here.
     """
@@ -83,15 +70,13 @@ def tested(python: Path, kind: str, tests: list[str], workers: str) -> bool:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": cache}
     command = [str(python), "-m", "pytest", "-n", workers, "-o", "filterwarnings=default"]
     command += ["-m", "not slow", *tests]
-    if kind == "plain":
-        command += [f"--ignore=tests/{name}" for name in OF_THE_INSIDE]
     return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode == 0
 
 
 def main() -> int:
     """Install and test each kind on each Python."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("kinds", nargs="+", choices=("lowest", "newest", "plain", "pre"))
+    parser.add_argument("kinds", nargs="+", choices=("lowest", "newest", "pre"))
     parser.add_argument("--pythons", nargs="+", default=["3.11", "3.12", "3.13"])
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "versions")
     parser.add_argument("--tests", nargs="+", default=["tests"], help="files and folders")
@@ -103,8 +88,8 @@ def main() -> int:
             name = f"{kind} on Python {python}"
             print(f"== {name}", flush=True)
             try:
-                inside = install(python, kind, options.folder)
-                good = tested(inside, kind, options.tests, options.workers)
+                interpreter = install(python, kind, options.folder)
+                good = tested(interpreter, options.tests, options.workers)
             except (OSError, subprocess.CalledProcessError) as error:
                 print(error)
                 good = False

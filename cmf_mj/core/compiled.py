@@ -2,27 +2,21 @@
 
 Numba's cache asks whether the *file* of a function has changed, not the files of the functions it
 calls. The frame loop inlines blocks from a dozen modules, so an edited valve would go on running
-as it was. Here the stamp of every cached function is a digest of all sources that compiled code can
-take anything from: the modules that import this one, and all they import.
-
-A Numba whose inside has changed compiles by public means alone: the same bits, but more slowly, and
-cached in a folder of that digest.
+as it was. Here the cache is a folder named after a digest of all sources that compiled code can
+take anything from: the modules that import this one, and all they import. That of the sources
+before is removed.
 """
 
 import hashlib
 import os
 import re
+import shutil
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numba
-
-try:
-    from cmf_mj.core import numba_inside as inside
-except (AttributeError, ImportError):
-    inside = None  # type: ignore[assignment]
 
 _PACKAGE = Path(__file__).parents[1]
 _IMPORT = re.compile(
@@ -59,20 +53,29 @@ def digest() -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in kernel_sources())).hexdigest()
 
 
-numba.config.CACHE_DIR = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR", "")
-if inside is None:
-    _BASE = numba.config.CACHE_DIR or _PACKAGE / "core" / "__pycache__"
-    numba.config.CACHE_DIR = str(Path(_BASE) / f"plain-{digest()[:16]}")
+@lru_cache
+def _folder() -> str:
+    """Where the compiled code of these sources is kept, below the cache that Numba is given."""
+    given = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR")
+    base = Path(given or _PACKAGE / "core" / "__pycache__")
+    own = f"cmf_mj-{hashlib.sha256(bytes(_PACKAGE)).hexdigest()[:8]}"
+    folder = base / f"{own}-{digest()[:16]}"
+    if not folder.is_dir():
+        for old in set(base.glob(f"{own}-*")) - {folder}:
+            shutil.rmtree(old, ignore_errors=True)
+    return str(folder)
 
 
 def _cached(function: Callable[..., Any], **inner: bool) -> Callable[..., Any]:
-    """Compile a function, with options of Numba's inside where it has them."""
+    """Compile a function, to be kept in the folder of these sources."""
     if numba.config.DISABLE_JIT:
         return function
-    options = {"nogil": True, "error_model": "numpy"}
-    if inside is None:
-        return numba.njit(cache=True, **options)(function)
-    return inside.njit(function, digest, **options, **inner)
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _folder()
+    try:
+        return numba.njit(cache=True, **options, **inner)(function)
+    finally:
+        numba.config.CACHE_DIR = before
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -16,10 +16,8 @@ from numba.core.runtime._nrt_python import memsys_disable_stats, memsys_enable_s
 import cmf_mj
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.core.compiled import kernel_sources
-from cmf_mj.core.numba_inside import InTree
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.run import Run
-from cmf_mj.machine import kinematics
 
 FORCES = """
 import numpy as np
@@ -69,17 +67,6 @@ def test_the_stamp_covers_every_module_compiled_code_can_come_from() -> None:
     assert not {package / "show" / "comparison.py", package / "cli" / "__init__.py"} & sources
 
 
-def test_the_stamp_covers_the_file_of_a_function_outside_the_package(tmp_path: Path) -> None:
-    """Else a kernel of a script would go on running as it was when one number of it is edited."""
-    script, inside = tmp_path / "script.py", Path(kinematics.__file__)
-    script.write_text("GAIN = 1.0\n")
-    stamp = InTree(is_kernel, str(script)).get_source_stamp()
-    assert stamp == InTree(is_kernel, str(script)).get_source_stamp()
-    script.write_text("GAIN = 2.0\n")
-    assert stamp != InTree(is_kernel, str(script)).get_source_stamp()
-    assert stamp.startswith(InTree(is_kernel, str(inside)).get_source_stamp())
-
-
 def is_kernel(module: ModuleType | None) -> bool:
     """Whether a module of the package holds a compiled function of its own."""
     name = getattr(module, "__name__", "")
@@ -125,35 +112,6 @@ def test_the_interpreted_program_gives_the_same_record(tmp_path: Path, name: str
                 interpreted[channel], values, rtol=0, atol=share * size, err_msg=channel
             )
     assert np.abs(compiled["valve_command"]).max() > 0.1
-
-
-PLAIN = """
-import sys
-import numba, numba.core.caching
-del numba.core.caching.UserWideCacheLocator
-import numpy as np
-from cmf_mj import Record
-from cmf_mj.core import compiled
-from cmf_mj.facility.replay import replay
-
-assert compiled.inside is None and "plain-" in numba.config.CACHE_DIR
-np.save(sys.argv[2], replay(Record.load(sys.argv[1])).output)
-"""
-
-
-@pytest.mark.slow
-def test_a_numba_without_its_inside_gives_the_same_bits(tmp_path: Path) -> None:
-    """200 frames of a law compiled by `numba.njit` alone, as of a Numba that has lost a name.
-
-    `make test-versions` runs all tests this way.
-    """
-    command = signals.step("heave", -0.0254, at=0.02, duration=200 / 2048)
-    expected = simulate(SingleLegs(), "combined_rate", command)
-    record, output = tmp_path / "record.parquet", tmp_path / "output.npy"
-    expected.save(record)
-    subprocess.run([sys.executable, "-c", PLAIN, record, output], check=True)
-    assert np.load(output).tobytes() == expected["compensator_output"].tobytes()
-    assert np.abs(expected["compensator_output"]).max() > 0.1
 
 
 def calls(function: Dispatcher) -> set[Dispatcher]:
