@@ -31,7 +31,6 @@ _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _SERVED = f"of cmf: {_BEGIN}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
-_SIZES = "export.law_source:PRECISIONS"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
@@ -245,7 +244,6 @@ def export_command(
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = False,
     fmi: Annotated[int, Option(help="version of FMI, 2 or 3")] = 2,
-    precision: Annotated[str, choice(_SIZES, "SIZE", "of a law: double or single")] = "double",
     out: options.Out = Path("out/export"),
 ) -> None:
     """Leave Python: the machine as a C library or an FMU, or a law alone as C source."""
@@ -255,7 +253,7 @@ def export_command(
     from cmf_mj.plant.hexapod import make_plant
 
     if what == "law":
-        return show(written(export_law(law, out, cab, precision=precision), out))
+        return show(written(export_law(law, out, cab), out))
     built, noisy = make_plant(plant, cab, hydraulics), noise_choice(noise)
     if what == "library":
         paths = export_library(built, law, out, electronics=noisy)

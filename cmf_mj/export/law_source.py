@@ -19,9 +19,6 @@ import numpy as np
 from cmf_mj.control import inverse
 from cmf_mj.control.dcl import Dcl, make_dcl
 from cmf_mj.control.law import SIGNALS, Gains, Law
-from cmf_mj.core.errors import InputError
-
-PRECISIONS = ("double", "single")  #: Sizes of a law's numbers: of 64 or of 32 bits.
 
 LEGS = 6  #: Those of a motion base.
 
@@ -48,15 +45,12 @@ _BLOCKS = {
 _TEMPLATES = Path(__file__).with_name("c") / "blocks"
 _WIDTH = 100
 _TOKEN = re.compile(r"@([\w.]+)@")
-_COMMENT = re.compile(r"(/\*.*?\*/)", re.DOTALL)
-_LITERAL = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
 
 
-def law_source(law: Law, carrier: str, precision: str = "double") -> dict[str, str]:
+def law_source(law: Law, carrier: str) -> dict[str, str]:
     """Header and source of a law that is bound to its machine, by file name.
 
-    `carrier` says in words what it is bound to. Raises `InputError` where single precision cannot
-    hold a number of the law.
+    `carrier` says in words what it is bound to.
     """
     dcl = make_dcl(law, LEGS)
     has = _has(law, dcl)
@@ -67,8 +61,7 @@ def law_source(law: Law, carrier: str, precision: str = "double") -> dict[str, s
     said = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
     head = ". ".join([*filter(None, said), f"{law.rate} frames a second."])
     numbers["head"] = _comment(head)
-    files = {"cmf_law.h": _filled("cmf_law.h", has, numbers), "cmf_law.c": source}
-    return {name: _of_precision(code, precision) for name, code in files.items()}
+    return {"cmf_law.h": _filled("cmf_law.h", has, numbers), "cmf_law.c": source}
 
 
 def _has(law: Law, dcl: Dcl) -> dict[str, bool]:
@@ -178,20 +171,3 @@ def _comment(text: str) -> str:
     """Text within a comment: nothing in it ends one, or joins lines."""
     plain = re.sub(r"[*\\]|\?\?", "", text).encode("ascii", "replace").decode()
     return _wrapped(plain, " * ")
-
-
-def _of_precision(code: str, precision: str) -> str:
-    """Code in double or single precision."""
-    if precision == "double":
-        return code
-    parts = _COMMENT.split(code)
-    for place in range(0, len(parts), 2):
-        part = re.sub(r"\b(sqrt|sin|cos|fabs)\(", r"\1f(", parts[place])
-        parts[place] = _LITERAL.sub(_single, part.replace("typedef double", "typedef float"))
-    return "".join(parts)
-
-
-def _single(literal: re.Match[str]) -> str:
-    if not float(literal[0]) < float(np.finfo(np.float32).max):
-        raise InputError(f"precision: single cannot hold {literal[0]} of the law; allowed: double")
-    return f"{literal[0]}F"

@@ -16,11 +16,11 @@ import mujoco
 
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError, RunError, check_name
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents
-from cmf_mj.export.law_source import PRECISIONS, law_source
+from cmf_mj.export.law_source import law_source
 from cmf_mj.export.machine import Frozen, freeze
 from cmf_mj.export.machine_code import constant_data
 from cmf_mj.machine.cab import Cab, load_cab
@@ -127,19 +127,15 @@ def export_law(
     law: str | Path | Law,
     out: Path,
     cab: str | Path | Cab | None = None,
-    *,
-    precision: str = "double",
 ) -> list[Path]:
     """Write a law as C into a folder; the files written.
 
     A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area
     are those of the cab's machine. It is C99 for any processor, and is not compiled here. Raises
-    `InputError` where there is no such law, cab or precision, and where single precision cannot
-    hold a number of the law.
+    `InputError` where there is no such law or cab.
     """
-    check_name("precision", precision, PRECISIONS)
     carrier = load_cab(cab).known_as
     chosen = bound(load_law(law), carrier)
     said = f"{carrier.machine.title}, cab {carrier.name}"
-    source = law_source(chosen, said, precision)
+    source = law_source(chosen, said)
     return write_files(sources("source") | source | licences("cmf-mj"), out)

@@ -13,7 +13,6 @@ from lengths import examples
 from cmf_mj import Hexapod, Run, law_names, load_cab, load_law, pose_to_legs
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import SIGNALS
-from cmf_mj.core.errors import InputError
 from cmf_mj.export.law_source import law_source
 from cmf_mj.export.library import export_law, export_library
 from cmf_mj.facility.front import from_table
@@ -23,9 +22,9 @@ SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "parts" / "i
 LOOP = Path(__file__).with_name("export_law_loop_host.c")
 
 
-def source_of(name: str, precision: str = "double", **changes: object) -> dict[str, str]:
+def source_of(name: str, **changes: object) -> dict[str, str]:
     law = load_law(name).model_copy(update=changes)
-    return law_source(bound(law, load_cab("rfd")), "a test", precision)
+    return law_source(bound(law, load_cab("rfd")), "a test")
 
 
 @pytest.mark.fuzz
@@ -125,21 +124,13 @@ def test_no_title_ends_the_comment_it_stands_in(title: str) -> None:
 
 
 def test_compilers_have_nothing_to_say(tmp_path: Path) -> None:
-    """Single precision has no double: GCC says where a float becomes one."""
-    options = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Wdouble-promotion"]
+    options = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic"]
     command = ["gcc", "-std=c99", "-O2", *options, "-Werror", "-c", "cmf_law.c"]
     for name in ("velocity", "model_reference_adaptive", "modal_feedback", "modal_plan"):
-        for precision in ("double", "single"):
-            for file, text in source_of(name, precision).items():
-                assert max(map(len, text.splitlines())) <= 100
-                (tmp_path / file).write_text(text)
-            subprocess.run(command, cwd=tmp_path, check=True)
-
-
-def test_what_single_precision_cannot_hold_is_refused() -> None:
-    gains = load_law("velocity").direct_gain.model_copy(update={"force": 1e42})
-    with pytest.raises(InputError, match=r"precision: single cannot hold 2\.2\d*e\+39 of the law"):
-        source_of("velocity", "single", direct_gain=gains)
+        for file, text in source_of(name).items():
+            assert max(map(len, text.splitlines())) <= 100
+            (tmp_path / file).write_text(text)
+        subprocess.run(command, cwd=tmp_path, check=True)
 
 
 def test_a_source_needs_no_compiler_and_no_system(
@@ -149,12 +140,6 @@ def test_a_source_needs_no_compiler_and_no_system(
     monkeypatch.setattr("platform.machine", lambda: "arm64")
     names = {path.name for path in export_law("modal_plan", tmp_path, "ifd")}
     assert names == {"cmf_law.c", "cmf_law.h", "example.c", "CMakeLists.txt", "cmf-mj_LICENSE"}
-
-
-def test_what_a_law_is_not_written_as_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="precision: 'half' is not one of double, single"):
-        export_law("velocity", tmp_path / "out", precision="half")
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
