@@ -75,7 +75,6 @@ def scenarios() -> list[dict[str, Any]]:
             {"at": 0.06, "push": {"body": BODY, "force": [1e3, 0.0, 0.0], "torque": [0.0, 1.0, 0]}},
             {"at": 0.08, "request": "trip", "failure": [{"kind": "valve_hard_over", "leg": 6}]},
         ],
-        "outputs": {"plot": "a.svg"},
     }
     return [plain, chain]
 
