@@ -195,7 +195,8 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 _files = Argument(help="facility CSV or Parquet files")
-Recordings, SomeRecordings = Annotated[list[Path], _files], Annotated[list[Path] | None, _files]
+Recordings = Annotated[list[Path], _files]
+SomeRecordings = Annotated[list[Path] | None, _files]
 _MAP = "TOML file of `cmf recording new`; default the facility's columns"
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]

@@ -75,10 +75,11 @@ class Settings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_other_keys(cls, table: Any) -> Any:
-        taken, named = {}, []
+        taken: set[str] = set()
+        named: list[str] = []
         for name, field in cls.model_fields.items():
             named += [] if field.exclude else [field.serialization_alias or name]
-            taken |= dict.fromkeys([name, *getattr(field.validation_alias, "choices", ())])
+            taken |= {name, *getattr(field.validation_alias, "choices", ())}
         others = table.keys() - taken if isinstance(table, Mapping) else ()
         for key in sorted(others) if cls.model_config["extra"] == "forbid" else ():
             said = f"is not a known field; allowed: {', '.join(sorted(named))}{similar(key, named)}"
