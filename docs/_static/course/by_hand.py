@@ -108,7 +108,7 @@ def series(name: str, folder: Path = Path(__file__).parent) -> tuple[Array, Arra
     return table["time_s"], table["response_m"] / INCH
 
 
-def tops(response: Array) -> Array:
+def tops(response: Array) -> NDArray[np.intp]:
     """Places of the maxima."""
     inner = response[1:-1]
     return 1 + np.flatnonzero((inner > response[:-2]) & (inner >= response[2:]) & (inner > 0.5))
