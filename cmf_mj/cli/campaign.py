@@ -126,7 +126,6 @@ def fit_command(
     from cmf_mj.studies.fit import doubt, results
     from cmf_mj.studies.fit.campaign import load_campaign
     from cmf_mj.studies.fit.engine import fit
-    from cmf_mj.studies.fit.stated import Stated
 
     jobs = jobs or os.cpu_count() or 1
     posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
@@ -136,7 +135,7 @@ def fit_command(
     table = results.numbers(posterior)
     drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
     if doubts.stated:
-        stated = Result(doubts.stated, fields_of(Stated)).table
+        stated = Result(doubts.stated, fields_of(doubt.Stated)).table
         drawn |= {"stated.csv": stated.save}
     files = save_files(drawn, out)
     show(table, *doubts.tables(), doubts.verdict, written(files, out))

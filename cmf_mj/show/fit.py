@@ -25,9 +25,9 @@ from cmf_mj.analysis.identification.model import simulated as output_of
 from cmf_mj.core.result import Field, Result, Table, number
 from cmf_mj.show import look
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
+from cmf_mj.studies.fit.doubt import FAR, Stated
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
-from cmf_mj.studies.fit.stated import FAR, Stated
 from cmf_mj.studies.identification import Identified
 
 _SHOWN = 4.0  #: Seconds of a recording.

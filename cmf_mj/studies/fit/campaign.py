@@ -107,11 +107,6 @@ class Recording(NamedTuple):
     record: Record
     law: Law | None  #: None for valve commands.
 
-    @property
-    def digest(self) -> str:
-        """Of its samples."""
-        return self.record.digest
-
 
 class Campaign(NamedTuple):
     """A campaign, read."""

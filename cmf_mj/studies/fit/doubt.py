@@ -12,6 +12,8 @@ correlation is below
 **Held back.** Recordings the fit never saw: ratio of measured to simulated leg positions over
 frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and phase in deg.
 
+**Stated.** Numbers of `evidence` beside those of the fitted machine, fitted or held back.
+
 **Effects.** Of what the machine may have beside its numbers each is tried (`effects`).
 """
 
@@ -23,21 +25,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal, stats
 
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table, fields_of, number
-from cmf_mj.plant.plant import Plant
+from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.unknowns import Unknowns, Values
 from cmf_mj.studies.engine import one_library_thread
 from cmf_mj.studies.fit.effects import Effect, tried
 from cmf_mj.studies.fit.engine import Fitter, Posterior
+from cmf_mj.studies.fit.evidence import Found
 from cmf_mj.studies.fit.likelihood import BLOCK, coefficients
-from cmf_mj.studies.fit.model import Model, Piece
-from cmf_mj.studies.fit.stated import Stated, stated
+from cmf_mj.studies.fit.model import Model
+from cmf_mj.studies.fit.results import fitted
 
 Array = NDArray[np.float64]
 
 TO = 8.0  #: Frequency to which a prediction is judged [Hz].
 WITHIN_DB, WITHIN_DEG = 0.5, 3.0  #: What a prediction may be off.
 
+FAR = 2.0  #: Deviations from which a number that is stated speaks against the model.
+
+_SAMPLES = 128  #: Machines that the spread of what is stated is read from.
+_ENDS = (0.05, 0.95)  #: Quantiles that bound it.
 _LAGS = 20
 _LOOKS = 18  #: Correlations of a channel: three of each leg.
 _ORDER = 12
@@ -84,7 +93,8 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
         spacing = fitter.spacing[one.name]
         zero = {name: np.zeros_like(value) for name, value in one.measured.items()}
         measured = fitter.model.compared(one, zero)
-        demand = fitter.model.compared(_demand(one), {"demand": 0.0 * one.since[:, None]})["demand"]
+        asked = one._replace(measured={"demand": one.demand})
+        demand = fitter.model.compared(asked, {"demand": 0.0 * one.since[:, None]})["demand"]
         for channel, residual in posterior.look.here[one.name].items():
             still = residual - residual.mean(axis=0)
             block = max(1, round(BLOCK / spacing))
@@ -103,11 +113,6 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
                 )
             )
     return found
-
-
-def _demand(one: Piece) -> Piece:
-    """The recording with its demand in the place of what was measured."""
-    return one._replace(measured={"demand": one.demand})
 
 
 def _correlated(residual: Array, demand: Array) -> float:
@@ -158,13 +163,12 @@ class Prediction(NamedTuple):
         return abs(self.gain) <= WITHIN_DB and abs(self.phase) <= WITHIN_DEG
 
 
-def predicted(posterior: Posterior, machine: Plant | None = None) -> list[Prediction]:
-    """The recordings held back, simulated on the fitted machine or another."""
-    model = Model(posterior.campaign, held_back=True)
-    plant = machine or model.machine(posterior.z)
+def predicted(posterior: Posterior) -> list[Prediction]:
+    """The recordings held back, simulated on the fitted machine."""
+    model, machine = Model(posterior.campaign, held_back=True), fitted(posterior)
     found = []
     for one in model.pieces:
-        simulated = one.simulated(plant, model.electronics)
+        simulated = one.simulated(machine, model.electronics)
         measured = {name: value[one.first :] for name, value in one.measured.items()}
         simulated = {name: value[one.first :] for name, value in simulated.items()}
         gain, phase = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)
@@ -188,6 +192,69 @@ def _ratio(measured: Array, simulated: Array, rate: float) -> tuple[float, float
     ratio = cross.sum(axis=1)[chosen] / power[chosen]
     gain, phase = 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
     return float(gain[np.argmax(np.abs(gain))]), float(phase[np.argmax(np.abs(phase))])
+
+
+def _share(value: float) -> str:
+    return number(100.0 * value, ".0f %")
+
+
+class Stated(NamedTuple):
+    """A number that is stated."""
+
+    evidence: str
+    what: str
+    role: str  #: `fitted` or `held back`.
+    stated: Annotated[float, Field(form=".3g")]
+    before: Annotated[float, Field(title="data sheet", form=".3g")]
+    fitted: Annotated[float, Field(form=".3g")]
+    """Simulated where the campaign asks for it."""
+    off: Annotated[float, Field(title="off, in deviations", form="+.2f")]
+    low: Annotated[float, Field(title="5 %", form=".3g")]
+    """5 % of the machines that the fit leaves open lie below; what is held is drawn too."""
+    high: Annotated[float, Field(title="95 %", form=".3g")]
+    unstable: Annotated[float, Field(form=_share)]
+    """Share of these machines whose linear loop is unstable."""
+
+    @property
+    def close(self) -> bool:
+        """Whether the fitted machine has it within two deviations."""
+        return abs(self.off) <= FAR
+
+
+def stated(posterior: Posterior, jobs: int = 2, samples: int = _SAMPLES) -> list[Stated]:
+    """All statements of a campaign beside what the fitted machine makes of them."""
+    campaign, evidence = posterior.campaign, posterior.campaign.evidence
+    if not evidence.statements:
+        return []
+    base, known = campaign.plant, campaign.unknowns
+    held = Unknowns(campaign.settings.held).on(base)
+    around = held.draw("latin_hypercube", samples, 0) if held else [{}] * samples
+    shares = stats.norm.cdf(posterior.samples(samples))
+    drawn = [known.at(one) | other for one, other in zip(shares, around, strict=True)]
+
+    def made(values: Values) -> Found | None:
+        try:
+            return evidence.linear(values, evidence.unknowns.apply(values, base))
+        except (InputError, RunError):
+            return None
+
+    machines = [one for one in on_threads(made, drawn, jobs) if one is not None]
+    open_ = np.array([one.value for one in machines])
+    unstable = 1.0 - np.mean([one.stable for one in machines], axis=0)
+    best, machine = known.at(stats.norm.cdf(posterior.z)), fitted(posterior)
+    before = evidence.linear({}, base).value
+    after = evidence.linear(best, machine).value
+    if campaign.settings.simulated:
+        after = evidence.simulated(best, machine, jobs)
+    rows = []
+    for i, one in enumerate(evidence.statements):
+        there = open_[np.isfinite(open_[:, i]), i]
+        ends = np.quantile(there, _ENDS) if there.size else (np.nan, np.nan)
+        off = -one.excess(float(after[i])) if np.isfinite(after[i]) else np.nan
+        role = "held back" if one.held_back else "fitted"
+        numbers = (one.value, before[i], after[i], off, *ends, unstable[i])
+        rows.append(Stated(one.evidence, one.what, role, *map(float, numbers)))
+    return rows
 
 
 class Doubt(NamedTuple):

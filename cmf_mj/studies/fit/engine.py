@@ -252,7 +252,6 @@ def fit(
     *,
     jobs: int = 2,
     progress: Progress | None = None,
-    start: Array | None = None,
 ) -> Posterior:
     """Fit the unknowns of a campaign; finished steps in `folder` are not computed again.
 
@@ -261,7 +260,6 @@ def fit(
         folder: of the journal of steps.
         jobs: threads that simulate.
         progress: called with a line after each step.
-        start: coordinates (n,) to begin at, by default as weighed at rest.
 
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
@@ -293,14 +291,13 @@ def fit(
     say = progress or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
-        "recordings": {one.name: one.digest for one in campaign.recordings},
-        "start": None if start is None else list(start),
+        "recordings": {one.name: one.record.digest for one in campaign.recordings},
     }
     journal = Journal(Path(folder) / "steps", identity)
     names = names_of(campaign.unknowns)
     pieces = len(campaign.of(held_back=False))
     x = np.zeros(len(names) + (2 * pieces if campaign.settings.clocks else 0))
-    x[: len(names)] = Model(campaign).weighed() if start is None else start
+    x[: len(names)] = Model(campaign).weighed()
     number, width = 0, np.full(x.size, 0.03)
     if campaign.settings.simulated:
         say("the data sheet's machine, simulated")

@@ -198,11 +198,10 @@ class Evidence(NamedTuple):
         off = self.simulated({}, self.plant, jobs) - self.linear({}, self.plant).value
         return self._replace(shift=np.where(np.isfinite(off), off, 0.0))
 
-    def excess(self, values: Values, plant: Plant, *, held_back: bool = False) -> Array:
-        """E of the statements that are fitted, or of those held back."""
-        found = self.linear(values, plant).value
-        chosen = [i for i, one in enumerate(self.statements) if one.held_back == held_back]
-        return np.array([self.statements[i].excess(float(found[i])) for i in chosen])
+    def excess(self, values: Values, plant: Plant) -> Array:
+        """E of the statements that are fitted."""
+        found = zip(self.statements, self.linear(values, plant).value.tolist(), strict=True)
+        return np.array([one.excess(value) for one, value in found if not one.held_back])
 
     def _with(self, cab: str, values: Values, plant: Plant) -> Plant:
         """The machine with a cab of its own, or the campaign's."""

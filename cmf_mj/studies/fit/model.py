@@ -30,7 +30,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
-from cmf_mj.facility.unknowns import Unknowns, Values
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
@@ -183,7 +183,7 @@ class Model:
         self.top = min(top or np.inf, campaign.settings.highest)
         chosen = campaign.of(held_back)
         self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
-        self.evidence, self.held_back = campaign.evidence, held_back
+        self.evidence = campaign.evidence
 
     def values(self, z: Array) -> dict[str, Any]:
         """Values of the unknowns at coordinates (n,)."""
@@ -198,16 +198,12 @@ class Model:
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
-        return self.residuals_of(self.machine(z), self.values(z), clocks)
-
-    def residuals_of(self, plant: Plant, values: Values, clocks: Array | None = None) -> Residuals:
-        """The same of a plant with such values."""
-        found = {}
+        plant, found = self.machine(z), {}
         for number, one in enumerate(self.pieces):
             clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
             simulated = one.simulated(plant, self.electronics, clock)
             found[one.name] = self.compared(one, simulated)
-        if (stated := self.evidence.excess(values, plant, held_back=self.held_back)).size:
+        if (stated := self.evidence.excess(self.values(z), plant)).size:
             found[EVIDENCE] = {STATED: stated[:, None]}
         return found
 
@@ -239,9 +235,8 @@ class Model:
 
     def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
         """Residuals of one recording by channel, low-passed and thinned."""
-        top = min(self.top, 0.4 * one.rate)
-        sections = signal.butter(4, top, fs=one.rate, output="sos")
-        every, first = max(1, int(one.rate / (2.5 * top))), one.first
+        sections = signal.butter(4, min(self.top, 0.4 * one.rate), fs=one.rate, output="sos")
+        every, first = round(self.spacing(one) * one.rate), one.first
         return {
             name: signal.sosfiltfilt(sections, one.measured[name] - value, axis=0)[first::every]
             for name, value in simulated.items()

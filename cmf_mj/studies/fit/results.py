@@ -21,6 +21,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
+from cmf_mj.facility.unknown import Unknown
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
@@ -30,17 +31,19 @@ Array = NDArray[np.float64]
 
 CAB, SAMPLES = "fitted", 400
 
-FIELDS = ("number", "value", "low", "high", "unit", "identifiable")
+
+def _each(posterior: Posterior) -> list[tuple[Unknown, str]]:
+    """What is known of each number, and its path, in the order of the coordinates."""
+    known, found = posterior.campaign.unknowns, []
+    for one in known.values():
+        legs = known.legs if "*" in one.path.split(".") else ("",)
+        found += [(one, one.path.replace("*", leg)) for leg in legs]
+    return found
 
 
 def paths(posterior: Posterior) -> tuple[str, ...]:
     """Paths of all numbers, of each leg its own, in the order of the coordinates."""
-    found: list[str] = []
-    known = posterior.campaign.unknowns
-    for one in known.values():
-        legs = known.legs if "*" in one.path.split(".") else ("",)
-        found += [one.path.replace("*", leg) for leg in legs]
-    return tuple(found)
+    return tuple(path for _, path in _each(posterior))
 
 
 def nominal(plant: Plant, path: str) -> float:
@@ -72,14 +75,11 @@ def nominal(plant: Plant, path: str) -> float:
 
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
-    plant, known = posterior.campaign.plant, list(posterior.campaign.unknowns.values())
-    sizes = [int(np.prod(shape)) for shape in posterior.campaign.unknowns.shapes().values()]
-    columns = []
-    of = np.repeat(np.arange(len(known)), sizes)
-    for number, path in enumerate(paths(posterior)):
-        one = known[of[number]]
-        value = one.at(stats.norm.cdf(z[..., number]))
-        columns.append(np.asarray(one.number(nominal(plant, path), value)))
+    plant, share = posterior.campaign.plant, stats.norm.cdf(z)
+    columns = [
+        one.number(nominal(plant, path), one.at(share[..., i]))
+        for i, (one, path) in enumerate(_each(posterior))
+    ]
     return np.stack(columns, axis=-1)
 
 
@@ -97,18 +97,11 @@ def unit_of(path: str) -> str:
 
 def numbers(posterior: Posterior) -> Table:
     """Every number with its 90 % interval."""
-    low, high = physical(posterior, posterior.bounds())
-    value, known = physical(posterior, posterior.z), posterior.identified()
+    value = physical(posterior, np.vstack([posterior.z, posterior.bounds()])).T.tolist()
+    known = ["yes" if one else "no" for one in posterior.identified()]
     rows = [
-        (
-            path,
-            float(value[i]),
-            float(low[i]),
-            float(high[i]),
-            unit_of(path),
-            "yes" if known[i] else "no",
-        )
-        for i, path in enumerate(paths(posterior))
+        (path, *three, unit_of(path), found)
+        for path, three, found in zip(paths(posterior), value, known, strict=True)
     ]
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
     return Table("Numbers of the machine, with 90 % intervals", columns, rows)
@@ -118,7 +111,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write all files of a fit; gives the machine's."""
     where = Path(folder)
     table = numbers(posterior)
-    write_csv(in_folder(where, "numbers.csv"), FIELDS, table.rows)
+    write_csv(in_folder(where, "numbers.csv"), table.header, table.rows)
     drawn = physical(posterior, posterior.samples(SAMPLES))
     columns = dict(zip(paths(posterior), drawn.T, strict=True))
     write_parquet(pa.table(columns), in_folder(where, "samples.parquet"))
@@ -168,7 +161,9 @@ def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
     said = {
         "status": "identified",
         "source": "fitted to recordings "
-        + ", ".join(f"{one.name} {one.digest}" for one in posterior.campaign.of(held_back=False)),
+        + ", ".join(
+            f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False)
+        ),
     }
     for path in paths(posterior):
         root, *rest = path.split(".")
