@@ -6,10 +6,15 @@ predicts the bandwidth, which the second run measures.
 
 import cmf_mj
 from cmf_mj import signals
-from cmf_mj.analysis.identification.continuous import in_field_units, loop_errors, to_continuous
-from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.identification.estimation import output_error
-from cmf_mj.analysis.identification.model import Orders, simulation_fit
+from cmf_mj.analysis.identification import (
+    experiment,
+    fit_percentage,
+    output_error,
+    simulated,
+    to_continuous,
+)
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.measures import measure_loop
 
 INCH = 0.0254
 
@@ -25,9 +30,9 @@ records = [
     for seed in (0, 1)
 ]
 first, second = (experiment(record, "heave") for record in records)
-model = output_error(first, Orders(4, 3, 1))
-print(f"fit on the second run: {float(simulation_fit(model, second)[0]):.1f} %")
-velocity = in_field_units(to_continuous(model).rational)
-errors = loop_errors(velocity, "velocity", cmf_mj.frequency_response(records[1]))
-bandwidth = errors.model.phase_bandwidth_hz
-print(f"-90 deg predicted at {bandwidth:.2f} Hz, error {100 * errors.phase_error:.1f} %")
+model = output_error([first], (4, 3, 1))
+print(f"fit on the second run: {fit_percentage(second.output, simulated(model, second)):.1f} %")
+predicted = measure_loop(closed_loop("velocity", to_continuous(model).velocity)).phase_bandwidth_hz
+measured = cmf_mj.bandwidths(cmf_mj.frequency_response(records[1])).phase_hz
+error = 100.0 * (predicted / measured - 1.0)
+print(f"-90 deg predicted at {predicted:.2f} Hz, error {error:.1f} %")

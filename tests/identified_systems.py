@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.analysis.identification.data import Experiment
+from cmf_mj.analysis.identification import Experiment
 
 RATE = 64.0
 
@@ -37,21 +37,9 @@ def driven(seed: int, samples: int) -> NDArray[np.float64]:
     return np.random.default_rng([seed, 1]).standard_normal(samples)
 
 
-def series(
-    u: ArrayLike, y: ArrayLike, reference: ArrayLike | None = None, name: str = ""
-) -> Experiment:
-    """One input u [1], one output y [m/s]."""
-    return Experiment(
-        np.asarray(u, dtype=float),
-        np.asarray(y, dtype=float),
-        1.0 / RATE,
-        ("u",),
-        ("y",),
-        ("1",),
-        ("m/s",),
-        reference=None if reference is None else np.asarray(reference, dtype=float),
-        name=name,
-    )
+def series(u: ArrayLike, y: ArrayLike) -> Experiment:
+    """An input u [1] and an output y [m/s]."""
+    return Experiment(np.asarray(u, dtype=float), np.asarray(y, dtype=float), 1.0 / RATE)
 
 
 def noisy(

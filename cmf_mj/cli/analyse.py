@@ -26,8 +26,7 @@ command = partial(app.command, rich_help_panel="Analyse")
 drawing = options.drawing(command)
 
 _METHODS = "arx (least squares) or oe (output error)"
-_SIGNALS = "multisine, chirp, noise, pulse or sine"
-_METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
+_METHOD = "studies.identification:Method"
 _ESTIMATOR = "analysis.spectra:Estimator"
 
 
@@ -119,14 +118,13 @@ def parse_orders(text: str) -> tuple[int, int, int]:
 def identify_command(
     files: options.SomeRecordings = None,
     simulate: options.Simulate = False,
-    law: options.OtherLaw = None,
+    law: options.Law = "velocity",
     dof: options.AnyDof = "heave",
     plant: options.PlantName = "hexapod",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: options.Amplitude = None,
-    signal: Annotated[str, choice(_SIGNAL, "SIGNAL", _SIGNALS)] = "multisine",
     method: Annotated[str, choice(_METHOD, "METHOD", _METHODS)] = "oe",
     orders: Annotated[str | None, Option(metavar="NA,NB,NK", help="default by search")] = None,
     out: options.Out = Path("out/identify"),
@@ -134,20 +132,18 @@ def identify_command(
     """Identify a linear model of leg velocity per valve command; the last file validates."""
     from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import fit as report
-    from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
+    from cmf_mj.studies.identification import identify, simulated_records
 
     if simulate == bool(files):
         raise InputError("files: name recordings, or use --simulate, not both and not neither")
-    chosen, step = None if orders is None else parse_orders(orders), None
+    chosen = None if orders is None else parse_orders(orders)
     if simulate:
-        law = law or "velocity"
         case = make_case(law, dof, plant, cab, hydraulics, amplitude=in_si(dof, amplitude))
-        records = studies.simulated_records(case, signal)  # type: ignore[arg-type]
-        step = case.run(case.step())
+        records = simulated_records(case)
     else:
         records = [read_mapped(path) for path in files or []]
-    options: dict[str, Any] = {"method": method, "orders": chosen, "law": law, "step": step}
-    model = studies.identify(records, dof, **options)
+    how: dict[str, Any] = {"method": method, "orders": chosen}
+    model = identify(records, dof, **how)
     paths = report.save_identification(model, out)
     show(report.orders_table(model), report.model_table(model), written(paths))

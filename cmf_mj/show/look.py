@@ -212,16 +212,11 @@ def plot_printed(gain: Axes, phase: Axes, printed: Published, colour: str) -> bo
     return any(widths)
 
 
-def plot_band(
-    gain: Axes,
-    phase: Axes,
-    response: FrequencyResponse,
-    share: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    **style: Any,
-) -> None:
-    """Shade gains within a share of the response, and phases within an angle [rad]."""
+def plot_bound(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> None:
+    """Shade the gains and phases within the circles of 95 % about a response's lines."""
+    share = np.minimum(response.bound / np.abs(response.response), 0.99)
     ends = 20.0 * np.log10(np.clip([1.0 - share, 1.0 + share], 1e-3, None))
+    angle = np.arcsin(share)
     for axis, middle, (low, high) in (
         (gain, response.gain_db, ends),
         (phase, response.phase_deg, np.degrees([-angle, angle])),

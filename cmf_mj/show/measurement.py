@@ -69,8 +69,7 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     colour = look.plot_bode(gain, phase, response, label=name)
     coherence.plot(response.frequency, response.coherence, color=colour)
     coherence.set_ylim(0.0, 1.05)
-    share = np.minimum(response.bound / np.abs(response.response), 0.99)
-    look.plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
+    look.plot_bound(gain, phase, response, color=colour)
     look.legend(figure)
     return figure
 

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj import Hexapod
-from cmf_mj.analysis.identification.data import Experiment
-from cmf_mj.analysis.identification.estimation import arx, output_error
+from cmf_mj.analysis.identification import Experiment, arx, output_error
 from cmf_mj.analysis.linear.structured import Uncertain, peak_bound, point_bound
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import RunError, require
@@ -127,11 +126,6 @@ def spectra() -> float:
     )
 
 
-def _experiment(u: Array, y: Array) -> Experiment:
-    units = ("u",), ("y",), ("1",), ("m/s",)
-    return Experiment(u[:, None], y[:, None], 1.0 / RATE, *units)
-
-
 def _known(u: Array) -> Array:
     """A lag and a lightly damped mode, sampled."""
     w, lag = 2.0 * np.pi * 11.0, 2.0 * np.pi * 3.0
@@ -145,7 +139,7 @@ def realised(impulses: int = 60) -> float:
     u = np.random.default_rng(3).standard_normal(3000)
     y = _known(u)
     lines = np.linspace(0.2, 15.0, 75)
-    ours = arx(_experiment(u, y), (3, 3, 1)).response(lines)[:, 0, 0]
+    ours = arx([Experiment(u, y, 1.0 / RATE)], (3, 3, 1)).response(lines).response
     pulse = control.markov(y, u, impulses, dt=1.0 / RATE, truncate=True)
     theirs, _ = control.eigensys_realization(pulse, 3, m=25, n=25, dt=1.0 / RATE)
     found = theirs(np.exp(2j * np.pi * lines / RATE))
@@ -161,7 +155,8 @@ def predicted(*, free: bool = False) -> float:
     u = np.random.default_rng(4).standard_normal(2000)
     y = _known(u)
     y = y + 0.05 * np.std(y) * np.random.default_rng(5).standard_normal(y.size)
-    ours, pulses = output_error(_experiment(u, y), (3, 3, 1)).parameters(), np.eye(3, u.size)
+    run, pulses = Experiment(u, y, 1.0 / RATE), np.eye(3, u.size)
+    ours = output_error([run], (3, 3, 1)).parameters
 
     def error(theta: Array) -> Array:
         a = np.append(1.0, theta[:3])
@@ -172,7 +167,7 @@ def predicted(*, free: bool = False) -> float:
     def residual(thetas: Array) -> Array:
         return np.stack([error(theta) for theta in thetas.T], axis=1)
 
-    start = arx(_experiment(u, y), (3, 3, 1)).parameters()
+    start = arx([run], (3, 3, 1)).parameters
     quiet = {"verbose": minimize.Verbosity.SILENT, "xtol": 1e-14, "gtol": 1e-14}
     theirs, _ = minimize.least_squares(start, residual, **quiet)
     return float(np.abs(np.ravel(theirs) - ours).max())

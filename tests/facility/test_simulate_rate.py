@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, load_cab, load_law, simulate
-from cmf_mj.analysis.identification.data import experiment
+from cmf_mj.analysis.identification import experiment
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
@@ -142,8 +142,8 @@ def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
     own = machine(1000)
     case = make_case("velocity", "heave", "single_legs", load_cab("deck", own))
     found = identify(simulated_records(case), "heave")
-    assert found.model.step == pytest.approx(0.015)
-    corner = [-np.log(r.value.real) / 0.015 for r in found.model.poles() if r.value.imag == 0.0]
+    assert found.box.step == pytest.approx(0.015)
+    corner = [-np.log(r.value.real) / 0.015 for r in found.box.poles() if r.value.imag == 0.0]
     assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
     assert experiment(stepped(1000), "heave").step == pytest.approx(0.015)  # 64 Hz divides none
     plant, poses = Hexapod(machine=own), np.zeros((1000, 6))

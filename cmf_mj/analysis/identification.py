@@ -1,0 +1,398 @@
+"""Black boxes of one input and one output from records: leg velocity from the valve command.
+
+    record -> experiment -> select_orders, arx | output_error -> BlackBox -> to_continuous
+
+A box is y = B/A u, A = 1 + a_1 q^-1 + ... + a_na q^-na, B = b_1 q^-nk + ... with nb coefficients.
+ARX minimises sum e^2 of A y = B u + e (Eq 4.10), linear in theta = (a, b):
+
+    y = phi theta + e,   cov theta = s^2 (phi^T phi)^-1,   s^2 = |e|^2 / (N - p)
+
+It is consistent where the noise enters so. Noise of a sensor enters as y = B/A u + v; past outputs
+in phi then hold it, and poles are biased towards more damping. Output error minimises sum v^2 with
+the best initial state by `scipy.optimize.least_squares`, from ARX on series filtered by 1/A (K.
+Steiglitz and L. McBride, IEEE Trans. Automatic Control 10 (1965) 461-464). It is consistent for v
+of any colour that the input does not know; where a law feeds v back, for white v.
+
+Any leg signal s is mapped to a degree of freedom by J^-1 s, positions by `legs_to_pose`: a law has
+the same gains on all legs, and a box of a degree of freedom is closed with it like one of a leg.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import interpolate, optimize, signal, stats
+
+from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.machine.leg_motion import leg_motion_to_pose
+from cmf_mj.machine.machine import recorded_machine
+from cmf_mj.record.record import Record
+
+Real = NDArray[np.float64]
+
+RATE = 64.0  #: Least rate of series [Hz]: far above what is excited all poles crowd at 1.
+RECORDER = 128.0  #: Least rate of measured responses [Hz], the facility recorder's.
+BAND = (0.1, 10.0)  #: Where a box is believed [Hz]: the report's band of interest (section 4.2).
+
+_SHORTEST = 32  # samples behind a decimation, at least
+_AT_NYQUIST = 0.1  # distance from -1 within which a real pole alternates, as no machine does
+_SLACK = 0.2  # of the best fit, for fewer parameters [%]
+_FAR = 1e3  # simulation error of an unstable box over the output's rms
+_SWEEPS = 30  # of the fit of a response
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run as an input and an output."""
+
+    input: Real  #: (N,).
+    output: Real  #: (N,).
+    step: float  #: Sampling interval [s].
+    names: tuple[str, str] = ("input", "output")
+    reference: Real | None = None  #: What the law followed, (N,).
+
+    def split(self, share: float) -> "list[Experiment]":
+        """The first share of the run, and the rest."""
+        pairs = (np.split(x, [round(share * x.size)]) for x in (self.input, self.output))
+        return [replace(self, input=u, output=y) for u, y in zip(*pairs, strict=True)]
+
+
+def decimated(values: Real, factor: int) -> Real:
+    """Series (N, ...) at a `factor` times lower rate, behind SciPy's zero-phase Chebyshev filter.
+
+    In stages of at most 8, each of which passes 0.8 of the new Nyquist frequency within 0.1 dB.
+    """
+    if len(values) < (least := _SHORTEST * factor):
+        raise InputError(f"record: {len(values)} samples; allowed: {least} or more")
+    while factor > 1:
+        stage = next((q for q in range(8, 1, -1) if factor % q == 0), factor)
+        values, factor = np.asarray(signal.decimate(values, stage, axis=0)), factor // stage
+    return values
+
+
+def experiment(record: Record, axis: str, rate: float = RATE) -> Experiment:
+    """Valve command and leg velocity along a leg or degree of freedom, less their means.
+
+    The record has `valve_command`, `leg_reference`, `leg_position` and `leg_velocity`; `axis` is
+    surge to yaw, or leg_1 and so on. The series have the least rate from `rate` [Hz] on that
+    divides the record's. Commands are fractions of full command (rotations: times rad/m),
+    velocities in m/s or rad/s.
+
+    A command c acts d frames late and is held over a frame. It jumps at the sampling instants; its
+    band-limited value there is (c[k-d] + c[k-d-1]) / 2, so that a box holds neither frame nor hold.
+    """
+    factor, machine = max(1, int(record.rate // rate)), recorded_machine(record.metadata)
+    late = (int(record.metadata.get("command_delay", 1)) + 0.5) * record.rate / machine.rate
+    place = np.arange(record.time.size, dtype=float)
+    spline = interpolate.make_interp_spline(place, record["valve_command"])
+    channels = [record[f"leg_{name}"] for name in ("velocity", "reference", "position")]
+    channels.insert(0, spline(np.clip(place - late, 0.0, None)))
+    legs = [decimated(values, factor) for values in channels]
+    names = [*DOFS, *(f"leg_{i + 1}" for i in range(legs[0].shape[1]))]
+    column = names.index(check_name("axis", axis, names))
+    if column < len(DOFS):
+        pose, zero = legs_to_pose(legs[3], machine), np.zeros_like(legs[3])
+        turned = [leg_motion_to_pose(pose, v, zero, machine).velocity for v in legs[:2]]
+        legs = [*turned, legs_to_pose(legs[2], machine)]
+    along = (values[:, column % len(DOFS)] for values in legs[:3])
+    u, y, reference = (signal.detrend(values, type="constant") for values in along)
+    ports = (f"{axis}_command", f"{axis}_velocity")
+    return Experiment(u, y, factor / record.rate, ports, reference)
+
+
+def plant_response(record: Record, axis: str) -> FrequencyResponse:
+    """Response from valve command to leg velocity: reference to one over reference to the other.
+
+    So no law's feedback biases it. The record, as for `experiment`, is of a chirp, noise or
+    multisine along the axis; lines lie in its band, in SI per full command. Bounds of both add.
+    """
+    run = experiment(record, axis, RECORDER)
+    if run.reference is None or np.ptp(run.reference) < 1e-9:
+        raise InputError(f"axis: the record holds no demand in {axis}")
+    below, above = (
+        excited_response(run.reference, one, 1.0 / run.step, record.signal)
+        for one in (run.input, run.output)
+    )
+    response = above.response / below.response
+    bound = sum(each.radius / np.abs(each.response) for each in (below, above)) * np.abs(response)
+    coherence = np.minimum(below.coherence, above.coherence)
+    return FrequencyResponse(response, 2.0 * np.pi * below.frequency, coherence, bound)
+
+
+class Orders(NamedTuple):
+    """Orders of a box."""
+
+    na: int  #: Coefficients of A besides its leading 1, at least 1.
+    nb: int  #: Coefficients of B, at least 1.
+    nk: int = 1  #: Delay from input to output [samples], at least 0.
+
+    @property
+    def lag(self) -> int:
+        """Samples before the first that the box can explain."""
+        return max(self.na, self.nk + self.nb - 1)
+
+
+class Root(NamedTuple):
+    """A pole or zero of z, and what s = ln z / T says of it."""
+
+    value: complex  #: z.
+    hertz: float  #: |s| / 2 pi.
+    error: float  #: Standard error of `hertz`, to first order.
+    damping: float  #: -Re s / |s|.
+
+
+@dataclass(frozen=True)
+class BlackBox:
+    """A discrete model B/A, and what is known of its error."""
+
+    method: Literal["arx", "oe"]
+    orders: Orders
+    parameters: Real  #: a, then b, (p,).
+    covariance: Real  #: (p, p).
+    step: float  #: Sampling interval [s].
+    names: tuple[str, str]  #: Of input and output.
+    converged: bool = True  #: Whether the search ended by its tolerance.
+
+    @property
+    def denominator(self) -> Real:
+        """A, (na + 1,), leading 1."""
+        return np.concatenate([[1.0], self.parameters[: self.orders.na]])
+
+    @property
+    def numerator(self) -> Real:
+        """B with its leading zeros, (nk + nb,)."""
+        return np.concatenate([np.zeros(self.orders.nk), self.parameters[self.orders.na :]])
+
+    @property
+    def standard_errors(self) -> Real:
+        """Of the parameters, (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def stable(self) -> bool:
+        """Whether no pole lies outside the unit circle."""
+        return bool(np.abs(np.roots(self.denominator)).max() <= 1.0)
+
+    def poles(self) -> list[Root]:
+        """Poles with their standard errors."""
+        na = self.orders.na
+        return _roots(self.denominator, np.pad(self.covariance[:na, :na], (1, 0)), self.step)
+
+    def zeros(self) -> list[Root]:
+        """Zeros with their standard errors."""
+        na = self.orders.na
+        return _roots(self.parameters[na:], self.covariance[na:, na:], self.step)
+
+    def transfer_function(self) -> control.TransferFunction:
+        """The box in z, with names on its ports."""
+        size = self.orders.lag + 1
+        above, below = (np.pad(p, (0, size - p.size)) for p in (self.numerator, self.denominator))
+        return control.tf(above, below, self.step, inputs=self.names[:1], outputs=self.names[1:])
+
+    def response(self, frequency: ArrayLike) -> FrequencyResponse:
+        """Frequency response at lines [Hz], (K,), with a circle of at least 95 % about each."""
+        f = np.atleast_1d(np.asarray(frequency, dtype=float))
+        (na, nb, nk), lag = self.orders, self.orders.lag
+        late = np.exp(-2j * np.pi * np.outer(f * self.step, np.arange(lag + 1)))
+        below = late[:, : na + 1] @ self.denominator
+        g = late[:, : nk + nb] @ self.numerator / below
+        slope = np.hstack([-late[:, 1 : na + 1] * g[:, None], late[:, nk : nk + nb]])
+        parts = np.stack([(slope / below[:, None]).real, (slope / below[:, None]).imag], axis=1)
+        largest = np.linalg.eigvalsh(parts @ self.covariance @ parts.transpose(0, 2, 1))[:, -1]
+        bound = np.sqrt(stats.chi2.ppf(0.95, 2) * largest)
+        return FrequencyResponse(g, 2.0 * np.pi * f, np.ones(f.size), bound)
+
+
+def _roots(polynomial: Real, covariance: Real, step: float) -> list[Root]:
+    """Roots of a polynomial C but those at 0; dp/dc_i = -p^(n - i) / C'(p) for a simple one."""
+    found = []
+    for p in np.roots(polynomial).astype(complex):
+        s = np.log(p) / step
+        slope = -np.vander([p], polynomial.size)[0] / np.polyval(np.polyder(polynomial), p)
+        # |s| changes by the part of ds = dp / (p T) along s.
+        along = (np.conj(s) / abs(s) * slope / (p * step)).real / (2.0 * np.pi)
+        error = float(np.sqrt(along @ covariance @ along))
+        found.append(Root(complex(p), abs(s) / (2.0 * np.pi), error, float(-s.real / abs(s))))
+    return found
+
+
+def _regressors(run: Experiment, orders: Orders) -> Real:
+    """-y[k-1] .. -y[k-na], u[k-nk] .. u[k-nk-nb+1] from sample `lag` on, (N - lag, p)."""
+    (na, nb, nk), lag, end = orders, orders.lag, run.output.size
+    past = [-run.output[lag - i : end - i] for i in range(1, na + 1)]
+    return np.column_stack(past + [run.input[lag - i : end - i] for i in range(nk, nk + nb)])
+
+
+def _inverse(table: Real) -> Real:
+    """Pseudo-inverse (p, N) of regressors or a Jacobian (N, p), refused if columns depend."""
+    size = np.linalg.norm(table, axis=0)
+    if not size.all():
+        raise InputError("runs: an input or output is zero all the time")
+    left, values, right = np.linalg.svd(table / size, full_matrices=False)
+    if values[-1] < 1e-13 * values[0]:
+        raise InputError("orders: the runs do not tell these parameters apart; lower them")
+    return np.asarray((right.T / values) @ left.T / size[:, None])
+
+
+def arx(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> BlackBox:
+    """Fit an ARX model to runs of the same signals and rate; none is joined to the next.
+
+    Poles outside the unit circle stay. Raises `InputError` for orders out of range, too few samples
+    or an input that does not excite the model.
+    """
+    chosen = Orders(*orders)
+    for name, least in (("na", 1), ("nb", 1), ("nk", 0)):
+        if getattr(chosen, name) < least:
+            raise InputError(f"{name}: {getattr(chosen, name)} must be at least {least}")
+    short, count = min(run.output.size for run in runs), chosen.na + chosen.nb
+    if short <= chosen.lag + count:
+        raise InputError(f"orders: {tuple(chosen)} are too high for {short} samples")
+    phi = np.concatenate([_regressors(run, chosen) for run in runs])
+    y = np.concatenate([run.output[chosen.lag :] for run in runs])
+    inverse = _inverse(phi)
+    theta = inverse @ y
+    variance = float(np.sum((y - phi @ theta) ** 2)) / (y.size - count)
+    covariance = variance * (inverse @ inverse.T)
+    return BlackBox("arx", chosen, theta, covariance, runs[0].step, runs[0].names)
+
+
+def output_error(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> BlackBox:
+    """Fit an output-error model, which is stable, to runs as for `arx`, whose model must be."""
+    start = _stable(arx(runs, orders))
+    pairs = [signal.lfilter([1.0], start.denominator, [run.input, run.output]) for run in runs]
+    near = arx(
+        [replace(r, input=u, output=y) for r, (u, y) in zip(runs, pairs, strict=True)], orders
+    )
+    start = near if near.stable else start
+    y = np.concatenate([run.output for run in runs])
+    size = float(np.sqrt(np.mean(y**2)))
+
+    def errors(theta: Real) -> Real:
+        box = replace(start, parameters=theta)
+        if not box.stable:
+            return np.full(y.size, _FAR)
+        return (y - np.concatenate([simulated(box, run) for run in runs])) / size
+
+    how: dict[str, Any] = {"x_scale": "jac", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10}
+    fit = optimize.least_squares(errors, start.parameters, "3-point", max_nfev=200, **how)
+    inverse = _inverse(fit.jac)
+    variance = 2.0 * fit.cost / (y.size - fit.x.size - start.orders.na * len(runs))
+    found: dict[str, Any] = {"parameters": fit.x, "covariance": variance * (inverse @ inverse.T)}
+    return replace(start, method="oe", converged=bool(fit.success), **found)
+
+
+def _stable(box: BlackBox) -> BlackBox:
+    """Refuse a box that has a pole outside the unit circle."""
+    if not box.stable:
+        raise InputError(f"orders: {tuple(box.orders)} make an unstable model; allowed: others")
+    return box
+
+
+def simulated(box: BlackBox, run: Experiment) -> Real:
+    """Output (N,) of a stable box, driven by the input alone from the best initial state."""
+    y = signal.lfilter(_stable(box).numerator, box.denominator, run.input)
+    free = signal.lfilter([1.0], box.denominator, np.eye(box.orders.na, y.size)).T
+    return np.asarray(y + free @ np.linalg.lstsq(free, run.output - y, rcond=None)[0])
+
+
+def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> float:
+    """100 (1 - |y - model| / |y - mean y|): 100 is perfect, 0 no better than the mean."""
+    y = np.asarray(measured, dtype=float)
+    spread = float(np.linalg.norm(y - y.mean()))
+    if spread == 0.0:
+        raise InputError("measured: the output does not move; a fit to it is not defined")
+    return 100.0 * (1.0 - float(np.linalg.norm(y - modelled)) / spread)
+
+
+def select_orders(
+    runs: Sequence[Experiment], validation: Experiment, grid: Iterable[Orders]
+) -> list[tuple[Orders, float]]:
+    """ARX orders that make stable models, with the simulated fit to a run held back [%].
+
+    Models with a pole at the Nyquist frequency are left out. The first has the fewest parameters
+    within 0.2 % of the best fit; the others follow by fit.
+    """
+    found = []
+    for orders in grid:
+        box = arx(runs, orders)
+        poles = np.roots(box.denominator)
+        alternating = (np.abs(poles + 1.0) < _AT_NYQUIST) & (poles.imag == 0.0)
+        if box.stable and not alternating.any():
+            found.append((orders, fit_percentage(validation.output, simulated(box, validation))))
+    if not found:
+        raise InputError("orders: none of the grid make a stable model")
+    found.sort(key=lambda one: -one[1])
+    near = [one for one in found if one[1] >= found[0][1] - _SLACK]
+    best = min(near, key=lambda one: one[0].na + one[0].nb)
+    return [best, *(one for one in found if one is not best)]
+
+
+class Residuals(NamedTuple):
+    """Correlations of residuals with the 99 % bounds of a right model (Ljung, section 16.6)."""
+
+    auto: Real  #: R_ee / R_ee(0) at lags of 0, 1 .. samples, (L,).
+    auto_bound: float
+    cross: Real  #: R_eu / sqrt(R_ee(0) R_uu(0)), with past commands, (L,).
+    cross_bound: float
+
+    def outside(self) -> tuple[float, float]:
+        """Shares of the lags beyond the bounds: with itself from lag 1 on, with the command."""
+        auto, cross = np.abs(self.auto[1:]), np.abs(self.cross)
+        return float(np.mean(auto > self.auto_bound)), float(np.mean(cross > self.cross_bound))
+
+
+def residual_analysis(box: BlackBox, run: Experiment, lags: int = 40) -> Residuals:
+    """Correlate e of an ARX model or v of output error with itself and with the command."""
+    u, v = (values[box.orders.lag :] for values in (run.input, run.output - simulated(box, run)))
+    if box.method == "arx":
+        v = run.output[box.orders.lag :] - _regressors(run, box.orders) @ box.parameters
+    if not 1 <= lags < v.size:
+        raise InputError(f"lags: {lags}; allowed: 1 to {v.size - 1}")
+    u, v = (signal.detrend(x, type="constant") / np.std(x) for x in (u, v))
+    full = (signal.correlate(a, b) / v.size for a, b in ((v, v), (v, u), (u, u)))
+    auto, cross, drive = (one[v.size - 1 : v.size + lags] for one in full)
+    point = float(stats.norm.ppf(0.995)) / np.sqrt(v.size)
+    spread = max(1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])), 0.0)
+    return Residuals(auto, point, cross, point * float(np.sqrt(spread)))
+
+
+class Continuous(NamedTuple):
+    """A box as a transfer function of s."""
+
+    velocity: UnitTransferFunction  #: Leg velocity per command [in/s per %], for `closed_loop`.
+    misfit: float  #: Root of the mean of |H - H_k|^2 / |H_k|^2 over `BAND`.
+
+
+def to_continuous(box: BlackBox) -> Continuous:
+    """Fit N(s) / D(s) of one zero less than poles to the response of a box over `BAND`.
+
+    Decimated series are band-limited, so that this response is the continuous one. Least squares of
+    D H = N, repeated with the weight 1 / |D H| of the time before (C. Sanathanan and J. Koerner,
+    IEEE Trans. Automatic Control 8 (1963) 56-58), need no start.
+    """
+    if not BAND[1] < 0.5 / box.step:
+        raise InputError(f"step: {box.step} s; allowed: below {0.5 / BAND[1]} s")
+    f, na = np.geomspace(*BAND, 200), box.orders.na
+    h, scale = box.response(f).response, 2.0 * np.pi * float(np.sqrt(BAND[0] * BAND[1]))
+    powers = np.vander(2j * np.pi * f / scale, na + 1)
+    table = np.hstack([powers[:, 1:], -h[:, None] * powers[:, 1:]])
+    above, below = np.zeros(na), np.eye(1, na + 1)[0]
+    for _ in range(_SWEEPS):
+        weight = 1.0 / np.abs(h * (powers @ below))
+        left, right = table * weight[:, None], h * powers[:, 0] * weight
+        inverse = _inverse(np.vstack([left.real, left.imag]))
+        above, below[1:] = np.split(inverse @ np.concatenate([right.real, right.imag]), 2)
+    apart = (powers[:, 1:] @ above) / (powers @ below) / h - 1.0
+    turned = scale ** np.arange(na + 1.0)
+    parts = (units.from_si("in/s/%", above * turned[1:]).tolist(), (below * turned).tolist())
+    ports: dict[str, Any] = {"input_unit": "%", "output_unit": "in/s", "outputs": ["leg_velocity"]}
+    velocity = UnitTransferFunction(*parts, **ports)
+    return Continuous(velocity, float(np.sqrt(np.mean(np.abs(apart) ** 2))))
