@@ -15,7 +15,7 @@ LINES = {
     "linearize": "linearize --out {out}",
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
     "measure": "measure {swept} --out {out}",
-    "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
+    "identify": "identify {swept} {swept} --orders 2,1,1 --method arx --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
     "recording new": "recording new {facility} --file {out}/columns.toml",
@@ -50,7 +50,7 @@ def line_of(words: str, folder: Path) -> list[str]:
     make_files(source, np.random.default_rng(19))
     names = {"facility": "facility.csv", "stream": "stream.csv", "motion": "motion.csv"}
     names |= {"campaign": "campaign.toml", "swept": "swept.parquet"}
-    if words == "measure":
+    if words in ("measure", "identify"):
         chirp = signals.chirp("heave", 0.004, duration=24.0)
         simulate(SingleLegs(), "velocity", chirp, record_every=16).save(source / "swept.parquet")
     places = {name: str(source / file) for name, file in names.items()}

@@ -267,10 +267,11 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     demand, feedback = (
         legs_to_pose(record[name][whole], machine) for name in ("leg_reference", "leg_position")
     )
-    estimate = matrix_response(demand, feedback, record.rate, command.period, band=command.band)
+    how = (record.rate, command.period)
+    frequency, response = matrix_response(demand, feedback, *how, band=command.band)
     return control.FrequencyResponseData(
-        np.moveaxis(estimate.response, 0, -1),
-        2.0 * np.pi * estimate.frequency,
+        np.moveaxis(response, 0, -1),
+        2.0 * np.pi * frequency,
         inputs=[f"{dof}_demand" for dof in DOFS],
         outputs=list(DOFS),
         name="response",

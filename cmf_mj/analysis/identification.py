@@ -388,8 +388,9 @@ def to_continuous(box: BlackBox) -> Continuous:
     for _ in range(_SWEEPS):
         weight = 1.0 / np.abs(h * (powers @ below))
         left, right = table * weight[:, None], h * powers[:, 0] * weight
-        inverse = _inverse(np.vstack([left.real, left.imag]))
-        above, below[1:] = np.split(inverse @ np.concatenate([right.real, right.imag]), 2)
+        system, target = np.vstack([left.real, left.imag]), np.concatenate([right.real, right.imag])
+        size = np.linalg.norm(system, axis=0)
+        above, below[1:] = np.split(np.linalg.lstsq(system / size, target)[0] / size, 2)
     apart = (powers[:, 1:] @ above) / (powers @ below) / h - 1.0
     turned = scale ** np.arange(na + 1.0)
     parts = (units.from_si("in/s/%", above * turned[1:]).tolist(), (below * turned).tolist())

@@ -141,45 +141,28 @@ def matrix_response(
     period: float,
     *,
     band: tuple[float, float] | None = None,
-) -> Estimate:
-    """Response matrix from several inputs to several outputs, H = S_yx S_xx^-1 at each line.
+) -> tuple[Real, Complex]:
+    """Lines [Hz], (K,), and response matrix (K, ny, nu) from several inputs to several outputs.
 
-    `inputs` are (N, nu) of one run with interleaved lines, each driven by one input, `outputs`
-    (N, ny). Spectra are taken over whole periods [s] after the first. A column is known at its own
-    lines; straight lines in the complex plane join these (error up to the spacing squared
-    times H''/8, which `radius` does not hold), and outside them it is NaN. A line driven by several
-    inputs needs as many periods that differ.
-
-    The response is (K, ny, nu), its radius alike, the multiple coherence (K, ny).
+    `inputs` are (N, nu) of one run with interleaved lines, each of the input that is strongest
+    there, `outputs` (N, ny). Each column is that of `periodic_response` at its own lines; straight
+    lines in the complex plane join these (error up to the spacing squared times H''/8), and outside
+    them it is NaN.
     """
-    spectra_x, spectra_y = (
-        spectra.period_spectra(x.T, rate, period).transpose(2, 0, 1) for x in (inputs, outputs)
-    )
-    power = np.sum(np.abs(spectra_x) ** 2, axis=2)
+    power = np.mean(np.abs(spectra.period_spectra(inputs.T, rate, period)) ** 2, axis=1).T
     power[0] = 0.0
-    driven = power > DRIVEN**2 * power.max(axis=0)
-    frequency = np.arange(power.shape[0]) / period
-    chosen = spectra.lines_within(frequency, band, 0.5 / period) & driven.any(axis=1)
-    frequency, driven = frequency[chosen], driven[chosen]
-    spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
-    if frequency.size == 0:
+    share = power / power.max(axis=0)
+    frequency = np.arange(share.shape[0]) / period
+    chosen = spectra.lines_within(frequency, band, 0.5 / period) & (share > DRIVEN**2).any(axis=1)
+    lines, owner = np.flatnonzero(chosen), np.argmax(share, axis=1)
+    if lines.size == 0:
         raise InputError("inputs: no line is driven within the band")
-    shape = (frequency.size, spectra_y.shape[1], spectra_x.shape[1])
-    response, radius = np.full(shape, np.nan + 0j), np.full(shape, np.nan)
-    coherence, averages = np.empty(shape[:2]), np.empty(shape[0])
-    for pattern in np.unique(driven, axis=0):
-        rows = np.flatnonzero((driven == pattern).all(axis=1))
-        columns = np.flatnonzero(pattern)
-        x = spectra_x[np.ix_(rows, columns)]
-        place = np.ix_(rows, np.arange(shape[1]), columns)
-        response[place], coherence[rows], radius[place], averages[rows] = spectra.least_squares(
-            x, spectra_y[rows], np.eye(x.shape[2])
-        )
-    for i, j in np.ndindex(shape[1:]):
-        known = driven[:, j]
-        response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
-        radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
-    return Estimate(frequency, response, coherence, radius, averages)
+    response = np.empty((lines.size, outputs.shape[1], inputs.shape[1]), dtype=complex)
+    for i, j in np.ndindex(response.shape[1:]):
+        own = lines[owner[lines] == j]
+        found = periodic_response(inputs[:, j], outputs[:, i], rate, period, own)
+        response[:, i, j] = _between(frequency[lines], found.frequency, found.response)
+    return frequency[lines], response
 
 
 def stitch(estimates: Sequence[Estimate]) -> Estimate:

@@ -45,12 +45,10 @@ class Estimate(NamedTuple):
     """A frequency response with what is known about its error."""
 
     frequency: Real  #: Lines [Hz], (K,), ascending.
-    response: Complex
-    """Complex response, (K,), or (K, ny, nu) for a matrix; NaN where an input had no line."""
-    coherence: Real
-    """Share of the output's power that the inputs explain, 0 to 1, (K,), or (K, ny)."""
+    response: Complex  #: (K,).
+    coherence: Real  #: Share of the output's power that the input explains, 0 to 1, (K,).
     radius: Real
-    """Radius of the 95 % circle about `response`, its shape; infinite where nothing is known."""
+    """Radius of the 95 % circle about `response`, (K,); infinite where nothing is known."""
     averages: Real
     """Effective number of independent averages behind the noise estimate, n + 1, (K,)."""
 
@@ -89,39 +87,23 @@ def period_spectra(x: Real, rate: float, period: float) -> Complex:
     return np.asarray(np.fft.rfft(whole.reshape(*whole.shape[:-1], -1, size), axis=-1))
 
 
-def least_squares(x: Complex, y: Complex, correlation: Real) -> tuple[Complex, Real, Real, Real]:
-    """Y = H X by least squares on each line; x (K, nu, S), y (K, ny, S), correlation (S, S).
-
-    The response (K, ny, nu), its coherence (K, ny), radius and averages (K,), as in `Estimate`.
-    """
-    inputs, count = x.shape[1:]
-    if count < inputs:
-        raise InputError(f"inputs: {count} averages cannot tell {inputs} inputs apart")
-    size = np.linalg.norm(x, axis=2, keepdims=True)
+def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -> Estimate:
+    """Y = H X on each line; x and y (K, S), correlation of the segments (S, S)."""
+    size = np.linalg.norm(x, axis=1)
     if not np.all(size > 0.0):
-        raise InputError(f"inputs: input {np.argwhere(size <= 0.0)[0][1] + 1} is zero at a line")
-    basis, triangle = np.linalg.qr(_adjoint(x / size))  # (K, S, nu), (K, nu, nu)
-    if np.abs(np.diagonal(triangle, axis1=1, axis2=2)).min() < 1e-6:
-        raise InputError("inputs: not independent of each other; drive them in as many runs")
-    inverse = np.linalg.inv(triangle)
-    response = y @ basis @ _adjoint(inverse) / np.swapaxes(size, 1, 2)
-    unexplained = np.sum(np.abs(y - response @ x) ** 2, axis=2)  # (K, ny)
-    total = np.sum(np.abs(y) ** 2, axis=2)
-    spread = np.tensordot(correlation, basis, axes=(1, 1)).transpose(1, 0, 2)  # R e
-    inner = _adjoint(basis) @ spread
-    left = np.trace(correlation) - np.trace(inner, axis1=1, axis2=2).real
-    square = np.sum(correlation**2) - 2.0 * np.sum(np.abs(spread) ** 2, axis=(1, 2))
-    square += np.sum(np.abs(inner) ** 2, axis=(1, 2))
-    known = (left > 1e-9 * count) & (count > inputs)
+        raise InputError(f"x: is zero at {frequency[np.argmin(size)]} Hz")
+    e = np.conj(x) / size[:, None]
+    response = np.sum(e * y, axis=1) / size
+    unexplained = np.sum(np.abs(y - response[:, None] * x) ** 2, axis=1)
+    spread = e @ correlation  # R e
+    inner = np.sum(np.conj(e) * spread, axis=1).real
+    left = np.trace(correlation) - inner
+    square = np.sum(correlation**2) - 2.0 * np.sum(np.abs(spread) ** 2, axis=1) + inner**2
+    known = left > 1e-9 * e.shape[1]
     n = np.where(known, left**2 / np.where(known, square, 1.0), 0.0)
-    noise = unexplained / np.where(known, left, 1.0)[:, None]
-    gain = np.einsum("kij,kjl,kil->ki", inverse, inner, np.conj(inverse)).real / size[:, :, 0] ** 2
-    radius = confidence_radius(noise[:, :, None] * gain[:, None, :], n[:, None, None])
-    return response, 1.0 - share_of(unexplained, total, 1.0), radius, n + 1.0
-
-
-def _adjoint(a: Complex) -> Complex:
-    return np.conj(np.swapaxes(a, -1, -2))
+    variance = unexplained / np.where(known, left, 1.0) * inner / size**2
+    coherence = 1.0 - share_of(unexplained, np.sum(np.abs(y) ** 2, axis=1), 1.0)
+    return Estimate(frequency, response, coherence, confidence_radius(variance, n), n + 1.0)
 
 
 def confidence_radius(variance: Real, averages: ArrayLike) -> Real:
@@ -203,7 +185,7 @@ def welch_response(
     chosen = lines_within(frequency, band, 1.5 / segment)
     lines = transform(both, taper, hop, length)[chosen]
     correlation = segment_correlation(taper, hop, measured)
-    return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation)
+    return _least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation)
 
 
 def report_response(
@@ -243,12 +225,9 @@ def report_response(
     chosen = lines_within(frequency, band, 0.5 * rate / size)
     lines = transform(both, taper, hop, size)[chosen]
     correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
-    return from_h1(_single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation), "report")
-
-
-def _single(frequency: Real, x: Complex, y: Complex, correlation: Real) -> Estimate:
-    response, coherence, radius, averages = least_squares(x, y, correlation)
-    return Estimate(frequency, response[:, 0, 0], coherence[:, 0], radius[:, 0, 0], averages)
+    return from_h1(
+        _least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation), "report"
+    )
 
 
 def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:

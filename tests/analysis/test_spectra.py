@@ -391,17 +391,15 @@ def test_interleaved_lines_of_one_run_give_the_matrix() -> None:
     """Column i at every sixth line, 1e-9; straight lines between lines 0.6 Hz apart: within
     0.6^2 / 8 max |H''|, by differences of the analytic response."""
     x = interleaved()
-    estimate = matrix_response(x, coupled(six_by_six(), x), RATE, 10.0)
-    assert estimate.response.shape == (96, 6, 6)
-    expected = exact_matrix(six_by_six(), estimate.frequency)
+    frequency, response = matrix_response(x, coupled(six_by_six(), x), RATE, 10.0)
+    assert response.shape == (96, 6, 6)
+    expected = exact_matrix(six_by_six(), frequency)
     for i in range(6):
         own = np.arange(96) % 6 == i
-        np.testing.assert_allclose(
-            estimate.response[own, :, i], expected[own, :, i], rtol=0, atol=1e-9
-        )
+        np.testing.assert_allclose(response[own, :, i], expected[own, :, i], rtol=0, atol=1e-9)
     second = np.abs(np.diff(expected, 2, axis=0)).max() / 0.1**2
     inner = slice(5, 91)
-    off = np.abs(estimate.response - expected)[inner]
+    off = np.abs(response - expected)[inner]
     assert np.nanmax(off) < 0.6**2 / 8 * second * 1.05
     assert not np.isnan(off).any()
 
@@ -421,7 +419,7 @@ WAVE = sines((1.0,), 10.0)
             lambda: from_h1(welch_response(WAVE, WAVE, RATE, segment=2.0), "h3"),
             "estimator: 'h3' is not one of h1, h2, hv, report",
         ),
-        (lambda: welch_response(FLAT, FLAT, RATE, segment=2.0), "input 1 is zero"),
+        (lambda: welch_response(FLAT, FLAT, RATE, segment=2.0), "x: is zero at"),
         (lambda: report_response(WAVE[:9], WAVE[:9], RATE), "segments: 9 samples are too few"),
         (lambda: periodic_response(WAVE, WAVE, RATE, 0.99, ODD), "not a whole number"),
         (
@@ -433,10 +431,6 @@ WAVE = sines((1.0,), 10.0)
         (lambda: sine_response(WAVE, WAVE, RATE, 0.05), "no whole cycle of 0.05 Hz"),
         (lambda: sine_response(WAVE, WAVE, RATE, [1.0, 1.01]), "are closer than"),
         (lambda: sine_response(FLAT, WAVE, RATE, 1.0), "x: holds no sine at 1.0 Hz"),
-        (
-            lambda: matrix_response(np.column_stack([WAVE, WAVE]), WAVE[:, None], RATE, 1.0),
-            "not independent",
-        ),
     ],
 )
 def test_bad_input_is_named(call: Callable[[], Estimate], message: str) -> None:

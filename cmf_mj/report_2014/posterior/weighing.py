@@ -30,6 +30,7 @@ from pydantic import Field as Checked
 from scipy import stats
 from scipy.special import logsumexp
 
+from cmf_mj import signals
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import INCH
@@ -51,7 +52,7 @@ from cmf_mj.signals.composite import ROUNDS, seven_sines
 from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
 from cmf_mj.studies.fit import sampling
-from cmf_mj.studies.identification import excitation, identify
+from cmf_mj.studies.identification import identify
 
 Array = NDArray[np.float64]
 
@@ -168,13 +169,14 @@ def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
         seven_sines("heave", case.size, number, cycles=3, settle=1.0)
         for number in range(1, len(ROUNDS) + 1)
     )
-    driven = [[excitation(kind, "heave", INCH)] for kind in ("pulse", "sine")] + [[*rounds]]
-    checked = case.run(excitation("multisine", "heave"))
+    driven = [[signals.pulse("heave", INCH)], [signals.sine("heave", INCH, 1.0)], [*rounds]]
+    broad: dict[str, Any] = {"stop": 16.0, "spectrum": "acceleration", "fade": 1.0}
+    checked = case.run(signals.multisine("heave", case.size, **broad))
     made = (
         identify([*map(case.run, each), checked], "leg_1", method="arx", orders=(4, 3, 1))
         for each in driven
     )
-    return [control.ss(one.continuous.rational) for one in made]
+    return [control.ss(one.continuous.velocity.to_si()) for one in made]
 
 
 _ASK = {"force": force_of, "readings": _readings, "bank": _bank, "verdict": _verdicts}
