@@ -4,7 +4,6 @@ Whoever reads a run goes on where its legs flew apart, and where a plant has no 
 refusal of any other cause comes through, by name.
 """
 
-from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -12,8 +11,8 @@ import pytest
 from followed_commands import record_of
 from scipy import signal
 
-from cmf_mj import Hexapod, InputError, Linear, NoPoseError, Record, SingleLegs, load_law, signals
-from cmf_mj.analysis.frequency_response import frequency_response
+from cmf_mj import Hexapod, InputError, Linear, NoPoseError, Record, load_law, signals
+from cmf_mj.analysis.frequency_response import frequency_response, matrix_frequency_response
 from cmf_mj.analysis.measures import Measures, measure_records, step_metrics
 from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
@@ -72,11 +71,9 @@ def test_a_sweep_without_true_extensions_has_no_crosstalk_to_read() -> None:
 
 
 def test_multisines_recorded_too_slowly_are_refused() -> None:
-    def slowly(command: signals.Command, *_: object, **__: object) -> Record:
-        return heave(command, 1024)
-
+    command = signals.orthogonal_multisines({"heave": 0.001}, period=10.0, start=1.0)
     with pytest.raises(InputError, match="cannot hold 10 Hz"):
-        evaluation._matrix(SimpleNamespace(run=slowly), SingleLegs(), np.full(6, 0.001), 1)
+        matrix_frequency_response(heave(command, 1024))
 
 
 def test_small_motion_of_a_loop_without_delay_is_refused() -> None:
