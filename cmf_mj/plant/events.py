@@ -90,13 +90,6 @@ class Failure(Settings):
         """The size in SI; 0 for kinds without one."""
         return _KINDS[self.kind].size if self.size is None else to_si(self.size[1], self.size[0])
 
-    @property
-    def valves(self) -> str:
-        """Which of the leg's valves fail, in words; empty where none does."""
-        if _KINDS[self.kind].part != "valve":
-            return ""
-        return "all its valves" if self.valve is None else f"valve {self.valve}"
-
 
 class Event(Failure):
     """A failure on the time line."""

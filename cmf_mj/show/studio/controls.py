@@ -73,6 +73,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
     of = {ready_scenarios()[name].title: prompts for name, prompts in lessons.items()}
     prompts: list[dict[str, str]] = []
     at, since = 0, 0  # prompt, and number of marks when it was shown
+    answered = set[int]()  # prompts, whatever runs begin after
 
     def follow(scenario: Run) -> None:
         nonlocal prompts, at, since
@@ -80,6 +81,7 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
         now = of.get(scenario.title, [])
         if prompts is not now or at + 1 == len(now):  # the last begins the first again
             at, prompts = 0, now  # in this order: the session's thread reads both
+            answered.clear()
             desk.wait = bool(now)
         since = 0
 
@@ -88,8 +90,9 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
         if prompts:
             ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
-            done = any(until in mark.text for mark in seen)
-            done = done if until else view.live.time > _WATCHED
+            if any(until in mark.text for mark in seen) if until else view.live.time > _WATCHED:
+                answered.add(at)
+            done = at in answered
             then = f"**Answer:** {answer}" if done else "*Answered some seconds after you did it.*"
             said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask}\n\n{then}"
         text.content, text.visible = said, bool(said)

@@ -131,8 +131,9 @@ def words(name: str, leg: int | None) -> str:
 
 
 def _failed(failure: Failure) -> str:
-    said = words(failure.kind, failure.leg)
-    return f"{said}, {failure.valves}" if failure.valves else said
+    valves = "all its valves" if failure.valve is None else f"valve {failure.valve}"
+    of = f", {valves}" if failure.kind.startswith("valve") else ""
+    return words(failure.kind, failure.leg) + of
 
 
 def _texts(change: Change) -> list[str]:
