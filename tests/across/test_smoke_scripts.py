@@ -58,15 +58,16 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
     shutil.copytree(SCRIPTS.parent / "docs", root / "docs")
     shutil.copy(SCRIPTS.parent / "README.md", root)
     results = tmp_path / "out"
-    for name in ("rotation/fragile.md", "omct/omct.csv", "ablation/ladder.png"):
+    for name in ("machines/sizes.md", "omct/omct.csv", "ablation/ladder.png"):
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (results / name).write_text(f"new {name}")
-    (results / "rotation/robust.md").write_text("# Title\n\n| new |\n| --- |\n\ncaption\n")
+    (results / "report").mkdir()
+    (results / "report/agreement.md").write_text("# Title\n\n| new |\n| --- |\n\ncaption\n")
     run("update_docs.py", "--results", str(results), "--root", str(root), cwd=tmp_path)
-    page = (root / "docs" / "reference" / "data.md").read_text()
-    assert "<!-- table: rotation/fragile -->\n\nnew rotation/fragile.md\n" in page
+    page = (root / "docs" / "explanation" / "two_machines.md").read_text()
+    assert "<!-- table: machines/sizes -->\n\nnew machines/sizes.md\n" in page
     page = (root / "docs" / "explanation" / "paper.md").read_text()
-    assert "<!-- table: rotation/robust -->\n\n| new |\n| --- |\n\n<!-- end -->" in page
+    assert "<!-- table: report/agreement -->\n\n| new |\n| --- |\n\n<!-- end -->" in page
     assert (root / "docs/data/omct.csv").read_text() == "new omct/omct.csv"
     listed = tomllib.loads((root / "docs/data/files.toml").read_text())["omct"]
     assert listed["sha256"] == hashlib.sha256(b"new omct/omct.csv").hexdigest()
