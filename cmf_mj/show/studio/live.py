@@ -25,7 +25,6 @@ from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.session import Live
 from cmf_mj.facility.settings import Change
 from cmf_mj.facility.signal import HostFile
-from cmf_mj.plant.events import Failure
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import SingleSignal
@@ -113,10 +112,10 @@ class Mark(NamedTuple):
 def marks_of(scenario: Run, fault: Fault | None) -> tuple[Mark, ...]:
     """All that has happened to a run that did this scenario, in order of time."""
     rate = scenario.rate
-    marks = [Mark(event.at, _failed(event), True) for event in scenario.events]
+    marks = [Mark(one.at, words(one.kind, one.leg, one.valve), True) for one in scenario.events]
     for change in scenario.change:
         time = change.when(rate) / rate
-        marks += [Mark(time, _failed(one), True) for one in change.failure]
+        marks += [Mark(time, words(one.kind, one.leg, one.valve), True) for one in change.failure]
         if texts := _texts(change):
             marks.append(Mark(time, ", ".join(texts), False))
     if fault is not None:
@@ -125,15 +124,10 @@ def marks_of(scenario: Run, fault: Fault | None) -> tuple[Mark, ...]:
     return tuple(sorted(marks))
 
 
-def words(name: str, leg: int | None) -> str:
-    """What failed or was detected, and of which leg."""
-    return name.replace("_", " ") + ("" if leg is None else f" of leg {leg}")
-
-
-def _failed(failure: Failure) -> str:
-    valves = "all its valves" if failure.valve is None else f"valve {failure.valve}"
-    of = f", {valves}" if failure.kind.startswith("valve") else ""
-    return words(failure.kind, failure.leg) + of
+def words(name: str, leg: int | None, valve: int | None = None) -> str:
+    """What failed or was detected, of which leg and which of its valves."""
+    which = f", valve {valve}" if valve else ", all its valves" * name.startswith("valve")
+    return name.replace("_", " ") + ("" if leg is None else f" of leg {leg}{which}")
 
 
 def _texts(change: Change) -> list[str]:

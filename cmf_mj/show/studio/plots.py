@@ -20,13 +20,10 @@ from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import LARGEST_PUSH, weight
 from cmf_mj.show.studio.live import PLOT_RATE, Mark, View, words
 
-_DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
+_DARK, _PALE, RED, _GOOD, _FAILED = "#222222", "#8a9099", "#d62728", "#2f9e44", "#f08c00"
 
 _MOTION, _FORCE, _VALVE = "platform, {} [{}]", "leg forces [{}]", "valve commands [%]"
 _PRESSURE, _SUPPLY = "pressures of the leg [{}]", "manifolds [{}]"
-
-
-_GOOD, _FAILED = "#2f9e44", "#f08c00"
 
 
 def lamp(view: View) -> str:
@@ -114,10 +111,8 @@ class Plots:
         drawn |= {_FORCE.format(unit): (legs, 0.0, 1.0) for unit in ("lbf", "kN")}
         drawn[_VALVE] = legs, -2.0, 2.0
         for title, lines, psi in ((_PRESSURE, sides, 1000.0), (_SUPPLY, manifolds, 2000.0)):
-            drawn |= {
-                title.format("psi"): (lines, 0.0, psi),
-                title.format("bar"): (lines, 0.0, 0.07 * psi),
-            }
+            for unit, size in (("psi", 1.0), ("bar", 0.07)):
+                drawn[title.format(unit)] = lines, 0.0, size * psi
         self._plots = {title: _add_plot(client, title, *how) for title, how in drawn.items()}
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
@@ -151,7 +146,7 @@ class Plots:
             _FORCE.format(force): of("force", force),
             _VALVE: of("valve_command", "%"),
             _PRESSURE.format(pressure): [
-                of(f"{side}_pressure", pressure)[leg] for side in ("cap", "rod")
+                of(f"{s}_pressure", pressure)[leg] for s in ("cap", "rod")
             ],
             _SUPPLY.format(pressure): of("supply_pressure", pressure)
             + of("return_pressure", pressure),
