@@ -361,18 +361,13 @@ def time_solvers(path: Path, out: Path) -> None:
         best = costs_here if best is None else best
         off = (costs_here - best) / np.maximum(np.abs(best), 1.0)
         shares = (f"{np.quantile(taken, q):.3g}" for q in (0.5, 0.95, 1.0))
-        rows.append(
-            {
-                "solver": name,
-                "version": metadata.version(name.lower().replace("proxqp", "proxsuite")),
-                "programmes": len(programmes),
-                **dict(zip(("median_ms", "p95_ms", "worst_ms"), shares, strict=True)),
-                "beyond_frame": int((np.array(taken) > 1e3 / MOST_RATE).sum()),
-                "failed": failed,
-                "dearer": int((off[np.isfinite(off)] > 1e-3).sum()),
-            }
-        )
-        print(rows[-1], flush=True)
+        version = metadata.version(name.lower().replace("proxqp", "proxsuite"))
+        row = {"solver": name, "version": version, "programmes": len(programmes)}
+        row |= dict(zip(("median_ms", "p95_ms", "worst_ms"), shares, strict=True))
+        late, dearer = np.array(taken) > 1e3 / MOST_RATE, off[np.isfinite(off)] > 1e-3
+        row |= {"beyond_frame": int(late.sum()), "failed": failed, "dearer": int(dearer.sum())}
+        print(row, flush=True)
+        rows.append(row)
         write(out / "solvers.csv", rows)
 
 
