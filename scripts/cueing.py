@@ -357,9 +357,8 @@ def time_solvers(path: Path, out: Path) -> None:
             taken.append(1e3 * (time.process_time() - begun))
             failed += z is None
             costs.append(np.inf if z is None else price_of(p, z[: len(p["f"])]))
-        costs_here = np.array(costs)
-        best = costs_here if best is None else best
-        off = (costs_here - best) / np.maximum(np.abs(best), 1.0)
+        best = np.array(costs) if best is None else best
+        off = (np.array(costs) - best) / np.maximum(np.abs(best), 1.0)
         shares = (f"{np.quantile(taken, q):.3g}" for q in (0.5, 0.95, 1.0))
         version = metadata.version(name.lower().replace("proxqp", "proxsuite"))
         row = {"solver": name, "version": version, "programmes": len(programmes)}
