@@ -56,7 +56,7 @@ COMMANDS: dict[str, str] = {
     "modes": "modes {cabs} --samples 90 --rounds 0 --points 3",
     "compare": "compare {machine} --dofs heave --quick --no-records",
     "guide run": f"guide run {GUIDE} {{machine}} --repetitions 2",
-    "measure": "measure swept.parquet {machine}",
+    "measure": "measure swept.parquet --machine {name}",
     "identify": "identify {machine} --simulate --orders 2,1,1 --method arx",
     "run": "run run.toml {cab}",
     "replay": "replay record.parquet",
