@@ -47,6 +47,8 @@ def test_the_smallest_change_is_found_with_its_power() -> None:
     assert found == pytest.approx(0.9, abs=0.01)
     normal = (stats.norm.isf(level / 2.0) + stats.norm.isf(0.1)) * np.sqrt(2.0 / 5000)
     assert smallest(5000, 5000, level, 4999) == pytest.approx(normal, rel=0.01)
+    wide = stats.t.isf(5e-7, 1) * stats.norm.isf(0.05)  # so large is e |z| 90 times of 100
+    assert smallest(2, 2, 1e-6, 1) == pytest.approx(wide, rel=1e-3)
 
 
 def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
