@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -15,23 +15,22 @@ from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, file, new_file
 from cmf_mj.core.errors import InputError
 
-if TYPE_CHECKING:
-    from cmf_mj.pilot.flight import Flight
-
 command = partial(app.command, rich_help_panel="Flight")
 drawing = options.drawing(command)
 
 _FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
-_FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
+_FLOWN = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
 _KNOWN = 6  #: Drawn machines that a learner is made for; those it is tried on are others.
 _QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
 
-def _port(source: str) -> int | None:
-    """The UDP port that a source is, if it is one."""
-    return int(source) if source.isascii() and source.isdigit() else None
+def _port(source: str) -> int:
+    """The UDP port that a source of live telemetry is."""
+    if not (source.isascii() and source.isdigit()):
+        raise InputError(f"source: {source!r} is refused; allowed: the UDP port of live telemetry")
+    return int(source)
 
 
 @drawing("fly")
@@ -60,12 +59,9 @@ def fly_command(
 
     loaded = [cmf_mj.load_law(name) for name in laws]
     check_distinct("laws", [one.name for one in loaded])
-    port = None if form is None else _port(flight)
-    if port is not None and len(loaded) != 1:
+    port, flown = (0, load_flight(flight)) if form is None else (_port(flight), None)
+    if flown is None and len(loaded) != 1:
         raise InputError(f"laws: {len(loaded)} for live telemetry; allowed: one")
-    flown = None
-    if port is None:
-        flown = load_flight(flight) if form is None else _telemetry(flight, form)
     how: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "electronics": noise_choice(noise)}
     length = seconds if flown is None else float(flown.motion.time[-1])
     rides, paths = [], []
@@ -73,7 +69,7 @@ def fly_command(
         with progress_bar(f"flying {law.name}", seconds=True) as bar:
             watched = how | {"washout": washout, "progress": lambda at, bar=bar: bar(at, length)}
             if flown is None:
-                ride = fly_live(str(form), port or 0, law, seconds=length, **watched)
+                ride = fly_live(str(form), port, law, seconds=length, **watched)
             else:
                 ride = fly(flown.motion, law, **watched)
         rides.append(ride)
@@ -133,19 +129,6 @@ def learn_command(
     show(report.verdict(learnt, others), written(paths, out))
 
 
-def _telemetry(source: str, form: str) -> Flight:
-    """A recording of telemetry as a flight; what is wrong with it is said, and it is refused."""
-    from cmf_mj.pilot.telemetry import flight_of, read_telemetry
-    from cmf_mj.pilot.telemetry_check import check
-
-    recorded, refused = read_telemetry(source, form)
-    if errors := check(recorded).errors:
-        raise InputError(f"{source}: {'; '.join(errors)}")
-    if refused:
-        show(f"{source}: {refused} datagrams were not of the format {form}")
-    return flight_of(recorded, form, Path(source).stem)
-
-
 def formats() -> tuple[str, ...]:
     """Formats of what `cmf flight` flies or reads."""
     from cmf_mj.pilot.telemetry import FORMATS
@@ -153,7 +136,7 @@ def formats() -> tuple[str, ...]:
     return ("jsbsim", *FORMATS)
 
 
-_SOURCE = "script of JSBSim, or recording or UDP port of telemetry"
+_SOURCE = "script of JSBSim, UDP port of telemetry, or CSV file"
 _MADE = "jsbsim, or telemetry: xplane, beamng, csv"
 Made = Annotated[str, choice("cli.flight:formats", "FORMAT", _MADE, make=partial(Option, "--from"))]
 
@@ -181,8 +164,8 @@ def flight_command(
             f"pilot's station from the centre of gravity: {x} m forward, {y} right, {z} down",
         )
     else:
-        port = _port(source)
-        sent = read_telemetry(source, form) if port is None else listen(form, port, seconds)
+        table = form == "csv" and not source.isdigit()
+        sent = (read_telemetry(source), 0) if table else listen(form, _port(source), seconds)
         received, refused = sent
         verdict = check(received)
         span = float(received.time[-1] - received.time[0])

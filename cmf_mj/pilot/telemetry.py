@@ -9,8 +9,8 @@ beamng   UDP `<4s21f`, 88 octets, of MotionSim: BNG1, position, velocity in worl
 csv      a file with the columns of a flight and their units; over UDP one line of numbers in SI:
          time, specific force (3), angular rate (3), roll, pitch, yaw [, speed, height]
 
-What could not be verified is named in `docs/how_to/telemetry.md`. A recording of datagrams is a
-pcap file, as `tcpdump -w` writes it; datagrams have the time of their arrival.
+What could not be verified is named in `docs/how_to/telemetry.md`. Datagrams have the time of their
+arrival.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from cmf_mj.control.law import Law
-from cmf_mj.core.errors import InputError, reason
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, make_stream
@@ -126,45 +126,13 @@ def listen(form: str, port: int, seconds: float, *, bind: str = LOOPBACK) -> tup
     return telemetry_of(form, datagrams())
 
 
-def read_telemetry(source: str | Path, form: str) -> tuple[Telemetry, int]:
-    """A recording: a pcap file of datagrams; of csv, a CSV file or a flight by name or file."""
-    if form != "csv":
-        return telemetry_of(form, _packets(Path(source)))
+def read_telemetry(source: str | Path) -> Telemetry:
+    """A table of telemetry as it is: a CSV file, or a flight by name or file."""
     _, columns, _ = read_columns(source)
     unknown = np.full(columns["time"].size, np.nan)
     motion = (np.column_stack([columns[n] for n in names]) for names in COLUMNS.values())
     path_of = (columns.get(name, unknown) for name in ("airspeed", "height"))
-    return Telemetry(columns["time"], *motion, *path_of), 0
-
-
-_LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 276: 20}
-"""Octets before the IP header, by link type of a pcap file."""
-
-
-def _packets(path: Path) -> Iterator[tuple[float, bytes]]:
-    """Times and contents of the UDP datagrams over IPv4 of a pcap file; of a part, nothing."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-    orders = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6)}
-    orders |= {b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}
-    if len(data) < 24 or data[:4] not in orders:
-        raise InputError(f"{path}: is no pcap file; allowed: what `tcpdump -w` writes")
-    order, fraction = orders[data[:4]]
-    link = struct.unpack(f"{order}I", data[20:24])[0] & 0xFFFF
-    if link not in _LINKS:
-        raise InputError(f"{path}: link type {link}; allowed: {', '.join(map(str, _LINKS))}")
-    at, head = 24, struct.Struct(f"{order}4I")
-    while at + head.size <= len(data):
-        seconds, part, kept, _ = head.unpack_from(data, at)
-        packet = data[at + head.size + _LINKS[link] : at + head.size + kept]
-        at += head.size + kept
-        if len(packet) > 28 and packet[0] >> 4 == 4 and packet[9] == 17:
-            header = 4 * (packet[0] & 0x0F)
-            size = int.from_bytes(packet[header + 4 : header + 6])
-            whole = packet[6] & 0x3F == packet[7] == 0 and header + size <= len(packet)
-            yield seconds + fraction * part, packet[header + 8 : header + size] * whole
+    return Telemetry(columns["time"], *motion, *path_of)
 
 
 def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:

@@ -15,7 +15,6 @@ import pytest
 
 from cmf_mj import InputError
 from cmf_mj.pilot.flight import flight_names, load_flight
-from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import gravity_in_body
 from cmf_mj.pilot.telemetry import decode, flight_of, fly_live, read_telemetry, telemetry_of
 from cmf_mj.pilot.telemetry_check import Telemetry, check
@@ -102,7 +101,7 @@ def test_a_datagram_of_another_form_is_refused(form: str, data: bytes) -> None:
 
 
 def shipped(name: str) -> Telemetry:
-    return read_telemetry(name, "csv")[0]
+    return read_telemetry(name)
 
 
 def as_packets(name: str, form: str) -> list[tuple[float, bytes]]:
@@ -224,49 +223,16 @@ def test_times_that_do_not_rise_or_are_in_ms_are_told() -> None:
     )
 
 
-def pcap(packets: list[tuple[float, bytes]], path: Path) -> Path:
-    """As `tcpdump -w` writes it, on Ethernet; with a datagram of another protocol in between."""
-    data = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
-    for number, (at, payload) in enumerate(packets):
-        udp = struct.pack(">HHHH", 49000, 49005, 8 + len(payload), 0) + payload
-        protocol = 17 if number % 100 else 6
-        head = (0x45, 0, 20 + len(udp), 0, 0, 64, protocol, 0, b"\x7f\0\0\1", b"\x7f\0\0\1")
-        frame = bytes(14) + struct.pack(">BBHHHBBH4s4s", *head) + udp
-        whole = int(at)
-        data += struct.pack("<4I", whole, round(1e6 * (at - whole)), len(frame), len(frame)) + frame
-    path.write_bytes(data)
-    return path
-
-
-def test_a_capture_is_read_and_flown(tmp_path: Path) -> None:
-    packets = as_packets("gusts", "xplane")[:800]
-    received, refused = read_telemetry(pcap(packets, tmp_path / "gusts.pcap"), "xplane")
-    assert refused == 0 and received.time.size == 792 and check(received).errors == ()
-    ride = fly(flight_of(received, "xplane", "gusts").motion)
-    assert ride.fault is None and ride.use.within
-    data = bytearray((tmp_path / "gusts.pcap").read_bytes())
-    first = 24 + sum(16 + 42 + len(packet) for _, packet in packets[:1])
-    data[first + 16 + 14 + 6] |= 0x20  # more fragments of it follow
-    (tmp_path / "parts.pcap").write_bytes(data)
-    received, refused = read_telemetry(tmp_path / "parts.pcap", "xplane")
-    assert (received.time.size, refused) == (791, 1)
-    with pytest.raises(InputError, match=r"no\.pcap: cannot be read"):
-        read_telemetry(tmp_path / "no.pcap", "xplane")
-    (tmp_path / "text.pcap").write_text("time,x\n")
-    with pytest.raises(InputError, match="is no pcap file"):
-        read_telemetry(tmp_path / "text.pcap", "beamng")
-
-
 def test_a_csv_with_units_and_without_the_header_of_a_flight_is_read(tmp_path: Path) -> None:
     path = load_flight("turn").save(tmp_path / "turn.csv")
     bare = tmp_path / "bare.csv"
     text = path.read_text().partition("\n")[2]
     bare.write_text(text)
-    received, _ = read_telemetry(bare, "csv")
+    received = read_telemetry(bare)
     np.testing.assert_array_equal(received.specific_force, shipped("turn").specific_force)
     bare.write_text(text.replace("roll", "bank"))
     with pytest.raises(InputError, match="roll: column is missing"):
-        read_telemetry(bare, "csv")
+        read_telemetry(bare)
 
 
 def sending(packets: list[bytes], port: int) -> threading.Event:
