@@ -9,7 +9,6 @@ from guide_files import SHORT, written
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_table
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.pilot.omct import cueing
 from cmf_mj.studies.guide import (
     FILE,
     GUIDES,
@@ -20,14 +19,10 @@ from cmf_mj.studies.guide import (
     run_guide,
     simulated,
 )
-from cmf_mj.studies.measurement import MEASURES
 
 
 @pytest.mark.parametrize("name", GUIDES)
-def test_a_shipped_guide_says_where_each_limit_comes_from(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(MEASURES, "cueing", cueing)
+def test_a_shipped_guide_says_where_each_limit_comes_from(name: str) -> None:
     guide = load_guide(name)
     for one in guide.tests.values():
         assert one.limits or one.no_limit
