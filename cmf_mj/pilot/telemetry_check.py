@@ -19,9 +19,6 @@ one from degrees has to quarter it. A doubt that would not matter on these data 
 cannot show.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cache
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -60,11 +57,16 @@ class Telemetry(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """A change that would mend an error."""
+    """A change of a channel that would mend an error."""
 
-    channel: str  #: attitude, rate or force.
     said: str  #: The error, in words.
-    mend: Callable[[Array, Array], Array]  #: Of the channel and the attitude, each (N, 3).
+    matrix: Array  #: From values to values, (3, 3).
+    gravity: float = 0.0  #: How many times gravity in the attitude is added.
+    price: float = 1.0  #: In `_CHANGE`; a unit's is higher, since what is small fits easily.
+
+    def mend(self, values: Array, attitude: Array) -> Array:
+        """The channel without the error, each (N, 3)."""
+        return values @ self.matrix.T + self.gravity * gravity_in_body(attitude)
 
 
 class TelemetryVerdict(NamedTuple):
@@ -74,49 +76,37 @@ class TelemetryVerdict(NamedTuple):
     unseen: tuple[str, ...]  #: Errors that these data could not show.
 
 
-def _swapped(*order: int) -> Callable[[Array, Array], Array]:
-    return lambda values, _: values[:, order]
-
-
-def _times(*factors: float) -> Callable[[Array, Array], Array]:
-    return lambda values, _: values * factors
-
-
-def _gravity(times: float) -> Callable[[Array, Array], Array]:
-    return lambda values, attitude: values + times * gravity_in_body(attitude)
-
-
-_SIGNS = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
-_SWAPS = ((1, 0, 2), (0, 2, 1), (2, 1, 0))
-
-
-def _axes(channel: str, what: str, names: Sequence[str]) -> list[Doubt]:
+def _axes(what: str, *names: str) -> list[Doubt]:
+    """No change of a channel, and those of its axes."""
+    one = np.eye(3)
     signs = [
-        Doubt(channel, f"{what} {name} has the wrong sign", _times(*sign))
-        for name, sign in zip(names, _SIGNS, strict=True)
+        Doubt(f"{what} {name} has the wrong sign", one - 2.0 * np.outer(axis, axis))
+        for name, axis in zip(names, one, strict=True)
     ]
-    for order in _SWAPS:
-        first, second = (name for k, name in enumerate(names) if order[k] != k)
-        signs.append(Doubt(channel, f"{what} {first} and {second} are swapped", _swapped(*order)))
-    return signs
+    swaps = [
+        Doubt(f"{what} {names[i]} and {names[k]} are swapped", one[order])
+        for i, k, order in ((0, 1, [1, 0, 2]), (1, 2, [0, 2, 1]), (0, 2, [2, 1, 0]))
+    ]
+    return [Doubt("", one, price=0.0), *signs, *swaps]
 
 
-_DEGREES = "the angles are in deg, not in rad", "the angular rates are in deg/s, not in rad/s"
-
-DOUBTS = (
-    *_axes("attitude", "the angle of", ("roll", "pitch", "yaw")),
-    Doubt("attitude", _DEGREES[0], _times(DEGREE)),
-    *_axes("rate", "the angular rate", ("p", "q", "r")),
-    Doubt("rate", _DEGREES[1], _times(DEGREE)),
-    *_axes("force", "the specific force", ("x", "y", "z")),
-    Doubt("force", "the specific force is in g, not in m/s^2", _times(STANDARD_GRAVITY)),
-    Doubt("force", "gravity is left out: these are accelerations", _gravity(-1.0)),
-    Doubt("force", "gravity is in twice", _gravity(1.0)),
-    Doubt("force", "all three specific forces have the wrong sign", _times(-1.0)),
+_ONE = np.eye(3)
+_DEGREES = (
+    Doubt("the angles are in deg, not in rad", DEGREE * _ONE, price=2.0),
+    Doubt("the angular rates are in deg/s, not in rad/s", DEGREE * _ONE, price=2.0),
 )
-"""Errors that are looked for."""
-
-_FINE = {name: Doubt(name, "", lambda values, _: values) for name in ("attitude", "rate", "force")}
+DOUBTS = (
+    [*_axes("the angle of", "roll", "pitch", "yaw"), _DEGREES[0]],
+    [*_axes("the angular rate", "p", "q", "r"), _DEGREES[1]],
+    [
+        *_axes("the specific force", "x", "y", "z"),
+        Doubt("the specific force is in g, not in m/s^2", STANDARD_GRAVITY * _ONE),
+        Doubt("gravity is left out: these are accelerations", _ONE, -1.0),
+        Doubt("gravity is in twice", _ONE, 1.0),
+        Doubt("all three specific forces have the wrong sign", -_ONE),
+    ],
+)
+"""Errors of attitude, rate and force that are looked for; the first of each is none."""
 
 
 def check(telemetry: Telemetry) -> TelemetryVerdict:
@@ -128,25 +118,27 @@ def check(telemetry: Telemetry) -> TelemetryVerdict:
     kept = Telemetry._make(values[rising] for values in telemetry)
     if kept.time.size < 2 or kept.time[-1] - kept.time[0] < 4.0 * _MEAN:
         return TelemetryVerdict((*errors, f"less than {4.0 * _MEAN:g} s of data"), ())
-    costs = _Costs(kept)
-    ways = {
-        name: [_FINE[name], *(doubt for doubt in DOUBTS if doubt.channel == name)] for name in _FINE
-    }
-    found = sorted((costs.of(*way), _said(way), way) for way in product(*ways.values()))
-    least, said, best = found[0]
-    if len(said) == 1:  # what fits as well is as likely
-        said = (" or ".join(o[0] for c, o, _ in found if len(o) == 1 and c - least < _CHANGE),)
-    errors += said
-    base, unseen = costs.misfit(*best), []
-    for doubt in DOUBTS:
-        tried = [doubt if doubt.channel == was.channel else was for was in best]
-        if doubt not in best and costs.misfit(*tried) - base < _CHANGE:
-            unseen.append(doubt.said)
+    misfit, prices = _misfits(kept), ([doubt.price for doubt in doubts] for doubts in DOUBTS)
+    cost = misfit + _CHANGE * sum(np.ix_(*prices))
+    ways = [tuple(way) for way in np.argwhere(cost < cost.min() + _CHANGE)]
+    best, *others = sorted(ways, key=lambda way: cost[way])
+    if len(_said(best)) == 1:  # what fits as well is as likely
+        alike = [said[0] for said in map(_said, [best, *others]) if len(said) == 1]
+        errors.append(" or ".join(alike))
+    else:
+        errors += _said(best)
+    unseen = []
+    for channel, doubts in enumerate(DOUBTS):
+        for number, doubt in enumerate(doubts):
+            tried = (*best[:channel], number, *best[channel + 1 :])
+            if number not in (0, best[channel]) and misfit[tried] - misfit[best] < _CHANGE:
+                unseen.append(doubt.said)
     return TelemetryVerdict(tuple(errors), tuple(unseen))
 
 
-def _said(way: Sequence[Doubt]) -> tuple[str, ...]:
-    return tuple(doubt.said for doubt in way if doubt.said)
+def _said(way: tuple[int, ...]) -> list[str]:
+    """The errors of attitude, rate and force, by their places in `DOUBTS`."""
+    return [doubts[k].said for doubts, k in zip(DOUBTS, way, strict=True) if k]
 
 
 def _time_errors(time: Array) -> list[str]:
@@ -162,69 +154,62 @@ def _time_errors(time: Array) -> list[str]:
     return errors
 
 
-class _Costs:
-    """Misfits of telemetry with a change in each channel."""
+def _misfits(sent: Telemetry) -> Array:
+    """Sum of ln(r + r0) over the six axes for each change of attitude, rate and force."""
+    time = sent.time - sent.time[0]
+    even = np.arange(0.0, time[-1], 1.0 / _RATE)
+    rate, force, path = (
+        interpolated(even, time, values)
+        for values in (
+            sent.angular_rate,
+            sent.specific_force,
+            np.column_stack([sent.speed, sent.height]),
+        )
+    )
+    known = bool(np.isfinite(path).all())
+    rows = []
+    for attitude in DOUBTS[0]:
+        angles = np.unwrap(attitude.mend(sent.attitude, sent.attitude), axis=0)
+        angles = interpolated(even, time, angles)
+        rates, forces = _expected(even, angles, path if known else None)
+        turned = []
+        for doubt in DOUBTS[1]:
+            rms = _rms(doubt.mend(rate, angles) - rates)
+            if attitude is _DEGREES[0] and doubt is _DEGREES[1]:
+                rms /= DEGREE  # if both shrink alike, nothing fits better
+            turned.append(np.log(rms + _FLOOR["rate"]).sum())
+        apart = [doubt.mend(force, angles) - forces for doubt in DOUBTS[2]]
+        if known:
+            pushed = [np.log(_rms(values) + _FLOOR["force"]).sum() for values in apart]
+        else:  # on the whole nothing rises or falls; along and across it may do what it likes
+            level = Rotation.from_euler("ZYX", angles[: len(_mean(rate)), ::-1])
+            rises = (level.apply(_mean(values))[:, 2].mean() for values in apart)
+            pushed = [np.log(_FLOOR["vertical"] + abs(rise)) for rise in rises]
+        rows.append(np.add.outer(turned, pushed))
+    return np.array(rows)
 
-    def __init__(self, telemetry: Telemetry) -> None:
-        """Bring all to even times."""
-        time = telemetry.time - telemetry.time[0]
-        even = np.arange(0.0, time[-1], 1.0 / _RATE)
-        self._channels = {
-            "attitude": telemetry.attitude,
-            "rate": interpolated(even, time, telemetry.angular_rate),
-            "force": interpolated(even, time, telemetry.specific_force),
-        }
-        self._time, self._even = time, even
-        path = np.column_stack([telemetry.speed, telemetry.height])
-        self._path = interpolated(even, time, path) if np.isfinite(path).all() else None
-        self._belongs, self._part = cache(self._expected), cache(self._measured)
 
-    def of(self, *way: Doubt) -> float:
-        """The misfit, and what the changes cost."""
-        units = sum(said in _DEGREES for said in _said(way))  # dearer: what is small fits easily
-        return self.misfit(*way) + _CHANGE * (len(_said(way)) + units)
-
-    def misfit(self, attitude: Doubt, rate: Doubt, force: Doubt) -> float:
-        """Sum of ln(r + r0) over the six axes."""
-        return self._part(attitude, rate) + self._part(attitude, force)
-
-    def _measured(self, attitude: Doubt, change: Doubt) -> float:
-        angles, rates, force = self._belongs(attitude)
-        values = change.mend(self._channels[change.channel], angles)
-        apart = _mean(values - (rates if change.channel == "rate" else force))
-        if change.channel == "force" and self._path is None:
-            # On the whole nothing rises or falls; along and across it may do what it likes.
-            level = Rotation.from_euler("ZYX", angles[: len(apart), ::-1]).apply(apart)
-            return float(np.log(_FLOOR["vertical"] + abs(level[:, 2].mean())))
-        rms = np.sqrt((apart**2).mean(axis=0))
-        if attitude.said == _DEGREES[0] and change.said == _DEGREES[1]:
-            rms /= DEGREE  # if both shrink alike, nothing fits better
-        return float(np.log(rms + _FLOOR[change.channel]).sum())
-
-    def _expected(self, attitude: Doubt) -> tuple[Array, Array, Array]:
-        """Attitude, and the rate and the force that belong to it."""
-        angles = attitude.mend(self._channels["attitude"], self._channels["attitude"])
-        angles = interpolated(self._even, self._time, np.unwrap(angles, axis=0))
-        pose, velocity, acceleration = np.zeros((3, len(angles), 6))
-        pose[:, 3:], velocity[:, 3:] = angles, np.gradient(angles, 1.0 / _RATE, axis=0)
-        if self._path is not None:
-            speed, height = self._path.T
-            acceleration[:, :3] = _acceleration(speed, height, angles[:, 2])
-        path = make_stream(self._even, pose, velocity, acceleration)
-        motion = PilotMotion.from_platform(path, np.zeros(3))
-        return angles, motion.angular_rate, motion.specific_force
+def _expected(time: Array, angles: Array, path: Array | None) -> tuple[Array, Array]:
+    """Rate and force that belong to attitudes, and to speed and height on the path if known."""
+    pose, velocity, acceleration = np.zeros((3, len(angles), 6))
+    pose[:, 3:], velocity[:, 3:] = angles, np.gradient(angles, 1.0 / _RATE, axis=0)
+    if path is not None:  # which goes where the nose points: north, east, down
+        speed, height = path.T
+        climb = np.gradient(height, 1.0 / _RATE)
+        level, heading = np.sqrt(np.maximum(speed**2 - climb**2, 0.0)), angles[:, 2]
+        along = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
+        acceleration[:, :3] = np.gradient(along, 1.0 / _RATE, axis=0)
+    stream = make_stream(time, pose, velocity, acceleration)
+    motion = PilotMotion.from_platform(stream, np.zeros(3))
+    return motion.angular_rate, motion.specific_force
 
 
 def _mean(values: Array) -> Array:
     """Moving mean without its ends."""
-    count = round(_MEAN * _RATE)
-    sums = np.cumsum(np.vstack([np.zeros(values.shape[1]), values]), axis=0)
-    return np.asarray((sums[count:] - sums[:-count]) / count)
+    window = np.lib.stride_tricks.sliding_window_view(values, round(_MEAN * _RATE), axis=0)
+    return np.asarray(window.mean(axis=-1))
 
 
-def _acceleration(speed: Array, height: Array, heading: Array) -> Array:
-    """Of a path that goes where the nose points, north, east, down [m/s^2], (N, 3)."""
-    climb = np.gradient(height, 1.0 / _RATE)
-    level = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
-    velocity = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
-    return np.asarray(np.gradient(velocity, 1.0 / _RATE, axis=0))
+def _rms(values: Array) -> Array:
+    """Root mean square of the moving mean, by axis."""
+    return np.asarray(np.sqrt((_mean(values) ** 2).mean(axis=0)))
