@@ -37,7 +37,7 @@ from cmf_mj.machine.models import CABS
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.flight import flight_names, load_flight
-from cmf_mj.pilot.learning import Learning, counted, drawn_machine, learn, on_others, rms
+from cmf_mj.pilot.learning import Learning, counted, drawn_machine, learn, missed, rms
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, interpolated
 from cmf_mj.pilot.washout_settings import WASHOUTS, WashoutSettings, load_washout
 from cmf_mj.record.record import Record
@@ -225,7 +225,7 @@ def out_of_reach(done: Learning, plant: Hexapod) -> tuple[float, float]:
     Within the stroke h a leg ends at G_0 h: what r asks beyond stays missed, whatever is sent. And
     what the limits of host frames hold back of r / G_0, the demand that would be followed.
     """
-    limits = load_motion_limits(done.options.get("limits"), plant.machine)
+    limits = load_motion_limits(None, plant.machine)
     asked, static = done.reference, np.abs(np.diagonal(done.learner.responses[0, 0]))
     legs = pose_to_legs(asked.pose, plant.machine)
     reach = static * limits.leg.position.si
@@ -271,9 +271,14 @@ def learn_flights(options: argparse.Namespace) -> None:
         lead, kept = early(done)
         others = np.full(3, np.nan)
         if name in options.tried.split(","):
-            pairs = on_others(done, machines[KNOWN:], seed=SEED + options.trials + 1)
-            save_learning(done, pairs, options.out / name)
-            others = np.percentile(pairs[:, 1] / pairs[:, 0], [0, 50, 100])
+            seed, both = SEED + options.trials + 1, (done.reference, done.demand)
+            flown = [
+                [rms(missed(done.reference, sent, law, plant, seed).legs) for sent in both]
+                for plant in machines[KNOWN:]
+            ]
+            save_learning(done, options.out / name)
+            without, learnt = np.transpose(flown)
+            others = np.percentile(learnt / without, [0, 50, 100])
         shares = [
             kept,
             *out_of_reach(done, plants[0]),

@@ -22,7 +22,7 @@ _FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
 _FLOWN = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
-_KNOWN = 6  #: Drawn machines that a learner is made for; those it is tried on are others.
+_KNOWN = 6  #: Drawn machines that a learner is made for.
 _QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
 
@@ -103,30 +103,24 @@ def learn_command(
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
     trials: Annotated[int, Option(min=1, help="runs after the first")] = 8,
-    on: Annotated[int, Option(help="drawn machines to fly it on", min=0)] = 0,
     seed: options.Seed = 0,
-    jobs: options.Jobs = None,
     out: options.Out = Path("out/learn"),
 ) -> None:
     """Repeat a flight and learn the demand with which the cab follows it."""
     from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
-    from cmf_mj.pilot.learning import drawn_machine, learn, on_others
+    from cmf_mj.pilot.learning import drawn_machine, learn
     from cmf_mj.show import flight as report
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
-    machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]
-    plants = [cmf_mj.Hexapod(cab, hydraulics), *machines[:_KNOWN]]
-    run: dict[str, Any] = {"electronics": noise_choice(noise)}
+    machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN)]  # type: ignore[arg-type]
+    plants = [cmf_mj.Hexapod(cab, hydraulics), *machines]
+    run: dict[str, Any] = {"electronics": noise_choice(noise), "trials": trials, "seed": seed}
     with progress_bar(f"learning {flight}") as update:
-        run |= {"trials": trials, "seed": seed, "progress": update}
-        learnt = learn(asked, law, plants, **run)
-    with progress_bar("flying other machines") as update:
-        run = {"seed": seed + trials + 1, "jobs": jobs, "progress": update}
-        others = on_others(learnt, machines[_KNOWN:], **run)
-    paths = report.save_learning(learnt, others, out)
+        learnt = learn(asked, law, plants, progress=update, **run)
+    paths = report.save_learning(learnt, out)
     show(report.trial_table(learnt), unfolded=True)
-    show(report.verdict(learnt, others), written(paths, out))
+    show(report.verdict(learnt), written(paths, out))
 
 
 def formats() -> tuple[str, ...]:

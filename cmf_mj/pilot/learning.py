@@ -39,7 +39,6 @@ from scipy import signal
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
 from cmf_mj.facility.operation import operate
@@ -145,8 +144,6 @@ class Learning(NamedTuple):
     best: int  #: The trial that missed least, as sensed.
     errors: tuple[Array, Array]  #: Of the pose, first and best trial, after the lead [m, rad].
     learner: Learner
-    law: Law
-    options: dict[str, Any]  #: Those of `operate`.
 
 
 def learn(
@@ -202,42 +199,18 @@ def learn(
             )
             correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
             demands.append(demand)
-        missed = _missed(reference, demands[-1], loaded, plants[0], options, seed + trial)
-        error = missed.sensed
+        left = missed(reference, demands[-1], loaded, plants[0], seed + trial, **options)
+        error = left.sensed
         first_error = first_error if trial else error
         predicted_error = first_error - through(responses[0], predicted_correction)
-        errors.append(missed.pose)
-        sizes = (rms(missed.legs), rms(counted(error)), rms(counted(predicted_error)))
-        done.append(Trial(np.sqrt((missed.pose**2).mean(axis=0)), *sizes, held))
+        errors.append(left.pose)
+        sizes = (rms(left.legs), rms(counted(error)), rms(counted(predicted_error)))
+        done.append(Trial(np.sqrt((left.pose**2).mean(axis=0)), *sizes, held))
         if progress is not None:
             progress(trial + 1, trials + 1)
     best = int(np.argmin([one.sensed for one in done]))
     shown = errors[0], errors[best]
-    return Learning(reference, demands[best], tuple(done), best, shown, learner, loaded, options)
-
-
-def on_others(
-    learnt: Learning,
-    plants: Sequence[Hexapod],
-    *,
-    seed: int = 0,
-    jobs: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Array:
-    """Errors of all legs on other machines without and with the correction [m], (M, 2).
-
-    Refuses a demand beyond a machine's working stroke.
-    """
-
-    def both(plant: Hexapod) -> list[float]:
-        most = load_motion_limits(learnt.options.get("limits"), plant.machine).leg.position.si
-        far = float(np.abs(pose_to_legs(learnt.demand.pose, plant.machine)).max())
-        if far > most * (1.0 + 1e-9):
-            raise InputError(f"demand: a leg is {far:.4g} m from neutral; allowed: {most:.4g} m")
-        asked, flown = learnt.reference, (learnt.law, plant, learnt.options, seed)
-        return [rms(_missed(asked, demand, *flown).legs) for demand in (asked, learnt.demand)]
-
-    return np.array(on_threads(both, plants, jobs, progress)).reshape(-1, 2)
+    return Learning(reference, demands[best], tuple(done), best, shown, learner)
 
 
 def rms(error: Array) -> float:
@@ -254,7 +227,7 @@ def _led(stream: HostStream) -> HostStream:
     return make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
 
 
-class _Missed(NamedTuple):
+class Missed(NamedTuple):
     """Errors of a run, asked less flown."""
 
     sensed: Array  #: Of legs as sensed, at all times [m], (N, 6).
@@ -262,27 +235,27 @@ class _Missed(NamedTuple):
     pose: Array  #: Of the pose, as far as it counts [m, rad], (M, 6).
 
 
-def _missed(
+def missed(
     reference: HostStream,
     demand: HostStream,
     law: Law,
     plant: Hexapod,
-    options: dict[str, Any],
     seed: int,
-) -> _Missed:
-    """Fly a demand; what it missed of the reference."""
+    **options: Any,
+) -> Missed:
+    """Fly a demand, with noise of its own; what it missed of the reference."""
     noise = options.get("electronics", ElectronicsSettings())
     run = options | {"electronics": noise and noise.model_copy(update={"seed": seed})}
     record = operate(plant, law, demand, record_every=RECORD_EVERY, **run).record
     if (fault := record.metadata["fault"]) is not None:
         raise InputError(f"law: {law.name} ends a run: {fault['name']} at {fault['time']:.3f} s")
 
-    def missed(asked: Array, channel: str) -> Array:
+    def apart(asked: Array, channel: str) -> Array:
         return asked - low_passed(record, record[channel], record.time, reference.time)
 
     legs = pose_to_legs(reference.pose, plant.machine)
-    true, pose = missed(legs, "leg_extension"), missed(reference.pose, "platform_pose")
-    return _Missed(missed(legs, "leg_position"), counted(true), counted(pose))
+    true, pose = apart(legs, "leg_extension"), apart(reference.pose, "platform_pose")
+    return Missed(apart(legs, "leg_position"), counted(true), counted(pose))
 
 
 def counted(error: Array) -> Array:

@@ -15,7 +15,7 @@ from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
-from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
+from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
@@ -165,23 +165,21 @@ def trial_table(learnt: Learning) -> Table:
     return Table(title, ("trial", *axes, *columns), rows)
 
 
-def verdict(learnt: Learning, others: Array) -> str:
-    """Convergence of the linear models, the best trial, and what it left on other machines."""
+def verdict(learnt: Learning) -> str:
+    """Convergence of the linear models, and the best trial."""
     worst = learnt.learner.ratio().max(axis=1)
     left = learnt.trials[learnt.best].legs / learnt.trials[0].legs
-    text = (
+    return (
         f"largest singular value of Q (1 - L G): {worst[0]:.2f} of the machine that learns, "
         f"{worst.max():.2f} over machines and poses; best trial {learnt.best}: {left:.2%} left"
     )
-    shares = np.percentile(others[:, 1] / others[:, 0], [0, 50, 100]) if len(others) else ()
-    on = f"; on {len(others)} other machines, least, median, most: " if len(others) else ""
-    return text + on + ", ".join(f"{share:.2%}" for share in shares)
 
 
-def learning_figure(learnt: Learning, others: Array) -> Figure:
-    """Error by trial, convergence by frequency, the error in time, other machines."""
+def learning_figure(learnt: Learning) -> Figure:
+    """Error by trial, convergence by frequency, the error in time."""
     figure = look.new_figure(11.0, 7.0)
-    (trials, ratio), (history, machines) = figure.subplots(2, 2)
+    axes = figure.subplot_mosaic([["trials", "ratio"], ["history", "history"]])
+    trials, ratio, history = axes.values()
     for label, name, style in (("simulated", "sensed", "o-"), ("linear", "predicted", "x--")):
         trials.semilogy([1e3 * getattr(one, name) for one in learnt.trials], style, label=label)
     trials.set(xlabel="trial", ylabel=f"legs below {BAND:g} Hz, rms as sensed [mm]")
@@ -196,22 +194,17 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
         time = LEAD + np.arange(len(error)) / MOST_RATE
         history.plot(time, 1e3 * error[:, dof], label=f"trial {number}", linewidth=0.9)
     history.set(xlabel="time [s]", ylabel=f"error of {DOFS[dof]} [mm]")
-    for label, errors in zip(("without", "with what was learnt"), others.T, strict=True):
-        machines.semilogy(1e3 * errors, "o", label=label)
-    machines.set(xlabel="other machine", ylabel=f"legs below {BAND:g} Hz, rms [mm]")
     above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-    look.legend(trials, ratio, history, machines, **above)
-    figure.suptitle("Tracking error of a manoeuvre as it is learnt, and on other machines")
+    look.legend(trials, ratio, history, **above)
+    figure.suptitle("Tracking error of a manoeuvre as it is learnt")
     return figure
 
 
-def save_learning(learnt: Learning, others: Array, folder: Path) -> list[Path]:
-    """Write the learnt demand `demand.csv`, `trials.csv`, `machines.csv` and `learning.png`."""
-    machines = {"machine": range(len(others)), "without_m": others[:, 0], "with_m": others[:, 1]}
+def save_learning(learnt: Learning, folder: Path) -> list[Path]:
+    """Write the learnt demand `demand.csv`, `trials.csv` and `learning.png`."""
     files = {
         "demand.csv": lambda path: write_stream(learnt.demand, path),
         "trials.csv": trial_table(learnt),
-        "machines.csv": machines,
-        "learning.png": learning_figure(learnt, others),
+        "learning.png": learning_figure(learnt),
     }
     return look.save_files(files, folder)
