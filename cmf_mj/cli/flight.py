@@ -80,7 +80,7 @@ def fly_command(
     title = flown.origin.title if flown else f"{form} at port {port}"
     show(title, report.flight_table(rides), unfolded=True)
     if delay:
-        show(report.delay_table(transport_delay(loaded[0], dof=dof, **how)))
+        show(report.delay_table(transport_delay(loaded[0], dof=dof, **how), f"{dof} at 1 Hz"))
     for ride in rides:
         kept = "kept within" if ride.use.within else "LEFT"
         show(
@@ -146,12 +146,12 @@ def flight_command(
 ) -> None:
     """Fly a script with JSBSim, or say what is wrong with telemetry: axes, signs, units, gaps."""
     from cmf_mj.core.result import number
-    from cmf_mj.pilot.scripts import ScriptedFlight
+    from cmf_mj.pilot.scripts import fly_script
     from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
     from cmf_mj.pilot.telemetry_check import check
 
     if form == "jsbsim":
-        flight = ScriptedFlight(source, aircraft=aircraft, seed=seed).record()
+        flight = fly_script(source, aircraft=aircraft, seed=seed)
         x, y, z = (number(arm, ".2f") for arm in flight.origin.lever_arm)
         show(
             f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",

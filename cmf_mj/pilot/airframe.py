@@ -36,15 +36,10 @@ class AircraftState(NamedTuple):
 
     time: float  #: [s].
     specific_force: NDArray[np.float64]  #: At the eyepoint, without gravity [m/s^2], (3,).
-    centre_force: NDArray[np.float64]  #: The same at the centre of gravity [m/s^2], (3,).
     angular_rate: NDArray[np.float64]  #: p, q, r against the Earth [rad/s], (3,).
-    inertial_rate: NDArray[np.float64]
-    """The same against inertial space, by the Earth's 7e-5 rad/s more or less [rad/s], (3,)."""
-    angular_acceleration: NDArray[np.float64]  #: Derivative of `inertial_rate` [rad/s^2], (3,).
     attitude: NDArray[np.float64]  #: Roll, pitch, heading to the local level [rad], (3,).
     lever: NDArray[np.float64]  #: From the centre of gravity to the eyepoint [m], (3,).
     airspeed: float  #: Calibrated [m/s].
-    true_airspeed: float  #: Against the air [m/s].
     height: float  #: Of the centre of gravity above the ground [m].
     sideslip: float  #: Angle of sideslip, positive with the wind from the right [rad].
 
@@ -187,28 +182,24 @@ class Airframe:
 
     def state(self) -> AircraftState:
         """What is felt at the end of the last step."""
-        rate = self._vector("velocities/{}i-rad_sec", "pqr")
-        turning = self._vector("accelerations/{}idot-rad_sec2", "pqr")
-        force = self._vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
-        from_centre = self._vector("metrics/eyepoint-{}-in") - self._vector("inertia/cg-{}-in")
+        rate = self.vector("velocities/{}i-rad_sec", "pqr")
+        turning = self.vector("accelerations/{}idot-rad_sec2", "pqr")
+        force = self.vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
+        from_centre = self.vector("metrics/eyepoint-{}-in") - self.vector("inertia/cg-{}-in")
         lever = from_centre * np.array([-1.0, 1.0, -1.0]) * units.INCH
-        felt = force + _cross(turning, lever) + _cross(rate, _cross(rate, lever))
         return AircraftState(
             self["simulation/sim-time-sec"],
-            felt,
-            force,
-            self._vector("velocities/{}-rad_sec", "pqr"),
-            rate,
-            turning,
-            self._vector("attitude/{}-rad", ("phi", "theta", "psi")),
+            force + _cross(turning, lever) + _cross(rate, _cross(rate, lever)),
+            self.vector("velocities/{}-rad_sec", "pqr"),
+            self.vector("attitude/{}-rad", ("phi", "theta", "psi")),
             lever,
             self["velocities/vc-kts"] * units.KNOT,
-            self["velocities/vt-fps"] * units.FOOT,
             self["position/h-agl-ft"] * units.FOOT,
             self["aero/beta-rad"],
         )
 
-    def _vector(self, pattern: str, names: Iterable[str] = "xyz") -> NDArray[np.float64]:
+    def vector(self, pattern: str, names: Iterable[str] = "xyz") -> NDArray[np.float64]:
+        """Properties of JSBSim, in its units, whose names differ by one part."""
         return np.array([self[pattern.format(name)] for name in names])
 
 

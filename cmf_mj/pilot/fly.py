@@ -64,12 +64,11 @@ class EnvelopeUse(NamedTuple):
     leg_position: float  #: Of the legs' working stroke, 37.5 in.
     leg_velocity: float  #: Of the legs' limit, mean over a row of the record.
     pose: NDArray[np.float64]  #: Of the operational limits of Table 2-1, (6,).
-    stops: float  #: Largest force of a stop [N]; 0 if none was met.
 
     @property
     def within(self) -> bool:
-        """Whether position and pose kept within their limits and no stop was met."""
-        return max(self.leg_position, float(self.pose.max())) <= 1.0 and self.stops == 0.0
+        """Whether legs, which meet their stops beyond it, and pose kept within their limits."""
+        return max(self.leg_position, float(self.pose.max())) <= 1.0
 
 
 class FlightResult(NamedTuple):
@@ -198,7 +197,6 @@ def envelope_use(record: Record, limits: MotionLimits) -> EnvelopeUse:
         float(np.abs(legs).max() / limits.leg.position.si),
         float(speed / limits.leg.velocity.si),
         np.maximum(pose / low, pose / high).max(axis=0),
-        float(np.abs(record["stop_force"][engaged]).max()),
     )
 
 
@@ -231,26 +229,6 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     return host_delay, loop_delay
 
 
-class DelayStage(NamedTuple):
-    """A part of the way from host to pilot."""
-
-    name: str
-    delay: float  #: [s]; negative where it leads.
-    known: bool  #: Whether it is a setting; otherwise it is measured.
-
-
-class TransportDelay(NamedTuple):
-    """The way from the host's stamp to the pilot's station."""
-
-    dof: str
-    frequency: float  #: [Hz].
-    stages: tuple[DelayStage, ...]  #: In the order of the signal.
-    host_to_reference: float  #: Measured, to compare with the sum of the DCU's settings [s].
-    total: float
-    """Measured from host to pilot [s]; the stages add up to it but for what the DCU's settings
-    differ from `host_to_reference`."""
-
-
 def transport_delay(
     law: str | Path | Law = "velocity",
     *,
@@ -259,11 +237,12 @@ def transport_delay(
     frequency: float = 1.0,
     hydraulics: str | HydraulicParameters | None = None,
     **options: Any,
-) -> TransportDelay:
-    """Measure the delay from host to pilot and its parts.
+) -> dict[str, float]:
+    """Delays from host to pilot by stage, in the order of the signal [s]; negative: it leads.
 
-    The sine of 10 mm or 0.5 deg has a whole number of control frames a period, `frequency` in Hz;
-    `options` are those of `operate`.
+    The stages of the DCU are its settings, and what they add up to is measured behind them, as are
+    all others and the whole, to which the measured ones add up. The sine of 10 mm or 0.5 deg has a
+    whole number of control frames a period, `frequency` in Hz; `options` are those of `operate`.
     """
     index = dof_index(dof)
     signals.check_positive(frequency=frequency)
@@ -274,28 +253,19 @@ def transport_delay(
         )
     size, cycles = by_kind(dof, 0.01, np.radians(0.5)), _SETTLE + _CYCLES + 2.0
     command = signals.sine(dof, size, frequency, cycles=cycles, fade=1.0)
-    stream = from_command(command, MOST_RATE)
     plant = Hexapod(cab, hydraulics)
-    record = operate(plant, law, stream, **options).record
-    omega = 2.0 * np.pi * frequency
-    first = round(_SETTLE * RATE / frequency)
-    count = round(_CYCLES * RATE / frequency)
+    record = operate(plant, law, from_command(command, MOST_RATE), **options).record
+    omega, period = 2.0 * np.pi * frequency, RATE / frequency
+    rows = slice(round(_SETTLE * period), round(_SETTLE * period) + round(_CYCLES * period))
 
     def fundamental(values: NDArray[np.float64]) -> complex:
-        fit = metrics.harmonics(values[first : first + count], RATE, frequency, 1)
+        fit = metrics.harmonics(values[rows], RATE, frequency, 1)
         return complex(fit.amplitude[0] * np.exp(1j * fit.phase[0]))
 
     pattern = kinematics.pose_jacobian(np.zeros(6), plant.machine)[:, index]
-
-    def legs(name: str) -> complex:
-        return fundamental(record[name] @ pattern)
-
-    def late(before: complex, after: complex) -> float:
-        return phase_delay(before, after, frequency)
-
     sent = fundamental(kinematics.pose_to_legs(command.pose, plant.machine) @ pattern)
-    reference, valve, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))
-    moved = legs("leg_extension")
+    names = ("leg_reference", "valve_command", "valve_opening", "leg_extension")
+    reference, valve, opening, moved = (fundamental(record[name] @ pattern) for name in names)
     if index < 3:  # an accelerometer's row is of one mechanical step before
         since = omega * float(record.metadata["mechanical_step"])
         force = fundamental(record["crew_accelerometer"][:, index] * FLIP[index])
@@ -303,15 +273,14 @@ def transport_delay(
     else:
         felt = fundamental(record["platform_gyro"][:, index - 3] * FLIP[index - 3]) / (1j * omega)
     ahead = fundamental(command.pose[:, index])
-    dcu = load_dcu(options.get("dcu")).delay.parts()
     measured = {
-        "control law: reference to valve command": late(1j * omega * reference, valve),
-        "servo drive and valve: command to opening": late(valve, opening),
-        "hydraulics and mechanics: opening to legs": late(opening, 1j * omega * moved),
-        "legs to pilot's station": late(moved / sent, felt / ahead),
+        "host to leg reference": (sent, reference),
+        "control law: reference to valve command": (1j * omega * reference, valve),
+        "servo drive and valve: command to opening": (valve, opening),
+        "hydraulics and mechanics: opening to legs": (opening, 1j * omega * moved),
+        "legs to pilot's station": (moved / sent, felt / ahead),
+        "host to pilot": (ahead, felt),
     }
-    stages = [
-        DelayStage(f"DCU: {name.replace('_', ' ')}", delay, True) for name, delay in dcu.items()
-    ]
-    stages += [DelayStage(name, delay, False) for name, delay in measured.items()]
-    return TransportDelay(dof, frequency, tuple(stages), late(sent, reference), late(ahead, felt))
+    dcu = load_dcu(options.get("dcu")).delay.parts()
+    delays = {f"DCU: {name.replace('_', ' ')}": delay for name, delay in dcu.items()}
+    return delays | {name: phase_delay(*pair, frequency) for name, pair in measured.items()}

@@ -27,7 +27,7 @@ from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
 from cmf_mj.pilot.airframe import RATE, AircraftState, Airframe, Controls
 from cmf_mj.pilot.flight import Flight, Origin
-from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
+from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion
 
 LAG = 0.15
 """Time constant from what the pilot wants to the control surface [s]: arm and actuator, assumed.
@@ -257,46 +257,37 @@ SCRIPTS = {
 """Flights of the 737 by name."""
 
 
-class ScriptedFlight:
-    """An aircraft of JSBSim that a script flies, made for the 737."""
+def script_states(name: str, *, aircraft: str = "737", seed: int = 1) -> Iterator[AircraftState]:
+    """Fly one of `SCRIPTS` with JSBSim, made for the 737; the seed is the turbulence's.
 
-    def __init__(self, name: str, *, aircraft: str = "737", seed: int = 1) -> None:
-        """Choose one of `SCRIPTS` and the turbulence's seed; the first state starts the flight."""
-        check_name("flight", name, SCRIPTS)
-        self.name, self.aircraft, self.seed = name, aircraft, seed
+    Yields the state 80 times a second, with time from 0 and heading without wrapping. Raises
+    `MissingExtraError` without JSBSim; an aircraft that cannot be trimmed is refused.
+    """
+    check_name("flight", name, SCRIPTS)
+    script, airframe = SCRIPTS[name], Airframe(aircraft, seed=seed)
+    throttle, aim = script.begin(airframe)
+    pilot, heading = Pilot(airframe, throttle), 0.0
+    for step in range(round(script.seconds * RATE)):
+        state = pilot.state
+        if step % round(RATE / MOST_RATE) == 0:
+            heading += _wrapped(state.attitude[2] - heading)
+            attitude = np.array([*state.attitude[:2], heading])
+            yield state._replace(time=step / RATE, attitude=attitude)
+        pilot.fly(aim(step / RATE, state))
 
-    def states(self) -> Iterator[AircraftState]:
-        """Fly; yields the state 80 times a second, with time from 0 and heading without wrapping.
 
-        Raises `MissingExtraError` without JSBSim; an aircraft that cannot be trimmed is refused.
-        """
-        script = SCRIPTS[self.name]
-        airframe = Airframe(self.aircraft, seed=self.seed)
-        throttle, aim = script.begin(airframe)
-        pilot = Pilot(airframe, throttle)
-        heading = 0.0
-        for step in range(round(script.seconds * RATE)):
-            state = pilot.state
-            if step % round(RATE / MOST_RATE) == 0:
-                heading += _wrapped(state.attitude[2] - heading)
-                attitude = np.array([*state.attitude[:2], heading])
-                yield state._replace(time=step / RATE, attitude=attitude)
-            pilot.fly(aim(step / RATE, state))
-
-    def record(self) -> Flight:
-        """Fly it all."""
-        states = list(self.states())
-        columns = {
-            name: np.array([getattr(state, name) for state in states])
-            for name in ("time", "specific_force", "angular_rate", "attitude", "airspeed", "height")
-        }
-        others = {name: columns.pop(name) for name in ("airspeed", "height")}
-        x, y, z = (round(float(part), 6) for part in states[0].lever)
-        origin = Origin(
-            title=SCRIPTS[self.name].title,
-            aircraft=self.aircraft,
-            lever_arm=(x, y, z),
-            source=f"JSBSim {version('jsbsim')}, script {self.name}",
-            seed=self.seed,
-        )
-        return Flight(PilotMotion(**columns), origin, others)
+def fly_script(name: str, *, aircraft: str = "737", seed: int = 1) -> Flight:
+    """Fly one of `SCRIPTS` to its end; as `script_states`."""
+    flown = zip(*script_states(name, aircraft=aircraft, seed=seed), strict=True)
+    states = dict(zip(AircraftState._fields, map(np.array, flown), strict=True))
+    x, y, z = (round(float(part), 6) for part in states["lever"][0])
+    origin = Origin(
+        title=SCRIPTS[name].title,
+        aircraft=aircraft,
+        lever_arm=(x, y, z),
+        source=f"JSBSim {version('jsbsim')}, script {name}",
+        seed=seed,
+    )
+    channels = (states[part] for part in ("time", *COLUMNS))
+    others = {part: states[part] for part in ("airspeed", "height")}
+    return Flight(PilotMotion(*channels), origin, others)

@@ -1,6 +1,6 @@
 """Tables, figures and files of flights in the cab, and of manoeuvres that were learnt."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
+from cmf_mj.pilot.fly import FlightResult, error_spectra
 from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
@@ -122,18 +122,13 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     return Table(title, ("law", *columns, ("legs [%]", ".0f"), "fault"), rows)
 
 
-def delay_table(delay: TransportDelay) -> Table:
+def delay_table(delays: Mapping[str, float], about: str) -> Table:
     """The way from host to pilot, stage by stage."""
     rows = [
-        (stage.name, 1e3 * stage.delay, "setting" if stage.known else "measured")
-        for stage in delay.stages
+        (name, 1e3 * delay, "setting" if name.startswith("DCU") else "measured")
+        for name, delay in delays.items()
     ]
-    rows += [
-        ("host to leg reference", 1e3 * delay.host_to_reference, "measured"),
-        ("host to pilot", 1e3 * delay.total, "measured"),
-    ]
-    title = f"host to pilot, {delay.dof} at {delay.frequency:g} Hz"
-    return Table(title, ("stage", ("delay [ms]", ".2f"), ""), rows)
+    return Table(f"host to pilot, {about}", ("stage", ("delay [ms]", ".2f"), ""), rows)
 
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:

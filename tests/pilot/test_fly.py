@@ -64,7 +64,7 @@ def ride(failing: PilotMotion) -> FlightResult:
 
 def test_the_envelope_is_kept_and_nothing_fails(ride: FlightResult) -> None:
     assert ride.fault is None and ride.use.within
-    assert 0.1 < ride.use.leg_position < 1.0 and ride.use.stops == 0.0
+    assert 0.1 < ride.use.leg_position < 1.0
     assert not ride.limited.any()
     assert all(np.isfinite(values).all() for values in ride.operation.record.channels.values())
 
@@ -208,13 +208,11 @@ def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
     """Phases add up; the DCU's part is its settings, the valve's that of its two lags, the pilot
     on the platform is no later than the legs."""
     delay = transport_delay(dof=dof, **IDEAL)
-    measured = {stage.name: stage.delay for stage in delay.stages if not stage.known}
-    known = sum(stage.delay for stage in delay.stages if stage.known)
+    known = sum(one for stage, one in delay.items() if stage.startswith("DCU"))
     assert known == pytest.approx(load_dcu().delay.total, abs=1e-12)
-    assert delay.host_to_reference == pytest.approx(known, abs=1.0 / RATE)
-    whole = delay.host_to_reference + sum(measured.values())
-    assert whole == pytest.approx(delay.total, abs=1e-9)
-    law, servo, plant, pilot = measured.values()
+    reference, law, servo, plant, pilot, whole = list(delay.values())[-6:]
+    assert reference == pytest.approx(known, abs=1.0 / RATE)
+    assert reference + law + servo + plant + pilot == pytest.approx(whole, abs=1e-9)
     parameters = load_hydraulics("hardware")
     omega = 2.0 * np.pi
     lags = [np.arctan(omega / corner.si) / omega for corner in (
@@ -223,7 +221,7 @@ def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
     assert servo == pytest.approx(sum(lags), abs=2.0 / RATE)
     assert abs(law) < 0.03 and 0.0 < plant < 0.02
     assert abs(pilot) < 0.01
-    assert 0.08 < delay.total < 0.2
+    assert 0.08 < whole < 0.2
 
 
 def test_delays_that_cannot_be_measured_are_refused() -> None:
