@@ -107,6 +107,19 @@ class Unknowns(dict[str, Unknown]):
         """Shapes of the values by name."""
         return {name: one.shape(len(self.legs)) for name, one in self.items()}
 
+    def numbers(self) -> list[tuple[str, Unknown, str]]:
+        """Name, as `speed 3` of several, what is known, and path of each coordinate of a point."""
+        found = []
+        for name, one in self.items():
+            parts = one.path.split(".")
+            legs = self.legs if "*" in parts else ("*",)
+            valves = VALVES if "valve_*" in parts else ("valve_*",)
+            axes = (".x", ".y", ".z") if parts[-1] == "centre_of_mass" else ("",)
+            for i, (leg, valve, axis) in enumerate(product(legs, valves, axes), start=1):
+                path = one.path.replace("valve_*", valve).replace(".*", f".{leg}") + axis
+                found.append((f"{name} {i}" if one.shape() else name, one, path))
+        return found
+
     def split(self, points: Array) -> dict[str, Array]:
         """Coordinates of points (..., n) by name, (..., numbers of it)."""
         sizes = [int(np.prod(shape)) for shape in self.shapes().values()]
@@ -125,8 +138,7 @@ class Unknowns(dict[str, Unknown]):
 
     def draw(self, sampler: str, count: int, seed: Any) -> list[dict[str, Any]]:
         """Values of so many machines; see `cube`."""
-        size = sum(int(np.prod(shape)) for shape in self.shapes().values())
-        return [self.at(point) for point in cube(sampler, count, size, seed)]
+        return [self.at(point) for point in cube(sampler, count, len(self.numbers()), seed)]
 
     def streams(self, seed: int, draw: int) -> dict[str, Any]:
         """Values of a machine, each name from a stream keyed by seed, draw and name."""

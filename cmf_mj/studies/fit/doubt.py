@@ -95,7 +95,8 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
         measured = fitter.model.compared(one, zero)
         asked = one._replace(measured={"demand": one.demand})
         demand = fitter.model.compared(asked, {"demand": 0.0 * one.since[:, None]})["demand"]
-        for channel, residual in posterior.look.here[one.name].items():
+        for channel in measured:
+            residual = posterior.look.here[one.name, channel]
             still = residual - residual.mean(axis=0)
             block = max(1, round(BLOCK / spacing))
             sizes = [np.std(still[i : i + block]) for i in range(0, len(still) - block + 1, block)]

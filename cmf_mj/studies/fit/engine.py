@@ -32,7 +32,7 @@ from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, load_campaign
 from cmf_mj.studies.fit.evidence import Evidence
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
-from cmf_mj.studies.fit.model import Model, Residuals, minus, names_of
+from cmf_mj.studies.fit.model import Model, Residuals, minus
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ class Fitter:
         self.order, self.jobs = _ORDER[stage], jobs
         self.clocks = campaign.settings.clocks
         self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
-        self.size = len(names_of(campaign.unknowns))
+        self.size = len(campaign.unknowns.numbers())
         self._latest: Look | None = None
 
     def on(self, model: Model, size: int) -> "Fitter":
@@ -227,16 +227,13 @@ class Look(NamedTuple):
         """Broyden's derivatives after a step: they give the change of residuals along it."""
         share = move / float(move @ move)
         missing = {
-            name: {
-                c: there[name][c]
-                - value
-                - sum(x * one[name][c] for x, one in zip(move, self.slopes, strict=True))
-                for c, value in channels.items()
-            }
-            for name, channels in self.here.items()
+            key: there[key]
+            - value
+            - sum(x * one[key] for x, one in zip(move, self.slopes, strict=True))
+            for key, value in self.here.items()
         }
         return [
-            {n: {c: v + x * missing[n][c] for c, v in parts.items()} for n, parts in one.items()}
+            {key: value + x * missing[key] for key, value in one.items()}
             for x, one in zip(share, self.slopes, strict=True)
         ]
 
@@ -294,7 +291,7 @@ def fit(
         "recordings": {one.name: one.record.digest for one in campaign.recordings},
     }
     journal = Journal(Path(folder) / "steps", identity)
-    names = names_of(campaign.unknowns)
+    names = tuple(name for name, *_ in campaign.unknowns.numbers())
     pieces = len(campaign.of(held_back=False))
     x = np.zeros(len(names) + (2 * pieces if campaign.settings.clocks else 0))
     x[: len(names)] = Model(campaign).weighed()

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from cmf_mj.studies.fit.model import EVIDENCE, STATED, Residuals
+from cmf_mj.studies.fit.model import STATED, Residuals
 
 Array = NDArray[np.float64]
 
@@ -46,13 +46,12 @@ def coefficients(residual: Array, order: int) -> Array:
 def merit(residuals: Residuals, order: int) -> float:
     """The residuals' part of -ln L, each coloured as it is itself; constants taken out."""
     total = 0.0
-    for name, channels in residuals.items():
-        for residual in channels.values():
-            if name == EVIDENCE:
-                total += 0.5 * float((residual**2).sum())
-                continue
-            white = _whitened(residual - residual.mean(axis=0), coefficients(residual, order))
-            total += 0.5 * white.size * np.log(np.mean(white**2))
+    for key, residual in residuals.items():
+        if key == STATED:
+            total += 0.5 * float((residual**2).sum())
+            continue
+        white = _whitened(residual - residual.mean(axis=0), coefficients(residual, order))
+        total += 0.5 * white.size * np.log(np.mean(white**2))
     return total
 
 
@@ -69,28 +68,28 @@ def information(
     residuals: Residuals, slopes: Sequence[Residuals], order: int, spacing: Mapping[str, float]
 ) -> Information:
     """From residuals and their derivatives by each number; `spacing` of the samples [s]."""
-    recorded = {name: one for name, one in residuals.items() if name != EVIDENCE}
-    legs = max((e.shape[1] for one in recorded.values() for e in one.values()), default=0)
-    channels = sorted({channel for one in recorded.values() for channel in one})
+    recorded = {key: one for key, one in residuals.items() if key != STATED}
+    legs = max((e.shape[1] for e in recorded.values()), default=0)
+    channels = sorted({channel for _, channel in recorded})
     n, extra = len(slopes), len(channels) * legs
     bordered, score = np.zeros((n + extra, n + extra)), np.zeros(n + extra)
     rows = []
-    for name, found in recorded.items():
+    for (name, channel), residual in recorded.items():
         block = max(1, round(BLOCK / spacing[name]))
-        for channel, residual in found.items():
-            colour = coefficients(residual, order)
-            e = _whitened(residual - residual.mean(axis=0), colour)
-            weight = 1.0 / max(float(np.mean(e**2)), 1e-300)
-            e = _whitened(residual, colour)
-            j = np.stack([-_whitened(one[name][channel], colour) for one in slopes], axis=-1)
-            at = n + channels.index(channel) * legs
-            full = np.zeros((*e.shape, n + extra))
-            full[..., :n] = j
-            for leg in range(legs):
-                full[:, leg, at + leg] = colour.sum()
-            rows.append((name, block, weight, e, full))
-            bordered += weight * np.einsum("tlp,tlq->pq", full, full, optimize=True)
-            score += weight * np.einsum("tlp,tl->p", full, e)
+        colour = coefficients(residual, order)
+        e = _whitened(residual - residual.mean(axis=0), colour)
+        weight = 1.0 / max(float(np.mean(e**2)), 1e-300)
+        e = _whitened(residual, colour)
+        full = np.zeros((*e.shape, n + extra))
+        full[..., :n] = np.stack(
+            [-_whitened(one[name, channel], colour) for one in slopes], axis=-1
+        )
+        at = n + channels.index(channel) * legs
+        for leg in range(legs):
+            full[:, leg, at + leg] = colour.sum()
+        rows.append((name, block, weight, e, full))
+        bordered += weight * np.einsum("tlp,tlq->pq", full, full, optimize=True)
+        score += weight * np.einsum("tlp,tl->p", full, e)
     nuisance, cross = bordered[n:, n:], bordered[:n, n:]
     nuisance = nuisance + 1e-9 * np.diag(np.diag(nuisance))
     shift, onto = np.linalg.solve(nuisance, score[n:]), np.linalg.solve(nuisance, cross.T)
@@ -106,9 +105,9 @@ def information(
         by_recording[name] = (before[0] + matrix, before[1] + scores.sum(axis=0))
     whole = sum((one[0] for one in by_recording.values()), np.zeros((n, n)))
     gradient = sum((one[1] for one in by_recording.values()), np.zeros(n))
-    for e in residuals.get(EVIDENCE, {}).values():
-        j = np.stack([-one[EVIDENCE][STATED][:, 0] for one in slopes], axis=-1)
-        whole, gradient = whole + j.T @ j, gradient + j.T @ e[:, 0]
+    if STATED in residuals:
+        j = np.stack([-one[STATED][:, 0] for one in slopes], axis=-1)
+        whole, gradient = whole + j.T @ j, gradient + j.T @ residuals[STATED][:, 0]
         parts += list(j)
     return Information(whole, gradient, np.reshape(parts, (-1, n)), by_recording)
 

@@ -30,7 +30,6 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.signal import LegDemand, ValveCommands
-from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
@@ -50,18 +49,15 @@ _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording li
 
 _WEIGHED = 3  #: Steps of Gauss and Newton to what is nearly linear.
 
-Residuals = Mapping[str, Mapping[str, Array]]
-"""By recording and channel, (samples, legs), in SI; e of what is stated as `EVIDENCE`, (n, 1)."""
+Residuals = Mapping[tuple[str, str], Array]
+"""By recording and channel, (samples, legs), in SI; e of what is stated as `STATED`, (n, 1)."""
 
-EVIDENCE, STATED = "evidence of numbers", "stated"
+STATED = "evidence of numbers", "stated"
 
 
 def minus(one: Residuals, other: Residuals, by: float = 1.0) -> Residuals:
     """Difference of two sets of residuals, over `by`."""
-    return {
-        name: {c: (value - other[name][c]) / by for c, value in channels.items()}
-        for name, channels in one.items()
-    }
+    return {key: (value - other[key]) / by for key, value in one.items()}
 
 
 class Piece(NamedTuple):
@@ -198,19 +194,19 @@ class Model:
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
-        plant, found = self.machine(z), {}
+        plant, found = self.machine(z), dict[tuple[str, str], Array]()
         for number, one in enumerate(self.pieces):
             clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
             simulated = one.simulated(plant, self.electronics, clock)
-            found[one.name] = self.compared(one, simulated)
+            found |= {(one.name, c): left for c, left in self.compared(one, simulated).items()}
         if (stated := self.evidence.excess(self.values(z), plant)).size:
-            found[EVIDENCE] = {STATED: stated[:, None]}
+            found[STATED] = stated[:, None]
         return found
 
     def weighed(self) -> Array:
         """Coordinates (n,) of the numbers as the rests of all recordings weigh them, else 0."""
         held = [rest for one in self.pieces for rest in rests(one, self.plant)]
-        z = np.zeros(sum(int(np.prod(shape)) for shape in self.unknowns.shapes().values()))
+        z = np.zeros(len(self.unknowns.numbers()))
         if not held:
             return z
         size = FORCE * float(np.mean([rest.force for rest in held]))
@@ -246,12 +242,3 @@ class Model:
         """Time between the samples of a recording's residuals [s]."""
         top = min(self.top, 0.4 * one.rate)
         return max(1, int(one.rate / (2.5 * top))) / one.rate
-
-
-def names_of(unknowns: Unknowns) -> tuple[str, ...]:
-    """Names of all numbers, `leg_speed 3` of one of six, in the order of the coordinates."""
-    names: list[str] = []
-    for name, shape in unknowns.shapes().items():
-        size = int(np.prod(shape))
-        names += [name] if not shape else [f"{name} {i + 1}" for i in range(size)]
-    return tuple(names)

@@ -21,7 +21,6 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
-from cmf_mj.facility.unknown import Unknown
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
@@ -32,77 +31,60 @@ Array = NDArray[np.float64]
 CAB, SAMPLES = "fitted", 400
 
 
-def _each(posterior: Posterior) -> list[tuple[Unknown, str]]:
-    """What is known of each number, and its path, in the order of the coordinates."""
-    known, found = posterior.campaign.unknowns, []
-    for one in known.values():
-        legs = known.legs if "*" in one.path.split(".") else ("",)
-        found += [(one, one.path.replace("*", leg)) for leg in legs]
-    return found
+_FIELDS = {"friction": "coulomb_friction", "stiction": "breakaway_friction"}
+_FIELDS |= {"second_moment": "inertia"}
+"""What a number is named in a machine's file, where its path has another name for it."""
 
 
 def paths(posterior: Posterior) -> tuple[str, ...]:
     """Paths of all numbers, of each leg its own, in the order of the coordinates."""
-    return tuple(path for _, path in _each(posterior))
+    return tuple(path for *_, path in posterior.campaign.unknowns.numbers())
 
 
 def nominal(plant: Plant, path: str) -> float:
     """A number of a machine in SI; 1 where only factors on it are known."""
     root, *rest = path.split(".")
     oil, cab = plant.parameters, plant.cab_parameters
-    match root, rest:
-        case "hydraulics", ["friction"]:
-            return oil.coulomb_friction.si
-        case "hydraulics", ["stiction"]:
-            size = oil.coulomb_friction.si
-            return oil.breakaway_friction.si / size if size else 1.0
-        case "hydraulics", [field] if isinstance(known := getattr(oil, field, None), Quantity):
-            return known.si
-        case "hydraulics", ["actuators", leg, field] if field in oil.actuator(leg):
-            return oil.actuator(leg)[field].si
-        case "cab" | "platform", _ if cab is not None:
-            body = cab if root == "cab" else cab.platform
-            match rest:
-                case ["mass"]:
-                    return body.mass.si
-                case ["centre_of_mass", axis]:
-                    return float(body.centre_of_mass.si["xyz".index(axis)])
-                case ["second_moment", axis]:
-                    at = "xyz".index(axis)
-                    return 0.5 * float(np.trace(body.tensor)) - float(body.tensor[at, at])
-    return 1.0
+    if path == "hydraulics.stiction":
+        size = oil.coulomb_friction.si
+        return oil.breakaway_friction.si / size if size else 1.0
+    if root == "hydraulics":
+        fields = oil.actuator(rest[1]) if rest[0] == "actuators" else dict(oil)
+        known = fields.get(_FIELDS.get(rest[-1], rest[-1]))
+        return known.si if isinstance(known, Quantity) else 1.0
+    if root not in ("cab", "platform") or cab is None:
+        return 1.0
+    body, axis = cab if root == "cab" else cab.platform, "xyz".find(rest[-1])
+    moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
+    each = {"mass": body.mass.si, "centre_of_mass": body.centre_of_mass.si[axis]}
+    return float((each | {"second_moment": moments[axis]}).get(rest[0], 1.0))
 
 
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
-    plant, share = posterior.campaign.plant, stats.norm.cdf(z)
+    campaign, share = posterior.campaign, stats.norm.cdf(z)
     columns = [
-        one.number(nominal(plant, path), one.at(share[..., i]))
-        for i, (one, path) in enumerate(_each(posterior))
+        one.number(nominal(campaign.plant, path), one.at(share[..., i]))
+        for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
 
 
-def unit_of(path: str) -> str:
-    """SI unit of a number by its path."""
-    last = path.split(".")[-1]
-    known = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
-    known |= {"derivative_pole": "rad/s", "supply_pressure": "Pa"}
-    if "centre_of_mass" in path or "second_moment" in path:
-        return "m" if "centre_of_mass" in path else "kg m^2"
-    if last.endswith("_lag"):
-        return "rad/s"
-    return known.get(last, "1/s" if last == "leak_rate" else "1")
+_UNITS = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
+_UNITS |= {"supply_pressure": "Pa", "leak_rate": "1/s", "centre_of_mass": "m"}
+_UNITS |= dict.fromkeys(("drive_lag", "valve_lag", "derivative_pole"), "rad/s")
+_UNITS |= {"second_moment": "kg m^2"}
+"""SI units of numbers by the last or last but one part of their paths; of others 1."""
 
 
 def numbers(posterior: Posterior) -> Table:
     """Every number with its 90 % interval."""
     value = physical(posterior, np.vstack([posterior.z, posterior.bounds()])).T.tolist()
     known = ["yes" if one else "no" for one in posterior.identified()]
-    rows = [
-        (path, *three, unit_of(path), found)
-        for path, three, found in zip(paths(posterior), value, known, strict=True)
-    ]
+    rows = []
+    for path, three, found in zip(paths(posterior), value, known, strict=True):
+        unit = next((_UNITS[part] for part in path.split(".")[:-3:-1] if part in _UNITS), "1")
+        rows.append((path, *three, unit, found))
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
     return Table("Numbers of the machine, with 90 % intervals", columns, rows)
 
@@ -158,33 +140,15 @@ def fitted(posterior: Posterior) -> Plant:
 
 def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
     """The file's numbers that were fitted, with status and source."""
-    said = {
-        "status": "identified",
-        "source": "fitted to recordings "
-        + ", ".join(
-            f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False)
-        ),
-    }
+    made = (f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False))
+    said = {"status": "identified", "source": f"fitted to recordings {', '.join(made)}"}
+    bodies = {"hydraulics": table["hydraulics"], "platform": table["platform"]}
     for path in paths(posterior):
         root, *rest = path.split(".")
-        at: Any = table["hydraulics"] if root == "hydraulics" else table["cabs"][CAB]
-        at = table["platform"] if root == "platform" else at
-        match rest:
-            case ["friction"]:
-                at["coulomb_friction"] |= said
-            case ["stiction"]:
-                at["breakaway_friction"] |= said
-            case ["second_moment", _]:
-                at["inertia"] |= said
-            case ["centre_of_mass", _]:
-                at["centre_of_mass"] |= said
-            case ["actuators", leg, *fields]:
-                entry = at["actuators"][leg]
-                for field in fields:
-                    entry = entry[field]
-                entry |= said
-            case [field] if field in at:
-                at[field] |= said
+        at: Any = bodies.get(root, table["cabs"][CAB])
+        for part in rest[: None if root == "hydraulics" else 1]:
+            at = at.get(_FIELDS.get(part, part), {})
+        at |= said
     return table
 
 

@@ -7,7 +7,6 @@ the least damping of a law, with the gradient g in coordinates of the prior,
     s^2 = g' (H + 1)^-1 g          before, and with H + H_c in the stead of H after.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -25,7 +24,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.studies.fit.campaign import FILE, MEASURED, CampaignSettings, Recording
 from cmf_mj.studies.fit.engine import Fitter, Posterior
 from cmf_mj.studies.fit.likelihood import information
-from cmf_mj.studies.fit.model import Residuals, piece
+from cmf_mj.studies.fit.model import piece
 from cmf_mj.studies.fit.plan import demand
 
 Array = NDArray[np.float64]
@@ -81,7 +80,9 @@ def _gradient(posterior: Posterior, sought: str) -> Array:
 
 def _planned(posterior: Posterior, folder: Path) -> list[Recording]:
     """Recordings of a plan with their demands, as far as they have scenarios."""
-    settings = validated(CampaignSettings, read_toml(folder / FILE), str(folder / FILE))
+    table = read_toml(folder / FILE)
+    made = {name: {"file": "", **said} for name, said in table.get("recordings", {}).items()}
+    settings = validated(CampaignSettings, table | {"recordings": made}, str(folder / FILE))
     plant = posterior.campaign.plant
     rate = posterior.campaign.recordings[0].record.rate
     found = []
@@ -112,17 +113,11 @@ def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
     fitter.model.pieces = (made,)
     here = fitter.residuals(posterior.z)
     slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))
-    noise = {planned.name: _noise(posterior, here[planned.name])}
+    # What the fit left of each channel, repeated to the length.
+    noise, left = {}, posterior.look.here
+    for channel in made.measured:
+        parts = [one - one.mean(axis=0) for (_, of), one in left.items() if of == channel]
+        key = planned.name, channel
+        noise[key] = np.resize(np.concatenate(parts), here[key].shape)
     spacing = {planned.name: fitter.model.spacing(made)}
     return information(noise, slopes, fitter.order, spacing).matrix
-
-
-def _noise(posterior: Posterior, like: Mapping[str, Array]) -> Mapping[str, Array]:
-    """What the fit left of each channel, repeated to a length."""
-    left: Residuals = posterior.look.here
-    found = {}
-    for channel, shape in ((name, value.shape) for name, value in like.items()):
-        parts = [one[channel] for one in left.values() if channel in one]
-        joined = np.concatenate([part - part.mean(axis=0) for part in parts])
-        found[channel] = np.resize(joined, shape)
-    return found

@@ -23,8 +23,8 @@ def test_colour_of_an_autoregression_is_found() -> None:
 
 def test_merit_of_white_noise_is_its_size() -> None:
     """-ln L = n ln(s), so that twice the noise costs n ln 2."""
-    one = {"a": {"x": noise([1.0], (4000, 6), 2)}}
-    double = {"a": {"x": 2.0 * one["a"]["x"]}}
+    one = {("a", "x"): noise([1.0], (4000, 6), 2)}
+    double = {key: 2.0 * value for key, value in one.items()}
     assert merit(double, 1) - merit(one, 1) == pytest.approx(23994.0 * np.log(2.0), rel=1e-9)
 
 
@@ -35,8 +35,8 @@ def line(names: str, truth: float, error: float, seed: int) -> tuple[dict, list[
     for number, name in enumerate(names):
         level = error * np.arange(6)
         disturbed = noise([1.0, -0.7], time.shape, 10 * seed + number)
-        residuals[name] = {"x": truth * time + level + disturbed}
-        slopes[name] = {"x": -time}
+        residuals[name, "x"] = truth * time + level + disturbed
+        slopes[name, "x"] = -time
     return residuals, [slopes]
 
 
