@@ -1,13 +1,24 @@
 """Known systems and noisy experiments on them, shared by the identification tests."""
 
+from typing import Any
+
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from cmf_mj.analysis.identification import Experiment
+from cmf_mj.record.record import Record
+from cmf_mj.signals import multisine
+from cmf_mj.studies.case import Case
 
 RATE = 64.0
+
+
+def excited(case: Case) -> list[Record]:
+    """A run to fit and one to validate: multisines of the case's size up to 16 Hz."""
+    how: dict[str, Any] = {"stop": 16.0, "spectrum": "acceleration", "fade": 1.0}
+    return [case.run(multisine(case.dof, case.size, seed=seed, **how)) for seed in (0, 1)]
 
 
 def pair(frequency: float, damping: float) -> control.TransferFunction:

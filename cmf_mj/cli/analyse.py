@@ -13,7 +13,6 @@ from cmf_mj.cli import options
 from cmf_mj.cli.common import (
     app,
     friction_option,
-    in_si,
     pose_option,
     progress_bar,
     show,
@@ -116,34 +115,19 @@ def parse_orders(text: str) -> tuple[int, int, int]:
 
 @drawing("identify")
 def identify_command(
-    files: options.SomeRecordings = None,
-    simulate: options.Simulate = False,
-    law: options.Law = "velocity",
+    files: options.Recordings,
     dof: options.AnyDof = "heave",
-    plant: options.PlantName = "hexapod",
-    machine: options.Machine = "cmf",
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "hardware",
-    amplitude: options.Amplitude = None,
     method: Annotated[str, choice(_METHOD, "METHOD", _METHODS)] = "oe",
     orders: Annotated[str | None, Option(metavar="NA,NB,NK", help="default by search")] = None,
+    columns: options.Columns = None,
     out: options.Out = Path("out/identify"),
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
     from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import fit as report
-    from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.identification import identify, simulated_records
+    from cmf_mj.studies.identification import identify
 
-    if simulate == bool(files):
-        raise InputError("files: name recordings, or use --simulate, not both and not neither")
     chosen = None if orders is None else parse_orders(orders)
-    if simulate:
-        case = make_case(law, dof, plant, cab, hydraulics, amplitude=in_si(dof, amplitude))
-        records = simulated_records(case)
-    else:
-        records = [read_mapped(path) for path in files or []]
     how: dict[str, Any] = {"method": method, "orders": chosen}
-    model = identify(records, dof, **how)
-    paths = report.save_identification(model, out)
-    show(report.orders_table(model), report.model_table(model), written(paths))
+    model = identify([read_mapped(path, columns) for path in files], dof, **how)
+    show(report.model_table(model), written(report.save_identification(model, out)))

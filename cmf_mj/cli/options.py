@@ -193,10 +193,7 @@ FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORM
 FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
-Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
-_files = Argument(help="facility CSV or Parquet files")
-Recordings = Annotated[list[Path], _files]
-SomeRecordings = Annotated[list[Path] | None, _files]
+Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]
 _MAP = "TOML file of `cmf recording new`; default the facility's columns"
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]

@@ -13,10 +13,8 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.identification import BlackBox, Residuals
-from cmf_mj.analysis.identification import simulated as output_of
+from cmf_mj.analysis.identification import BlackBox
 from cmf_mj.core.result import Table, number
-from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show import look
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
 from cmf_mj.studies.fit.doubt import FAR, Stated
@@ -90,16 +88,6 @@ def stated(rows: Sequence[Stated]) -> Figure:
     return figure
 
 
-_LISTED = 8  # orders
-_WINDOW = 10.0  # length of the fit's figure [s]
-
-
-def orders_table(result: Identified) -> Table:
-    """The best ARX orders of the grid by their fit to the run held back."""
-    rows = [(*orders, fit) for orders, fit in result.tried[:_LISTED]]
-    return Table("ARX orders", ("na", "nb", "nk", ("validation fit", ".2f %")), rows)
-
-
 def model_table(result: Identified) -> Table:
     """Fits, poles and zeros with standard errors, residuals."""
     box = result.box
@@ -126,39 +114,6 @@ def model_table(result: Identified) -> Table:
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
 
 
-def fit_figure(result: Identified) -> Figure:
-    """Measured and simulated output of the validation run, and their difference."""
-    run, unit = result.validation, "rad/s" if result.axis in DOFS[3:] else "m/s"
-    labels = (f"{run.names[1].replace('_', ' ')} [{unit}]", f"difference [{unit}]")
-    figure, (top, bottom) = look.stack(9.0, 5.5, *labels, ratios=(3, 1))
-    time, modelled = np.arange(run.output.size) * run.step, output_of(result.box, run)
-    middle = max(0.5 * (time[-1] - _WINDOW), 0.0)
-    inside = (time >= middle) & (time <= middle + _WINDOW)
-    name = f"model, {result.validation_fit:.1f} %"
-    top.plot(time[inside], run.output[inside], color=look.DARK, label="measured")
-    top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=name)
-    bottom.plot(time[inside], (run.output - modelled)[inside], color=look.BLUE)
-    top.set_title(f"Motion of the validation run, {result.axis}")
-    look.legend(figure)
-    return figure
-
-
-def residual_figure(residuals: Residuals, step: float) -> Figure:
-    """Auto- and cross-correlation of the residuals with their 99 % bounds."""
-    figure, panels = look.stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
-    parts = (
-        (residuals.auto, residuals.auto_bound, "Correlation of the residual with itself"),
-        (residuals.cross, residuals.cross_bound, "Correlation of the residual with past command"),
-    )
-    for axis, (values, bound, title) in zip(panels, parts, strict=True):
-        axis.axhspan(-bound, bound, color=look.BLUE, alpha=0.15, label="99 % of a right model")
-        axis.vlines(np.arange(values.size) * step, 0.0, values, color=look.DARK, linewidth=1.2)
-        axis.axhline(0.0, color=look.DARK, linewidth=0.8)
-        axis.set_title(title)
-    look.legend(figure)
-    return figure
-
-
 def model_figure(box: BlackBox, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response with its own."""
     title = f"Frequency response, {' to '.join(box.names)}".replace("_", " ")
@@ -176,7 +131,7 @@ def model_figure(box: BlackBox, response: FrequencyResponse | None) -> Figure:
 
 
 def save_identification(result: Identified, folder: Path) -> list[Path]:
-    """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
+    """Write `model.json` and `bode.png`."""
     box, velocity = result.box, result.continuous.velocity.to_si()
     files = {
         "model.json": {
@@ -194,8 +149,6 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
                 "misfit": result.continuous.misfit,
             },
         },
-        "fit.png": fit_figure(result),
-        "residuals.png": residual_figure(result.residuals, box.step),
         "bode.png": model_figure(box, result.response),
     }
     return look.save_files(files, folder)

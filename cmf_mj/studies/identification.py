@@ -1,4 +1,4 @@
-"""Identification of one leg or degree of freedom from recordings or simulated runs, start to end.
+"""Identification of one leg or degree of freedom from recordings, start to end.
 
 The report's path (chapter 4): leg velocity from the command at the valves. Orders are chosen on a
 grid of ARX models by their fit to the run held back; the method asked for then fits the box.
@@ -7,9 +7,8 @@ grid of ARX models by their fit to the run held back; the method asked for then 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
-from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification import (
     BlackBox,
@@ -29,7 +28,6 @@ from cmf_mj.analysis.identification import (
 )
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.record.record import Record
-from cmf_mj.studies.case import Case
 
 Method = Literal["arx", "oe"]
 
@@ -44,7 +42,6 @@ class Identified:
     """A box of one axis with everything that judges it."""
 
     axis: str
-    tried: list[tuple[Orders, float]]  #: Orders and fit [%], the best first; empty where given.
     box: BlackBox
     validation: Experiment
     estimation_fit: float  #: Of the simulated box to the fitted runs, the least [%].
@@ -72,18 +69,12 @@ def identify(
         raise InputError("records: none given; at least one is needed")
     runs = [experiment(record, axis) for record in records]
     *fitted, validation = runs if len(runs) > 1 else runs[0].split(SHARE)
-    tried = select_orders(fitted, validation, _GRID) if orders is None else []
-    box = {"arx": arx, "oe": output_error}[method](fitted, orders or tried[0][0])
+    chosen = orders or select_orders(fitted, validation, _GRID)[0][0]
+    box = {"arx": arx, "oe": output_error}[method](fitted, chosen)
     broad = [record for record in records if record.signal.kind in _BROAD]
     fits = [fit_percentage(run.output, simulated(box, run)) for run in (*fitted, validation)]
     return Identified(
-        *(axis, tried, box, validation, min(fits[:-1]), fits[-1]),
+        *(axis, box, validation, min(fits[:-1]), fits[-1]),
         *(residual_analysis(box, validation), to_continuous(box)),
         plant_response(broad[-1], axis) if broad else None,
     )
-
-
-def simulated_records(case: Case) -> list[Record]:
-    """A run to fit and one to validate: multisines of the case's size up to 16 Hz."""
-    how: dict[str, Any] = {"stop": 16.0, "spectrum": "acceleration", "fade": 1.0}
-    return [case.run(signals.multisine(case.dof, case.size, seed=seed, **how)) for seed in (0, 1)]

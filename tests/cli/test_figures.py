@@ -32,7 +32,7 @@ FIGURES = {
     "capacity": "supply envelope",
     "linearize": "bode loop",
     "modes": "modes_sweep modes_map",
-    "identify": "fit residuals bode",
+    "identify": "bode",
     "operate": "operation",
     "serve": "operation timing",
     "replay": "run_model_following",

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from identified_systems import excited
 
 from cmf_mj import Hexapod, load_cab, load_law, simulate
 from cmf_mj.analysis.identification import experiment
@@ -21,7 +22,7 @@ from cmf_mj.signals.signal import Command
 from cmf_mj.signals.single import step
 from cmf_mj.studies.capacity import capacity
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.identification import identify, simulated_records
+from cmf_mj.studies.identification import identify
 from cmf_mj.studies.many import simulate_many
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
@@ -141,7 +142,7 @@ def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
     """200 Hz is no multiple of 64: the lag's pole is found at 66.7 Hz, to its 3 Hz."""
     own = machine(1000)
     case = make_case("velocity", "heave", "single_legs", load_cab("deck", own))
-    found = identify(simulated_records(case), "heave")
+    found = identify(excited(case), "heave")
     assert found.box.step == pytest.approx(0.015)
     corner = [-np.log(r.value.real) / 0.015 for r in found.box.poles() if r.value.imag == 0.0]
     assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
