@@ -3,6 +3,7 @@
     python scripts/figures.py cycle     going up, following the host, coming down: operating states
     python scripts/figures.py limits    a leg demand that leaves its limits, clamped and limited
     python scripts/figures.py lurch     raising from the stops, with the integrator's trigger or not
+    python scripts/figures.py rotation  damping over gain of acceleration and height of the cab
     python scripts/figures.py model     the machine with a cab, or the excavator; --motion films it
     python scripts/figures.py studio    the studio's page in a headless Chromium, after a push
 
@@ -15,16 +16,18 @@ import io
 import shutil
 import warnings
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 
-from cmf_mj import Hexapod, load_law, signals
+from cmf_mj import Hexapod, Linear, load_cab, load_law, signals
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.limiter import Limiter, limit_history, make_leg_limiter
 from cmf_mj.control.states import Request, State
@@ -36,8 +39,9 @@ from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import hexapod_model
+from cmf_mj.report_2014.posterior.run import acceleration_law
 from cmf_mj.show.film import FilmSettings, film
-from cmf_mj.show.look import legend, save_figure
+from cmf_mj.show.look import DARK, legend, new_figure, save_figure
 from cmf_mj.show.operation import overview_figure
 from cmf_mj.show.stage import FilmStage
 
@@ -208,6 +212,51 @@ def lurch(options: argparse.Namespace) -> None:
         print(f"{name}: {speed / units.INCH:.1f} in/s, fault {run.record.metadata['fault']}")
 
 
+HEIGHTS, GAINS = np.linspace(0.0, 1.5, 41), np.linspace(-0.12, 0.06, 61)
+"""Of the cab's centre of mass above the upper gimbals [m]; of acceleration [%/(in/s^2)]."""
+
+
+def least_damping(cab: str, corner: float) -> NDArray[np.float64]:
+    """Least damping ratios, (heights, gains), behind a filter of the accelerometer [Hz]."""
+    laws, shipped = [acceleration_law(gain, corner) for gain in GAINS], load_cab(cab)
+    found = []
+    for height in HEIGHTS:
+        place = [*shipped.centre_of_mass.si[:2], height]
+        linear = Linear(Hexapod(shipped.changed("lifted", centre_of_mass=place)))
+        found.append([linear.damping(law)["least"] for law in laws])
+    return np.array(found)
+
+
+def rotation(options: argparse.Namespace) -> None:
+    """Damping over the gain of acceleration feedback and the height of the cab's centre of mass."""
+    figure, law = new_figure(10.0, 4.2, gridded=False), load_law("acceleration_compensated")
+    corner = -np.log(law.accelerometer_pole) / (2.0 * np.pi * FRAME)
+    axes, cabs = figure.subplots(1, 2, sharey=True), {"gfd": "lightest", "ifd": "heaviest"}
+    for axis, (cab, said) in zip(axes, cabs.items(), strict=True):
+        damping = least_damping(cab, corner)
+        levels = np.arange(-8, 7) / 50.0
+        shades: dict[str, Any] = {"cmap": "RdBu", "vmin": -0.16, "vmax": 0.16, "extend": "both"}
+        drawn = axis.contourf(GAINS, HEIGHTS, damping, levels, **shades)
+        some = [-0.08, -0.04, 0.04, 0.08]
+        lines = axis.contour(GAINS, HEIGHTS, damping, some, colors=DARK, linewidths=0.6)
+        axis.clabel(lines, fmt="%g", fontsize=8)
+        axis.contour(GAINS, HEIGHTS, damping, [0.0], colors="k", linewidths=2.0)
+        zero = float(GAINS[np.argmax(damping[-5] < 0.0)])
+        axis.text(zero - 0.006, HEIGHTS[-3], "stable", ha="right", va="center")
+        axis.text(zero + 0.006, HEIGHTS[-3], "unstable", ha="left", va="center")
+        shipped = load_cab(cab).centre_of_mass.si[2]
+        for gain, name in ((0.01, "as printed"), (-0.08, "as advised")):
+            axis.plot(gain, shipped, "o", color="k")
+            axis.annotate(name, (gain, shipped), (6.0, 6.0), textcoords="offset points")
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_major_locator(MultipleLocator(0.25))
+        axis.set(title=f"{cab.upper()}, the {said} cab", xlabel="gain of acceleration [%/(in/s²)]")
+    axes[0].set_ylabel("cab's centre of mass above the gimbals [m]")
+    figure.colorbar(drawn, ax=axes, label="least damping ratio", format="{x:g}", pad=0.02)
+    figure.suptitle("Damping with acceleration feedback behind Eq 3.6, model without friction")
+    save_figure(figure, options.out)
+
+
 def model(options: argparse.Namespace) -> None:
     """Picture or film of a machine."""
     if options.motion is not None:
@@ -266,7 +315,7 @@ def main() -> None:
     """Draw the picture that is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     pictures = parser.add_subparsers(dest="picture", required=True)
-    lengths = {cycle: 34.0, limits: None, lurch: None, model: 6.0, studio: 12.0}
+    lengths = {cycle: 34.0, limits: None, lurch: None, rotation: None, model: 6.0, studio: 12.0}
     for draw, seconds in lengths.items():
         name = draw.__name__
         one = pictures.add_parser(name, help=(draw.__doc__ or "").splitlines()[0])

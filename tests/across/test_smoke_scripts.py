@@ -1,8 +1,10 @@
 """Every script runs from another folder and answers its question."""
 
+import argparse
 import hashlib
 import json
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -107,6 +109,23 @@ def test_limits_draws_its_figure(tmp_path: Path) -> None:
     assert shipped.shape == slow.shape
     assert shipped[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
     assert np.abs(shipped - slow).max() > 0.5
+
+
+def test_rotation_draws_where_acceleration_feedback_is_stable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a coarse grid; the zero line is that of stability, and rises with opposing gain."""
+    draw = runpy.run_path(str(SCRIPTS / "figures.py"))["rotation"]
+    known = draw.__globals__
+    monkeypatch.setitem(known, "HEIGHTS", np.linspace(0.0, 1.5, 6))
+    monkeypatch.setitem(known, "GAINS", np.linspace(-0.12, 0.06, 10))
+    draw(argparse.Namespace(out=tmp_path / "rotation.png"))
+    picture = matplotlib.image.imread(tmp_path / "rotation.png")
+    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+    stable = known["least_damping"]("gfd", 2.485) > 0.0
+    assert stable[:, 0].all() and not stable[:, -1].any()
+    first = stable.sum(axis=1)
+    assert (np.diff(first) <= 0).all() and first[0] > first[-1]
 
 
 @pytest.mark.slow
