@@ -170,10 +170,20 @@ SomeGuide = Annotated[
 Against = Annotated[Path, Option(metavar="FOLDER", help="the master")]
 
 
+def _with_cueing() -> None:
+    """Let guides drive the aircraft and measure at the pilot's station."""
+    from cmf_mj.pilot import omct
+    from cmf_mj.studies.guide import MAKERS
+    from cmf_mj.studies.measurement import MEASURES
+
+    MAKERS["aircraft"], MEASURES["cueing"] = omct.guided, omct.cueing
+
+
 def _bench(guide: str, out: Path, **named: Any) -> Any:
     """A guide on a machine with its head, to stand in the folder of results."""
     from cmf_mj.studies.guide import bench, head_of, load_guide
 
+    _with_cueing()
     on = bench(load_guide(guide), **named)
     return on, head_of(on, out, **named)
 
@@ -215,6 +225,7 @@ def guide_run_command(
     from cmf_mj.studies.guide import load_guide, run_guide
     from cmf_mj.studies.guide_check import compare, load_master
 
+    _with_cueing()
     folder = recordings or out
     if recordings is None:
         on, head = _bench(guide, out, machine=machine, cab=cab, hydraulics=hydraulics, law=law)
@@ -242,6 +253,7 @@ def guide_check_command(
     from cmf_mj.studies.diagnosis import diagnose, slopes
     from cmf_mj.studies.guide_check import compare, load_master
 
+    _with_cueing()
     master, since = load_master(against), load_master(new)
     rows, causes = compare(master, since), []
     changed = any(row.verdict in ("changed", "beyond its limit") for row in rows)

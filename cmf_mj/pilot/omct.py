@@ -20,11 +20,11 @@ ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, 
 units of the cross tests are this project's. No boundary of acceptance is known, and none is given.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,15 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
+from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.signals.signal import check_positive
+from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import Command, Other, check_positive
 
 TESTS = (
     *(("pitch", "pitch"), ("pitch", "surge"), ("roll", "roll"), ("roll", "sway"), ("yaw", "yaw")),
@@ -178,14 +181,45 @@ def omct(
     return Omct(settings.name, chosen.name, parameters.name, driven, responses, remainders)
 
 
+def _demanded(stream: HostStream) -> NDArray[np.float64]:
+    """The DCU's demand of host frames, (N, 3, 6)."""
+    unit, frames = make_dcu(load_dcu()), int(stream.time[-1] * RATE)
+    return upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
+
+
 def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[str, PilotMotion]:
     """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
-    unit, frames = make_dcu(load_dcu()), int(stream.time[-1] * RATE)
-    played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)[::_EVERY]
-    time = np.arange(len(played)) * _EVERY / RATE
-    demand = make_stream(time, *np.swapaxes(played, 0, 1))
-    motions = (PilotMotion.from_platform(one, station) for one in (stream, demand))
+    played = _demanded(stream)
+    time = np.arange(len(played))[::_EVERY] / RATE
+    demand = make_stream(time, *np.swapaxes(played[::_EVERY], 0, 1))
+    motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
     return dict(zip(STAGES, motions, strict=True))
+
+
+def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
+    """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
+    settings, rate = load_washout(str(table.get("washout", "simona"))), plant.machine.rate
+    flown = aircraft_motion(str(table["dof"]), float(table["frequency"]))
+    played = _demanded(Washout(settings, cab=plant.cab_parameters).run(flown))[:, 0]
+    rows = np.arange(int(len(played) * rate / RATE)) * RATE // rate
+    return Command(played[rows], Other(**{**table, "rate": rate}))
+
+
+def cueing(record: Record) -> dict[str, float]:
+    """Modulus and phase of what an input drives, of a record of a guide: legs to pilot's station.
+
+    The station is that of the cab that the metadata name.
+    """
+    said, machine = record.metadata["command"], recorded_machine(record.metadata)
+    dof, frequency = str(said["dof"]), float(said["frequency"])
+    stream = make_stream(record.time, legs_to_pose(record["leg_position"], machine))
+    station = load_cab(record.metadata["cab"], machine).station
+    motion, found = PilotMotion.from_platform(stream, station), {}
+    for place, (response, _) in fundamentals(dof, frequency, motion).items():
+        name = f"{dof} > {TESTS[place][1]} {frequency:g} rad/s"
+        found[f"{name} modulus"] = abs(response)
+        found[f"{name} phase [deg]"] = float(np.degrees(np.angle(response)))
+    return found
 
 
 def fundamentals(

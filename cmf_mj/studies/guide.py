@@ -172,6 +172,10 @@ class Bench(NamedTuple):
         return lines_of(self.legs(name, rate), rate)
 
 
+MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}
+"""What makes the command of a signal that is none of `composite.KINDS`, by its kind."""
+
+
 def bench(
     guide: GuideSettings,
     machine: str | Path,
@@ -191,7 +195,7 @@ def bench(
             each = f"{name}_{dof}" if dof else name
             table = dict(one.signal) | ({"dof": dof} if dof else {})
             with within(f"tests.{name}.signal"):
-                command, share = _command(table, one.share, room)
+                command, share = _command(table, one.share, room, plant)
             if share > 1.0:
                 impossible[each] = f"asks for {share:.2f} times what the machine can"
             else:
@@ -199,11 +203,19 @@ def bench(
     return Bench(guide, plant, law or plant.machine.law, commands, of, use, impossible)
 
 
-def _command(table: dict[str, Any], share: float | None, room: Room) -> tuple[Command, float]:
+def _command(
+    table: dict[str, Any],
+    share: float | None,
+    room: Room,
+    plant: Hexapod,
+) -> tuple[Command, float]:
     """The command of a signal within its share of the machine's limits, and what it uses."""
-    kind, rate = str(table.get("kind")), room.machine.rate
+    kind, rate = str(table.get("kind")), plant.machine.rate
     corner = STEP_CORNER if kind in ("step", "pulse", "chirp") else None
-    chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS])]
+    if kind in MAKERS:
+        command = MAKERS[kind](table, plant)
+        return command, room.use(command.pose)
+    chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
 
     def made(table: Mapping[str, Any]) -> Command:
         return validated(chosen, plain(table) | {"rate": rate}, kind).command()

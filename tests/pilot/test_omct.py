@@ -9,6 +9,7 @@ from cab_motions import G
 from shared import cmf
 
 from cmf_mj.control.dcu.state import load_dcu
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import (
     ANGLE,
@@ -17,11 +18,15 @@ from cmf_mj.pilot.omct import (
     _fundamental,
     aircraft_motion,
     amplitude,
+    cueing,
     fundamentals,
+    guided,
     measured_from,
     omct,
 )
 from cmf_mj.pilot.washout_settings import load_washout, save_washout
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
 from cmf_mj.show.cueing import omct_table, phase, share_table, unit
 from scripts.flights import with_gains
 
@@ -107,6 +112,25 @@ def test_the_laws_share_is_its_static_gain_at_low_frequency(machine):
         assert -6.0 < np.degrees(np.angle(share)) < -1.0
     driven = [np.isfinite(row).all() for row in machine.responses["velocity"]]
     assert driven == [source == "surge" for source, _ in TESTS]
+
+
+@pytest.mark.parametrize("dof", ["surge", "pitch"])
+def test_a_guide_measures_on_an_ideal_machine_what_the_demand_does(dof):
+    """From leg positions of legs that follow exactly: modulus within 0.5 %, phase 0.5 deg."""
+    frequency = 2.512
+    plant = Hexapod()
+    command = guided({"kind": "aircraft", "dof": dof, "frequency": frequency}, plant)
+    legs = pose_to_legs(command.pose[::16], plant.machine)
+    said = {"sample_rate": 128.0, "cab": plant.cab, "command": command.signal.described()}
+    time = np.arange(len(legs)) / 128.0
+    record = Record(time, {"leg_position": legs}, {"leg_position": "m"}, said)
+    found = cueing(record)
+    expected = omct((), frequencies=[frequency], dofs=[dof], jobs=1).responses["ideal"]
+    for place in np.flatnonzero(np.isfinite(expected[:, 0])):
+        name = f"{dof} > {TESTS[place][1]} {frequency:g} rad/s"
+        assert found[f"{name} modulus"] == pytest.approx(abs(expected[place, 0]), rel=5e-3)
+        angle = np.degrees(np.angle(expected[place, 0]))
+        assert found[f"{name} phase [deg]"] == pytest.approx(angle, abs=0.5)
 
 
 def test_aircraft_motion_is_one_of_a_pilot():

@@ -9,6 +9,7 @@ from guide_files import SHORT, written
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_table
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.pilot.omct import cueing
 from cmf_mj.studies.guide import (
     FILE,
     GUIDES,
@@ -19,10 +20,14 @@ from cmf_mj.studies.guide import (
     run_guide,
     simulated,
 )
+from cmf_mj.studies.measurement import MEASURES
 
 
 @pytest.mark.parametrize("name", GUIDES)
-def test_a_shipped_guide_says_where_each_limit_comes_from(name: str) -> None:
+def test_a_shipped_guide_says_where_each_limit_comes_from(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(MEASURES, "cueing", cueing)
     guide = load_guide(name)
     for one in guide.tests.values():
         assert one.limits or one.no_limit
