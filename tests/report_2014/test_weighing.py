@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.report_2014.posterior import weighed as tables
 from cmf_mj.report_2014.posterior.evidence import observations, printed_numbers
 from cmf_mj.report_2014.posterior.weighing import (
@@ -135,6 +136,12 @@ def test_effects_that_are_none_are_refused(changes: dict[str, Any], message: str
     lap = load_effects("effects").settings.model_dump(exclude_none=True)["effects"]["lap"]
     with pytest.raises(ValueError, match=message):
         load_effects("effects", changes={"effects": {"lap": lap | changes}})
+
+
+def test_too_few_draws_are_refused() -> None:
+    with pytest.raises(InputError, match="^draws: 16 is refused; allowed: at least 30, as numbers"):
+        load_effects("effects", changes={"draws": 16})
+    assert load_effects("effects", quick=True).settings.draws == 32
 
 
 @pytest.mark.slow

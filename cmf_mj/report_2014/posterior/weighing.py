@@ -83,6 +83,10 @@ class EffectSettings(PosteriorSettings):
 def load_effects(source: Any, **how: Any) -> PosteriorStudy:
     """Load a study of effects, as `load_posterior`."""
     study = load_posterior(source, form=EffectSettings, **how)
+    draws, size = study.settings.draws, len(study.settings.unknowns)
+    if draws < 2 * (size + 1):
+        least = f"at least {2 * (size + 1)}, as numbers are regressed on {size} unknowns"
+        raise InputError(f"draws: {draws} is refused; allowed: {least}")
     for name, one in _settings(study).effects.items():
         if one.shape() or one.low is None:
             raise InputError(f"effects.{name}: allowed: one number between bounds, low and high")
