@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
@@ -187,10 +188,19 @@ def causes_table(causes: Sequence[Cause]) -> Result[Cause]:
     return Result(causes, fields_of(Cause), "What most probably changed")
 
 
+_PAPER = """<!doctype html><meta charset="utf-8"><title>Test guide</title><style>
+body { max-width: 60rem; margin: auto; font: 10pt sans-serif }
+img { max-width: 100%; break-inside: avoid }
+table { border-collapse: collapse; margin: 1em 0 }
+td, th { border-top: thin solid silver; padding: 0.1em 0.6em; text-align: left }
+</style>
+"""
+
+
 def save_guide(
     master: Master, new: Master, rows: Sequence[Compared], causes: Sequence[Cause], folder: Path
 ) -> list[Path]:
-    """Write `guide.md`, `measures.csv`, `causes.csv` and an over-plot a test.
+    """Write `guide.html`, a page that prints, `measures.csv`, `causes.csv` and an over-plot a test.
 
     `rows` are of `compare`; of a master beside itself the page says what its guide is.
     """
@@ -205,5 +215,5 @@ def save_guide(
     for part in (*about, *tables):
         parts.append(f"## {part.title}\n\n{part.markdown()}" if isinstance(part, Table) else part)
     parts += [f"![{Path(name).stem}]({name})" for name in files if name.endswith(".png")]
-    text = "\n\n".join(parts) + "\n"
-    return look.save_files(files | {"guide.md": lambda path: write_text(path, text)}, folder)
+    text = _PAPER + MarkdownIt().enable("table").render("\n\n".join(parts))
+    return look.save_files(files | {"guide.html": lambda path: write_text(path, text)}, folder)

@@ -172,13 +172,13 @@ def test_a_guide_is_run_checked_and_drawn_from_the_command_line(
     given = ["guide", "run", str(folder / "mine.toml"), "--recordings", str(folder / "master")]
     made = CliRunner().invoke(app, given)
     assert made.exit_code == 0, made.output
-    page = (folder / "master" / "guide.md").read_text()
-    assert page.count("\n| --- |") == 4
-    assert "![all](all.png)" in page
+    page = (folder / "master" / "guide.html").read_text()
+    assert page.count("<table>") == 4
+    assert '<img src="all.png" alt="all" />' in page
     out = ["--against", str(folder / "master"), "--out", str(tmp_path / "out")]
     checked = CliRunner().invoke(app, ["guide", "check", str(folder / "new"), *out])
     assert checked.exit_code == 0, checked.output
     assert "as before" in checked.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"all.png", "all_bode.png", "measures.csv", "guide.md"}
+    assert names == {"all.png", "all_bode.png", "measures.csv", "guide.html"}
     assert {"surge", "surge, now"} <= drawn["all_bode.png"] and "all.png" in drawn
