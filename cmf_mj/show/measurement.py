@@ -53,10 +53,7 @@ def recordings_table(measures: RecordingMeasures) -> Table:
     why = f"not excited, or of a coherence below {CLEAR:g}"
     rows = lines(found | {"coherence": response.coherence.min()}, RESPONSE)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
-    return _sheet(title, [*rows, ("lines left out", str(measures.left_out), why)])
-
-
-def _sheet(title: str, rows: list[tuple[str, str, str]]) -> Table:
+    rows.append(("lines left out", str(measures.left_out), why))
     return Table(title, ("measure", "value", "definition"), rows)
 
 
@@ -75,8 +72,9 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     return figure
 
 
-def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, Any]:
-    """`response.csv`, with the radius of the 95 % circle, and `response.png`."""
+def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
+    """Write `response.csv`, with the radius of the 95 % circle, `response.png`, `summary.json`."""
+    response, title = measures.response, f"Frequency response in {measures.dof}"
     columns = {
         "frequency_hz": response.frequency,
         "gain_db": response.gain_db,
@@ -84,16 +82,9 @@ def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, An
         "coherence": response.coherence,
         "radius_95": response.bound,
     }
-    return {"response.csv": columns, "response.png": figure}
-
-
-def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
-    """Write `response.csv`, `response.png` and `summary.json`."""
-    figure = response_figure(
-        f"Frequency response in {measures.dof}", measures.files[0].stem, measures.response
-    )
-    files = _response_files(measures.response, figure)
-    return look.save_files(files | {"summary.json": measures.summary()}, folder)
+    figure = response_figure(title, measures.files[0].stem, response)
+    files = {"response.csv": columns, "response.png": figure, "summary.json": measures.summary()}
+    return look.save_files(files, folder)
 
 
 def overplot(master: Master, new: Master, name: str) -> Figure:

@@ -5,7 +5,7 @@ what the excitation says. Everything is taken from DCL leg demand to leg sensors
 degree of freedom; host and DCU are outside. Accelerations are those of the platform centroid.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast, get_args
 
@@ -59,17 +59,6 @@ def demand_and_position(record: Record, dof: str, part: slice = slice(None)) -> 
     return demand[part], position[part]
 
 
-def _dwelt(record: Record) -> Iterator[tuple[Dwell, str, slice]]:
-    """Dwells of a record of single sines, what each is called, and its samples."""
-    per_frame, command = record.rate / record.signal.rate, record.excitation
-    many = len({dwell.amplitude for dwell in command.dwells}) > 1
-    for dwell in command.dwells:
-        first = int(np.ceil(dwell.start * per_frame))
-        size = f" {1e3 * dwell.amplitude:.3g} {by_kind(command.axis, 'mm', 'mrad')}" if many else ""
-        part = slice(first, first + round(dwell.cycles * record.rate / dwell.frequency))
-        yield dwell, f"{dwell.frequency:g} Hz{size}", part
-
-
 def accelerations(record: Record) -> Array:
     """Acceleration of the platform below `SMOOTH`, (N, 6) [m/s^2, rad/s^2], from leg positions.
 
@@ -107,15 +96,11 @@ def _responses(record: Record) -> Values:
     found: Values = {}
     own, crosstalk = driven(record)
     for dof, response in own.items():
-        found |= _bandwidths(dof, response)
+        of = bandwidths(response)
+        found |= {f"{dof} -90 deg [Hz]": of.phase_hz, f"{dof} -3 dB [Hz]": of.gain_hz}
+        found[f"{dof} peak [dB]"] = of.peak_db
         found |= {f"{dof} crosstalk [%]": crosstalk[dof]} if crosstalk else {}
     return found
-
-
-def _bandwidths(dof: str, response: FrequencyResponse) -> Values:
-    of = bandwidths(response)
-    named = {"-90 deg [Hz]": of.phase_hz, "-3 dB [Hz]": of.gain_hz, "peak [dB]": of.peak_db}
-    return {f"{dof} {name}": value for name, value in named.items()}
 
 
 def _steps(record: Record) -> Values:
@@ -129,12 +114,15 @@ def _at_dwells(measure: Callable[[Record, str, Dwell, slice], Values]) -> Measur
     """The measure of a record of single sines, from that of a dwell's samples along its axis."""
 
     def measured(record: Record) -> Values:
-        axis = record.signal.axis
-        return {
-            f"{axis} {name} {what}": float(value)
-            for dwell, name, part in _dwelt(record)
-            for what, value in measure(record, axis, dwell, part).items()
-        }
+        per_frame, command, found = record.rate / record.signal.rate, record.excitation, Values()
+        axis, many = command.axis, len({dwell.amplitude for dwell in command.dwells}) > 1
+        for dwell in command.dwells:
+            first = int(np.ceil(dwell.start * per_frame))
+            part = slice(first, first + round(dwell.cycles * record.rate / dwell.frequency))
+            size = f" {1e3 * dwell.amplitude:.3g} {by_kind(axis, 'mm', 'mrad')}" if many else ""
+            for what, value in measure(record, axis, dwell, part).items():
+                found[f"{axis} {dwell.frequency:g} Hz{size} {what}"] = float(value)
+        return found
 
     return measured
 
@@ -156,10 +144,14 @@ def _balance(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     }
 
 
+def _accelerated(record: Record, dof: str, dwell: Dwell, part: slice) -> metrics.MotionNoise:
+    moved = accelerations(record)[part, DOFS.index(dof)]
+    return metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+
+
 def _noise(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Acceleration noise in its parts, shares of the fundamental [%]."""
-    moved = accelerations(record)[part, DOFS.index(dof)]
-    noise = metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+    noise = _accelerated(record, dof, dwell, part)
     shares = ("low_harmonics", "high_harmonics", "stochastic", "peak")
     return {f"{share.replace('_', ' ')} [%]": 100.0 * getattr(noise, share) for share in shares}
 
@@ -169,8 +161,7 @@ def _bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
 
     A turn-around shows as a bump where the velocity changes its sign.
     """
-    moved = accelerations(record)[part, DOFS.index(dof)]
-    noise = metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+    noise = _accelerated(record, dof, dwell, part)
     size = noise.peak * noise.fundamental / units.STANDARD_GRAVITY
     return {f"bump [{by_kind(dof, 'g', 'rad/s^2 over g')}]": size}
 

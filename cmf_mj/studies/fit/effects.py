@@ -7,7 +7,8 @@ with it: of the one that gains most all are fitted again.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, NamedTuple
+from functools import partial
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +24,10 @@ from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Floor, Hexapod, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.engine import Fitter, Look, improved
-from cmf_mj.studies.fit.model import Model, minus
+from cmf_mj.studies.fit.model import Change, minus
 from cmf_mj.studies.fit.results import nominal
 
 Array = NDArray[np.float64]
-
-Change = Callable[[Plant, Array], Plant]
-"""A machine with so much of an effect, in sizes (1,), or (legs,) where each leg has its own."""
 
 _LEGS, _FLOOR = 0.25, 0.2
 _FLOORS = np.geomspace(8.0, 32.0, 7)  #: With the machine on it, its legs rigid [Hz].
@@ -139,27 +137,11 @@ class Effect(NamedTuple):
         return self.gain > _HELPS
 
 
-class _With(Model):
-    """A model with an effect, whose numbers follow those that are fitted."""
-
-    def __init__(self, model: Model, size: int, change: Change, signed: bool) -> None:
-        vars(self).update(vars(model))
-        self._size, self._change, self._signed = size, change, signed
-
-    def values(self, z: Array) -> dict[str, Any]:
-        return super().values(z[: self._size])
-
-    def machine(self, z: Array) -> Plant:
-        if not self._signed and z[self._size] <= 0.0:
-            raise InputError(f"effect: {z[self._size]:g} of it is refused; allowed: more than 0")
-        return self._change(super().machine(z), z[self._size :])
-
-
 class _Point(NamedTuple):
     """Numbers with those of an effect."""
 
     fitter: Fitter
-    x: Array  #: Of the numbers, the effect, and clocks.
+    x: Array  #: Of the numbers and the effect.
     merit: float
 
 
@@ -175,10 +157,10 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
     if points:
         most = min(points, key=lambda name: points[name].merit)
         if look.merit - points[most].merit > _HELPS:
-            points[most] = _fitted(points[most], fitter)
-    size = fitter.size
+            points[most] = _fitted(points[most])
+    mine = slice(fitter.model.size)
     found = [
-        Effect(name, look.merit - one.merit, one.x[:size] - look.x[:size])
+        Effect(name, look.merit - one.merit, one.x[mine] - look.x[mine])
         for name, one in points.items()
     ]
     return sorted(found, key=lambda effect: -effect.gain)
@@ -187,39 +169,45 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
 def _best(look: Look, fitter: Fitter, extra: Extra | Yielding) -> _Point:
     """The best of what is tried with an effect, and else none of it, where the fit ended."""
     legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
-    size, none = fitter.size, np.zeros(len(legs))
-    best, most = _Point(fitter, np.insert(look.x, size, none), look.merit), 0.0
+    size = fitter.model.size
+    none = np.insert(look.x, size, np.zeros(len(legs)))
+    best, most = _Point(fitter, none, look.merit), 0.0
     for change in extra.on(fitter.model.plant, legs):
-        model = _With(fitter.model, size, change, extra.signed)
-        tried_ = fitter.on(model, size + len(legs))
+        with_ = fitter.having(change if extra.signed else partial(_some, change))
         points = [np.insert(look.x, size, one) for one in np.eye(len(legs))]
-        there = [one for one in tried_.all(points) if one is not None]
+        there = [one for one in with_.all(points) if one is not None]
         if len(there) < len(legs):
             continue
-        slopes = list(look.slopes)
-        slopes[size:size] = [minus(one, look.here) for one in there]
-        whole = tried_.seen(np.insert(look.x, size, none), look.here, slopes)
-        points, merits = points[:1], [tried_.merit(points[0], there[0])]
-        move = np.linalg.solve(whole.found.matrix + np.eye(whole.x.size), whole.gradient)
+        slopes = [*look.slopes[:size], *(minus(one, look.here) for one in there)]
+        slopes += look.slopes[size:]
+        whole = with_.seen(none, look.here, slopes)
+        points, merits = points[:1], [with_.merit(points[0], there[0])]
+        move = np.linalg.solve(whole.found.matrix + np.eye(none.size), whole.gradient)
         if whole.promise > most and (extra.signed or move[size] > 0.0):
             most = whole.promise
-            points += [whole.x + part * move for part in (1.0, 0.5, 0.25)]
-            merits += map(tried_.merit, points[1:], tried_.all(points[1:]))
+            points += [none + part * move for part in (1.0, 0.5, 0.25)]
+            merits += map(with_.merit, points[1:], with_.all(points[1:]))
         least = int(np.argmin(merits))
         if merits[least] < best.merit:
-            best = _Point(tried_, points[least], merits[least])
+            best = _Point(with_, points[least], merits[least])
     return best
 
 
-def _fitted(point: _Point, before: Fitter) -> _Point:
+def _some(change: Change, machine: Plant, added: Array) -> Plant:
+    """A machine with an effect that it has or has not: less than nothing of it is refused."""
+    if added[0] <= 0.0:
+        raise InputError(f"effect: {added[0]:g} of it is refused; allowed: more than 0")
+    return change(machine, added)
+
+
+def _fitted(point: _Point) -> _Point:
     """The numbers fitted again with an effect, from the best there is or what is weighed."""
-    fitter, x, size = point.fitter, point.x, before.size
-    rest = x.copy()
-    rest[:size] = before.model.weighed()
+    fitter, x, model = point.fitter, point.x, point.fitter.model
     starts = [x]
     for amount in (1.0, 2.0):
-        rest[size : fitter.size] = amount
-        starts.append(rest.copy())
+        starts.append(np.full(x.size, amount))
+        starts[-1][: model.size] = model.weighed()
+        starts[-1][x.size - model.clocks :] = x[x.size - model.clocks :]
     merits = [point.merit, *map(fitter.merit, starts[1:], fitter.all(starts[1:]))]
     x, width = starts[int(np.argmin(merits))], np.full(x.size, 0.03)
     for _ in range(_AGAIN):

@@ -32,7 +32,7 @@ from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, load_campaign
 from cmf_mj.studies.fit.evidence import Evidence
 from cmf_mj.studies.fit.likelihood import Information, information, merit, spread
-from cmf_mj.studies.fit.model import Model, Residuals, minus
+from cmf_mj.studies.fit.model import Change, Model, Residuals, minus
 
 Array = NDArray[np.float64]
 
@@ -131,29 +131,20 @@ class Fitter:
         slow = stage == "slow"
         self.model = Model(campaign, top=SLOW_TOP if slow else None, seconds=SLOW if slow else None)
         self.order, self.jobs = _ORDER[stage], jobs
-        self.clocks = campaign.settings.clocks
         self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
-        self.size = len(campaign.unknowns.numbers())
         self._latest: Look | None = None
 
-    def on(self, model: Model, size: int) -> "Fitter":
-        """The same of a model with so many numbers."""
+    def having(self, change: Change) -> "Fitter":
+        """The same of the machine with an effect, whose numbers follow the others."""
         made = copy.copy(self)
-        made.model, made.size, made._latest = model, size, None
+        made.model, made._latest = copy.copy(self.model), None
+        made.model.change = change
         return made
 
-    def residuals(self, x: Array) -> Residuals:
-        """Residuals at numbers, and clocks where they are fitted; errors as those of `Model`."""
-        return self.model.residuals(x[: self.size], self.clocks_of(x))
-
-    def clocks_of(self, x: Array) -> Array | None:
-        """Offset [s] and skew [s/s] of each recording's clock, where they are fitted."""
-        return x[self.size :].reshape(-1, 2) * _CLOCK if self.clocks else None
-
     def tried(self, x: Array) -> Residuals | None:
-        """The same; None where there is no such machine, or it leaves its bounds."""
+        """Residuals; None where there is no such machine, or it leaves its bounds."""
         try:
-            return self.residuals(x)
+            return self.model.residuals(x)
         except (InputError, RunError):
             return None
 
@@ -182,7 +173,7 @@ class Fitter:
     def look(self, x: Array, width: Array) -> "Look":
         """What the recordings say about a point."""
         if self._latest is None or not np.array_equal(self._latest.x, x):
-            here = self.residuals(x)
+            here = self.model.residuals(x)
             slopes = self.slopes(x, here, width)
             self._latest = self.seen(x, here, slopes)
         return self._latest
@@ -238,10 +229,6 @@ class Look(NamedTuple):
         ]
 
 
-_CLOCK = np.array([0.02, 1e-4])
-"""Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
-
-
 @one_library_thread()
 def fit(
     campaign: str | Path | Campaign,
@@ -293,8 +280,8 @@ def fit(
     journal = Journal(Path(folder) / "steps", identity)
     names = tuple(name for name, *_ in campaign.unknowns.numbers())
     pieces = len(campaign.of(held_back=False))
-    x = np.zeros(len(names) + (2 * pieces if campaign.settings.clocks else 0))
-    x[: len(names)] = Model(campaign).weighed()
+    model = Model(campaign)
+    x = np.append(model.weighed(), np.zeros(model.clocks))
     number, width = 0, np.full(x.size, 0.03)
     if campaign.settings.simulated:
         say("the data sheet's machine, simulated")
@@ -311,11 +298,11 @@ def fit(
             if row["done"]:
                 break
     look = fitter.look(x, width)
-    covariance = spread(look.found, x)[: len(names), : len(names)]
-    twins, exchanged = _twins(fitter, names, look)
-    how = max(3.0, pieces - 1.0), look, twins, exchanged[: len(names)]
+    covariance, (twins, exchanged) = spread(look.found, x), _twins(fitter, names, look)
     drawn = (np.empty((0, len(names))), np.empty(0)) if pieces else _drawn(fitter, journal, say)
-    return Posterior(campaign, names, x[: len(names)], covariance, *how, *drawn)
+    mine = slice(len(names))  # without clocks
+    how = max(3.0, pieces - 1.0), look, twins, exchanged[mine]
+    return Posterior(campaign, names, x[mine], covariance[mine, mine], *how, *drawn)
 
 
 def _drawn(fitter: Fitter, journal: Journal, say: Progress) -> tuple[Array, Array]:
@@ -329,7 +316,7 @@ def _drawn(fitter: Fitter, journal: Journal, say: Progress) -> tuple[Array, Arra
         merit_ = np.array(journal.results[_SHIFT - 1 - number][0]["merit"])
         return np.asarray(0.5 * (points**2).sum(axis=1) - merit_)
 
-    drawn = sampling.importance(likelihoods, fitter.size, *_SAMPLING)
+    drawn = sampling.importance(likelihoods, fitter.model.size, *_SAMPLING)
     size = sampling.effective_size(drawn.weights)
     say(f"{len(drawn.points)} machines drawn, effective sample size {size:.0f}")
     return drawn.points, drawn.weights
@@ -377,7 +364,7 @@ def _twins(
 ) -> tuple[tuple[tuple[str, str], ...], Array]:
     """Pairs of lags whose exchange costs next to nothing, and the coordinates after it."""
     found, x, best = [], look.x, look.merit
-    oil = fitter.model.machine(x[: fitter.size]).parameters
+    oil = fitter.model.machine(x).parameters
     for pair in _TWINS:
         if not set(pair) <= set(names):
             continue

@@ -17,7 +17,7 @@ The residual, measured less simulated, is low-passed below `top` without phase a
 2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,12 +47,18 @@ FORCE = 0.02  #: Deviation of a leg's force at rest, of the mean force of all.
 
 _MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
 
+_CLOCK = np.array([0.02, 1e-4])
+"""Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
+
 _WEIGHED = 3  #: Steps of Gauss and Newton to what is nearly linear.
 
 Residuals = Mapping[tuple[str, str], Array]
 """By recording and channel, (samples, legs), in SI; e of what is stated as `STATED`, (n, 1)."""
 
 STATED = "evidence of numbers", "stated"
+
+Change = Callable[[Plant, Array], Plant]
+"""A machine with so much of an effect, in sizes (1,), or (legs,) where each leg has its own."""
 
 
 def minus(one: Residuals, other: Residuals, by: float = 1.0) -> Residuals:
@@ -75,15 +81,15 @@ class Piece(NamedTuple):
         self,
         plant: Plant,
         electronics: ElectronicsSettings | None,
-        clock: Sequence[float] = (0.0, 0.0),
+        late: float = 0.0,
+        gain: float = 0.0,
     ) -> dict[str, Array]:
         """The channels as the machine would have measured them.
 
-        `clock` is how late the measurement's clock is [s], and by how much it gains on the demand's
-        [s/s]. Raises `OutOfBounds` as `simulate`.
+        The measurement's clock is `late` [s], and gains on the demand's by `gain` [s/s]. Raises
+        `OutOfBounds` as `simulate`.
         """
         record = Run(plant=plant, electronics=electronics, **self.how).record()
-        late, gain = clock
         at = self.since + late + gain * (self.since - LEAD)
         return {
             name: np.asarray(CubicSpline(record.time, record[name])(at)) for name in self.measured
@@ -162,8 +168,11 @@ class Model:
     """The machine of a campaign as a function of its numbers.
 
     Numbers have the coordinates z = Phi^-1(u), u the quantile of what is known of each: the prior
-    is then standard normal. Beyond them each recording has a clock's offset and skew, where asked.
+    is then standard normal. Those of an effect, which `change` gives the machine, follow, and a
+    clock's offset and skew of each recording, where asked.
     """
+
+    change: Change
 
     def __init__(
         self,
@@ -175,6 +184,8 @@ class Model:
     ) -> None:
         """Take the recordings that are fitted, or those held back, up to `top` [Hz]."""
         self.plant, self.unknowns = campaign.plant, campaign.unknowns
+        self.size = len(self.unknowns.numbers())
+        self.clocks = 2 * len(campaign.of(held_back)) * campaign.settings.clocks
         self.electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
         self.top = min(top or np.inf, campaign.settings.highest)
         chosen = campaign.of(held_back)
@@ -183,21 +194,24 @@ class Model:
 
     def values(self, z: Array) -> dict[str, Any]:
         """Values of the unknowns at coordinates (n,)."""
-        return self.unknowns.at(stats.norm.cdf(z))
+        return self.unknowns.at(stats.norm.cdf(z[: self.size]))
 
     def machine(self, z: Array) -> Plant:
-        """The plant with these numbers."""
-        return self.unknowns.apply(self.values(z), self.plant)
+        """The plant with these numbers, and the effect where they have those of it."""
+        plant = self.unknowns.apply(self.values(z), self.plant)
+        added = z[self.size : z.size - self.clocks]
+        return self.change(plant, added) if added.size else plant
 
-    def residuals(self, z: Array, clocks: Array | None = None) -> Residuals:
+    def residuals(self, z: Array) -> Residuals:
         """Measured less simulated below `top`.
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
         plant, found = self.machine(z), dict[tuple[str, str], Array]()
+        clocks = _CLOCK * z[z.size - self.clocks :].reshape(-1, 2)
         for number, one in enumerate(self.pieces):
-            clock = (0.0, 0.0) if clocks is None else tuple(clocks[number])
-            simulated = one.simulated(plant, self.electronics, clock)
+            clock = clocks[number] if self.clocks else (0.0, 0.0)
+            simulated = one.simulated(plant, self.electronics, *clock)
             found |= {(one.name, c): left for c, left in self.compared(one, simulated).items()}
         if (stated := self.evidence.excess(self.values(z), plant)).size:
             found[STATED] = stated[:, None]
@@ -206,7 +220,7 @@ class Model:
     def weighed(self) -> Array:
         """Coordinates (n,) of the numbers as the rests of all recordings weigh them, else 0."""
         held = [rest for one in self.pieces for rest in rests(one, self.plant)]
-        z = np.zeros(len(self.unknowns.numbers()))
+        z = np.zeros(self.size)
         if not held:
             return z
         size = FORCE * float(np.mean([rest.force for rest in held]))

@@ -49,8 +49,8 @@ def worth(posterior: Posterior, plan: str | Path, sought: str, jobs: int = 2) ->
     """
     check_name("number", sought, (*posterior.names, DAMPING))
     gradient = _gradient(posterior, sought)
-    size = posterior.z.size
-    before = posterior.look.found.matrix[:size, :size] + np.eye(size)
+    mine = slice(posterior.z.size)  # without clocks
+    before = posterior.look.found.matrix[mine, mine] + np.eye(posterior.z.size)
     here = np.linalg.inv(before)
     found = []
     for one in _planned(posterior, Path(plan)):
@@ -105,13 +105,15 @@ def _planned(posterior: Posterior, folder: Path) -> list[Recording]:
 def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
     """What a recording would add, (n, n)."""
     kept = planned.settings.model_copy(update={"held_back": False})
-    alone = posterior.campaign._replace(recordings=(planned._replace(settings=kept),))
+    one_clock = posterior.campaign.settings.model_copy(update={"clocks": False})
+    recordings = (planned._replace(settings=kept),)
+    alone = posterior.campaign._replace(settings=one_clock, recordings=recordings)
     fitter = Fitter(alone, "whole", jobs)
     plant = fitter.model.machine(posterior.z)
     one = piece(planned, posterior.campaign.plant)
     made = one._replace(measured=one.simulated(plant, fitter.model.electronics))
     fitter.model.pieces = (made,)
-    here = fitter.residuals(posterior.z)
+    here = fitter.model.residuals(posterior.z)
     slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))
     # What the fit left of each channel, repeated to the length.
     noise, left = {}, posterior.look.here

@@ -23,7 +23,7 @@ def gains(folder: Path, machine: Plant) -> list[Effect]:
     """What effects gain on recordings of a machine whose numbers are those of the data sheet."""
     fitter = Fitter(load_campaign(campaign(folder / "campaign", machine)), "whole", jobs=2)
     there = np.array([0.0, 0.0, *stats.norm.ppf([1.0 / 3.0] * 2)])  # factors 1, of lags in 0.5 to 2
-    return tried(fitter.look(there, np.full(fitter.size, 0.03)), fitter)
+    return tried(fitter.look(there, np.full(there.size, 0.03)), fitter)
 
 
 @pytest.mark.parametrize(
