@@ -72,10 +72,8 @@ def numbers_of(plant: Hexapod) -> tuple[Number, ...]:
     found = []
     for i in range(1, plant.legs + 1):
         own = f"hydraulics.actuators.leg_{i}"
-        gain, offset = (
-            f"electronics.leg_position.gain_errors.{i}",
-            0.002 * plant.machine.half_stroke,
-        )
+        gain = f"electronics.leg_position.gain_errors.{i}"
+        offset = 0.002 * plant.machine.half_stroke
         found += [
             Number(f"valve gain of leg_{i}", f"{own}.valve_gain", 0.05),
             Number(f"seal of leg_{i}", f"{own}.leakage", 0.5),

@@ -204,10 +204,7 @@ def bench(
 
 
 def _command(
-    table: dict[str, Any],
-    share: float | None,
-    room: Room,
-    plant: Hexapod,
+    table: dict[str, Any], share: float | None, room: Room, plant: Hexapod
 ) -> tuple[Command, float]:
     """The command of a signal within its share of the machine's limits, and what it uses."""
     kind, rate = str(table.get("kind")), plant.machine.rate

@@ -255,11 +255,7 @@ class RecordingMeasures(NamedTuple):
 
 
 def measure_recordings(
-    files: Sequence[Path],
-    dof: str,
-    estimator: str,
-    columns: Path | None = None,
-    machine: str = CMF,
+    files: Sequence[Path], dof: str, estimator: str, columns: Path | None = None, machine: str = CMF
 ) -> RecordingMeasures:
     """Measure the response in recordings; several, or one of single sines, are rounds of one.
 

@@ -7,13 +7,7 @@ import pytest
 from guide_files import SHORT, written
 
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.studies.diagnosis import (
-    Slopes,
-    diagnose,
-    moved_machine,
-    numbers_of,
-    slopes,
-)
+from cmf_mj.studies.diagnosis import Slopes, diagnose, moved_machine, numbers_of, slopes
 from cmf_mj.studies.guide import bench, head_of, load_guide, run_guide
 from cmf_mj.studies.guide_check import Master, load_master
 

@@ -130,8 +130,7 @@ def test_files_are_measured_from_the_command_line(files: list[Path], tmp_path: P
     assert measured.exit_code == 0, measured.output
     assert re.search(r"-90 deg bandwidth +2\.7", measured.output)
     joined = CliRunner().invoke(
-        app,
-        ["measure", *map(str, files), "--estimator", "report", "--out", str(tmp_path / "j")],
+        app, ["measure", *map(str, files), "--estimator", "report", "--out", str(tmp_path / "j")]
     )
     assert joined.exit_code == 0, joined.output
     summary = json.loads((tmp_path / "j" / "summary.json").read_text())

@@ -42,6 +42,7 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior.evidence import FLOWN, HELD_OUT, ROWS, fit_features
 from cmf_mj.studies.engine import Row
+from cmf_mj.studies.fit.evidence import LINES
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,6 @@ SPEEDS = {"original": 0.063, "velocity": 0.103, HELD_OUT: 0.103, "fits": 0.133}
 printed -90 deg; 1 in at 1 Hz."""
 
 _STEP = 1.0 / 0.33  #: Speeds of a step of 1 in over those of the sweep.
-_LINES = np.geomspace(0.4, 15.0, 150)  # [Hz], as the fits to what is stated
 _TIMES = np.arange(8, 2048, 8)  # of steps [frames]
 _LEGS, _HEAVE = len(DOFS), DOFS.index("heave")
 _LEAST = 0.05  # gain that is left of a valve
@@ -119,9 +119,7 @@ def _before(part: Part, time: float, direct: float) -> Part:
     """Commands behind (1 + n s) / (1 + d s), d = `time`, n / d = `direct`."""
     time, size = max(time, _INSTANT), part.a.shape[0]
     one = np.eye(_LEGS)
-    a = np.block(
-        [[part.a, (1.0 - direct) * part.b], [np.zeros((_LEGS, size)), -one / time]],
-    )
+    a = np.block([[part.a, (1.0 - direct) * part.b], [np.zeros((_LEGS, size)), -one / time]])
     b, c = np.vstack([direct * part.b, one / time]), np.pad(part.c, ((0, 0), (0, _LEGS)))
     return replace(part, a=a, b=b, c=c)
 
@@ -226,9 +224,9 @@ def read(part: Part, law: str, jacobian: Array, delay: float = 0.0) -> Reading:
         return Reading(*[float("nan")] * 3)
     entry = np.linalg.solve(right, (b @ jacobian[:, _HEAVE]).astype(complex))
     residue = (np.linalg.inv(jacobian)[_HEAVE] @ c @ right) * entry
-    z = np.exp(2j * np.pi * FRAME * _LINES)
+    z = np.exp(2j * np.pi * FRAME * LINES)
     response = (residue / (z[:, None] - poles)).sum(axis=1)
-    widths = line_bandwidths(_LINES, response * np.exp(-2j * np.pi * delay * _LINES))
+    widths = line_bandwidths(LINES, response * np.exp(-2j * np.pi * delay * LINES))
     each = residue / (1.0 - poles)
     moved = (1.0 - poles ** _TIMES[:, None]) @ each
     over = float(moved.real.max() / each.sum().real - 1.0)

@@ -32,6 +32,7 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.studies.case import make_case
+from cmf_mj.studies.fit.evidence import FARTHEST
 
 Array = NDArray[np.float64]
 
@@ -58,8 +59,6 @@ _PAIR_HZ = (4.0, 25.0)
 _SUPPLY = Unknowns(
     ratio=Unknown(path="hydraulics.supply", low=0.1, high=10.0, source="section 3.4.2")
 )
-FARTHEST = 8.0
-"""Deviations that count for a quantity a machine does not have, such as a missing overshoot."""
 
 
 class Observation(NamedTuple):

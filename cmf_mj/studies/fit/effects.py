@@ -13,7 +13,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
@@ -36,54 +35,39 @@ _HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
 
 
 class Extra(NamedTuple):
-    """A number that a machine may have beside those that are fitted."""
+    """What a machine may have beside the numbers that are fitted."""
 
-    path: str
-    unit: str
-    size: float  #: What is tried, in `unit`.
+    on: Callable[[Plant, Sequence[str]], list[Change]]
+    """The changes to be tried, by the data sheet's machine and its legs."""
+    path: str = ""  #: Of a number; what has none yields, of hexapods alone.
     signed: bool = False  #: Whether it may go either way.
 
-    def on(self, sheet: Plant, legs: Sequence[str]) -> list[Change]:
-        """The change to be tried, the data sheet's machine given."""
-        before = np.array([nominal(sheet, self.path.replace("*", leg)) for leg in legs])
-        said = {"path": self.path, "unit": self.unit, "effect": "value", "low": -1.0, "high": 1.0}
-        alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, self.path))
-        size = self._size(sheet, before)
+
+def _number(path: str, unit: str, size: Callable[[Plant], float], signed: bool = False) -> Extra:
+    """A number by its path, with the size that is tried; its unit is of SI."""
+    said = {"path": path, "unit": unit, "effect": "value", "low": -1.0, "high": 1.0}
+    alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, path))
+
+    def on(sheet: Plant, legs: Sequence[str]) -> list[Change]:
+        before = np.array([nominal(sheet, path.replace("*", leg)) for leg in legs])
+        step = size(sheet)
 
         def made(machine: Plant, added: Array) -> Plant:
-            value = (before + added * size) / units.factor(self.unit)
-            return alone.apply({"extra": value if "*" in self.path else float(value[0])}, machine)
+            value = before + added * step
+            return alone.apply({"extra": value if "*" in path else float(value[0])}, machine)
 
         return [made]
 
-    def _size(self, sheet: Plant, before: Array) -> float:
-        """What is tried, in SI."""
-        size = float(units.to_si(self.unit, self.size))
-        cab = sheet.cab_parameters
-        force = (cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / sheet.legs
-        match self.path.split(".")[-1]:
-            case "friction":
-                return size * force
-            case "viscous_friction":
-                return size * force / (100.0 * sheet.parameters.leg_speed.si)
-            case "supply_hose":
-                return size * float(before[0])
-        return size
+    return Extra(on, path, signed)
 
 
-class Yielding(NamedTuple):
-    """A compliance that a hexapod may have."""
-
-    changes: Callable[[Plant], list[Change]]  #: What gives a machine so much of it.
-    path: str = ""
-    signed: bool = False
-
-    def on(self, sheet: Plant, legs: Sequence[str]) -> list[Change]:
-        """The changes to be tried, the data sheet's machine given."""
-        return self.changes(sheet)
+def _load(sheet: Plant, share: float) -> float:
+    """A share of a leg's static load [N]."""
+    cab = sheet.cab_parameters
+    return share * ((cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / sheet.legs)
 
 
-def _legs(sheet: Plant) -> list[Change]:
+def _legs(sheet: Plant, _: Sequence[str]) -> list[Change]:
     """Legs that yield; one size is `_LEGS` of the compliance of their oil at neutral."""
     hydraulics = sheet.hydraulics
     oil = stiffness(hydraulics.cylinder, hydraulics.oil.bulk_modulus, np.zeros(sheet.legs))
@@ -91,7 +75,7 @@ def _legs(sheet: Plant) -> list[Change]:
     return [lambda machine, added: on_mounts(machine, stiff / float(added[0]))]
 
 
-def _floors(sheet: Plant) -> list[Change]:
+def _floors(sheet: Plant, _: Sequence[str]) -> list[Change]:
     """Floors that yield; at each frequency of `_FLOORS` the number is the inverse of their mass.
 
     A floor of mass m alone answers a force with 1 / m over what its frequency says, so that at one
@@ -109,16 +93,21 @@ def _floors(sheet: Plant) -> list[Change]:
     return [at(float(hertz)) for hertz in _FLOORS]
 
 
-EFFECTS: dict[str, Extra | Yielding] = {
-    "valve overlap": Extra("hydraulics.overlap", "1", 0.01),
-    "valve hysteresis": Extra("hydraulics.hysteresis", "1", 0.01),
-    "unequal null bias": Extra("hydraulics.actuators.*.null_bias", "1", 0.005, signed=True),
-    "viscous friction": Extra("hydraulics.viscous_friction", "N s/m", 0.05),
-    "Coulomb friction": Extra("hydraulics.friction", "N", 0.02),
-    "entrained gas": Extra("hydraulics.entrained_gas", "1", 0.002),
-    "resistance of the supply hoses": Extra("hydraulics.supply_hose", "Pa s/m^3", 1.0),
-    "a floor that yields": Yielding(_floors),
-    "legs that yield": Yielding(_legs),
+EFFECTS = {
+    "valve overlap": _number("hydraulics.overlap", "1", lambda _: 0.01),
+    "valve hysteresis": _number("hydraulics.hysteresis", "1", lambda _: 0.01),
+    "unequal null bias": _number("hydraulics.actuators.*.null_bias", "1", lambda _: 0.005, True),
+    "viscous friction": _number(
+        *("hydraulics.viscous_friction", "N s/m"),
+        lambda sheet: _load(sheet, 0.05) / (100.0 * sheet.parameters.leg_speed.si),
+    ),
+    "Coulomb friction": _number("hydraulics.friction", "N", lambda sheet: _load(sheet, 0.02)),
+    "entrained gas": _number("hydraulics.entrained_gas", "1", lambda _: 0.002),
+    "resistance of the supply hoses": _number(
+        *("hydraulics.supply_hose", "Pa s/m^3"), lambda sheet: sheet.parameters.supply_hose.si
+    ),
+    "a floor that yields": Extra(_floors),
+    "legs that yield": Extra(_legs),
 }
 """What a machine may have beside its numbers; of friction over a leg's static load and, viscous,
 per full speed, of hoses over what there is."""
@@ -151,8 +140,7 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
     points = {
         name: _best(look, fitter, extra)
         for name, extra in EFFECTS.items()
-        if extra.path not in there
-        and (isinstance(extra, Extra) or isinstance(fitter.model.plant, Hexapod))
+        if extra.path not in there and (extra.path or isinstance(fitter.model.plant, Hexapod))
     }
     if points:
         most = min(points, key=lambda name: points[name].merit)
@@ -166,7 +154,7 @@ def tried(look: Look, fitter: Fitter) -> list[Effect]:
     return sorted(found, key=lambda effect: -effect.gain)
 
 
-def _best(look: Look, fitter: Fitter, extra: Extra | Yielding) -> _Point:
+def _best(look: Look, fitter: Fitter, extra: Extra) -> _Point:
     """The best of what is tried with an effect, and else none of it, where the fit ended."""
     legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
     size = fitter.model.size

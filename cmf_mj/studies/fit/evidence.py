@@ -61,11 +61,11 @@ MEASURES = {
 
 LEAST = "least_damping"
 
-_LINES = np.geomspace(0.4, 15.0, 150)
+LINES = np.geomspace(0.4, 15.0, 150)
 """Lines the bandwidths are read between [Hz], 2.5 % apart."""
 _STEP = 1.5  #: Length of linear steps [s]: the overshoot comes within the first half second.
 _FASTEST_HZ = 30.0  #: Modes above it are of valves and sensors, not of the machine [Hz].
-_FARTHEST = 8.0  #: Deviations of what a machine does not have at all, such as an overshoot.
+FARTHEST = 8.0  #: Deviations of what a machine does not have at all, such as an overshoot.
 
 Positive = Annotated[float, Field(gt=0.0)]
 Line = Annotated[tuple[Positive, float, float], Field(strict=False)]
@@ -112,7 +112,7 @@ class Statement(NamedTuple):
     held_back: bool
 
     def excess(self, predicted: float) -> float:
-        """E of a machine; `_FARTHEST` where it has no such number."""
+        """E of a machine; `FARTHEST` where it has no such number."""
         if self.field == LEAST:
             off = max(0.0, self.value - predicted)
         elif self.field.endswith("_hz"):
@@ -120,7 +120,7 @@ class Statement(NamedTuple):
         else:
             off = self.value - predicted
         e = off / self.deviation
-        return e if e == e else _FARTHEST
+        return e if e == e else FARTHEST
 
 
 class Found(NamedTuple):
@@ -213,8 +213,8 @@ class Evidence(NamedTuple):
 
 def _measured(loop: Any) -> Measures:
     """Measures of a loop, its bandwidths whether it is stable or not."""
-    widths = bandwidths(loop_response(loop, _LINES))
-    return _unjudged(measure_loop(loop, frequencies=_LINES, duration=_STEP), widths)
+    widths = bandwidths(loop_response(loop, LINES))
+    return _unjudged(measure_loop(loop, frequencies=LINES, duration=_STEP), widths)
 
 
 def _unjudged(measures: Measures, widths: Any) -> Measures:

@@ -127,20 +127,17 @@ def plan_campaign(
     every = max(round(room.machine.rate / (RECORDER if room.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
     held = held or str(_slower(load_law(law or room.machine.law), target / "other_law.toml"))
-    plans, runs, tables = _planned(room, seconds - LEAD), {}, {}
-    laws = {name: {"law": held} if one.other_law else {} for name, one in plans.items()}
-    for name, one in plans.items():
-        title = {"title": f"{name}: {one.pose}"}
-        runs[name] = room.fitted(one, named | usual | laws[name] | title)
-    for name, run in runs.items():
-        one, files = plans[name], named_beside(named | laws[name], target / SCENARIOS)
-        scenario = run.table() | {"law": None} | files
+    tables = {}
+    for name, one in _planned(room, seconds - LEAD).items():
+        law_ = {"law": held} if one.other_law else {}
+        run = room.fitted(one, named | usual | law_ | {"title": f"{name}: {one.pose}"})
+        scenario = run.table() | {"law": None} | named_beside(named | law_, target / SCENARIOS)
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
         command = Command.from_pose(demand(run), run.rate)
         write_host(command, target / f"host/{name}.csv", held=one.kind == "step")
         said = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
-        tables[name] = said | named_beside(laws[name], target) | {"source": source.as_posix()}
+        tables[name] = said | named_beside(law_, target) | {"source": source.as_posix()}
     head = named_beside(named, target) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
 

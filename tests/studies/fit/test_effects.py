@@ -35,10 +35,7 @@ def gains(folder: Path, machine: Plant) -> list[Effect]:
     ],
 )
 def test_what_yields_is_named(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    on: Callable[[Plant], Plant],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, on: Callable[[Plant], Plant]
 ) -> None:
     """By recordings of our own plant with it; of one without it none is said to help."""
     monkeypatch.setattr(effects, "EFFECTS", {key: EFFECTS[key] for key in TRIED})

@@ -10,7 +10,7 @@ import tomlkit
 import cmf_mj
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.measures import are_stable, step_metrics
+from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core.errors import InputError
 from cmf_mj.studies.case import make_case
@@ -289,15 +289,3 @@ def test_evidence_that_cannot_be_used_is_named(
 ) -> None:
     with pytest.raises(InputError, match=message):
         load_campaign(written(tmp_path, {"mine": evidence}))
-
-
-def test_verdict_of_linear_loops_is_that_of_their_poles() -> None:
-    campaign = shipped("hardware", ("original", "velocity"))
-    found = campaign.evidence.linear({}, campaign.plant)
-    linear = Linear(campaign.plant)
-    for law, one, stable in zip(
-        *(("original", "velocity"), campaign.evidence.statements[::3], found.stable[::3]),
-        strict=False,
-    ):
-        assert one.at[0] == law
-        assert stable == are_stable(np.asarray(linear.loop(law, "heave").poles(), dtype=complex))
