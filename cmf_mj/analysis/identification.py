@@ -335,22 +335,12 @@ def select_orders(
     return [best, *(one for one in found if one is not best)]
 
 
-class Residuals(NamedTuple):
-    """Correlations of residuals with the 99 % bounds of a right model (Ljung, section 16.6)."""
+def residual_analysis(box: BlackBox, run: Experiment, lags: int = 40) -> tuple[float, float]:
+    """Shares of lags at which e of an ARX model or v of output error is correlated.
 
-    auto: Real  #: R_ee / R_ee(0) at lags of 0, 1 .. samples, (L,).
-    auto_bound: float
-    cross: Real  #: R_eu / sqrt(R_ee(0) R_uu(0)), with past commands, (L,).
-    cross_bound: float
-
-    def outside(self) -> tuple[float, float]:
-        """Shares of the lags beyond the bounds: with itself from lag 1 on, with the command."""
-        auto, cross = np.abs(self.auto[1:]), np.abs(self.cross)
-        return float(np.mean(auto > self.auto_bound)), float(np.mean(cross > self.cross_bound))
-
-
-def residual_analysis(box: BlackBox, run: Experiment, lags: int = 40) -> Residuals:
-    """Correlate e of an ARX model or v of output error with itself and with the command."""
+    With itself from lag 1 on, and with past commands: beyond the 99 % bounds of a right model
+    (Ljung, section 16.6).
+    """
     u, v = (values[box.orders.lag :] for values in (run.input, run.output - simulated(box, run)))
     if box.method == "arx":
         v = run.output[box.orders.lag :] - _regressors(run, box.orders) @ box.parameters
@@ -359,9 +349,10 @@ def residual_analysis(box: BlackBox, run: Experiment, lags: int = 40) -> Residua
     u, v = (signal.detrend(x, type="constant") / np.std(x) for x in (u, v))
     full = (signal.correlate(a, b) / v.size for a, b in ((v, v), (v, u), (u, u)))
     auto, cross, drive = (one[v.size - 1 : v.size + lags] for one in full)
-    point = float(stats.norm.ppf(0.995)) / np.sqrt(v.size)
+    bound = float(stats.norm.ppf(0.995)) / np.sqrt(v.size)
     spread = max(1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])), 0.0)
-    return Residuals(auto, point, cross, point * float(np.sqrt(spread)))
+    outside = np.abs(auto[1:]) > bound, np.abs(cross) > bound * np.sqrt(spread)
+    return float(outside[0].mean()), float(outside[1].mean())
 
 
 class Continuous(NamedTuple):

@@ -172,8 +172,8 @@ def read_mapped(
         machine: whose it is, by name, file or loaded, where the file does not say.
 
     Metadata have the machine, and `recording`: the file, the columns not recorded as `missing`, the
-    samples filled as `bridged` by column, `clock_off` [s], how far stamps are from an even clock,
-    and `last_place` [m], what the last decimal of the legs' demand is, 0 without one.
+    samples filled as `bridged` by column, and `last_place` [m], what the last decimal of the legs'
+    demand is, 0 without one.
 
     >>> from pathlib import Path
     >>> from cmf_mj.record.columns import ColumnMap, read_mapped
@@ -241,7 +241,7 @@ def write_facility_csv(record: Record, path: str | Path) -> Path:
 def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
     when = chosen.time
     stamps: Array = np.arange(next(iter(source.columns.values())).size, dtype=float)
-    rate, off = when.resample or when.rate, 0.0
+    rate = when.resample or when.rate
     if when.column is not None:
         stamps = units.to_si(when.unit, source.column(when.column))
         if np.isnan(stamps).any():
@@ -251,7 +251,7 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
         stamps = stamps / when.rate
     time = stamps
     if rate is None:
-        time, rate, off = even_clock(stamps)
+        time, rate = even_clock(stamps)
         if rate < _SLOWEST:
             by = f"{rate:.3g} samples a second by unit {when.unit!r}"
             raise InputError(f"time: {by} is refused; allowed: at least {_SLOWEST:g}")
@@ -268,7 +268,7 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
             counts |= {f"{channel}/{k}": count} if count else {}
         channels[channel] = legs.T
     said: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": counts}
-    said |= {"clock_off": off, "last_place": _last_place(source, chosen, "leg_reference")}
+    said["last_place"] = _last_place(source, chosen, "leg_reference")
     metadata = {"command": {"kind": "recording"}, **known, "sample_rate": rate, "recording": said}
     return Record(time, channels, {name: CHANNELS[name] for name in channels}, metadata)
 

@@ -106,7 +106,7 @@ class Record:
         ([0.0254, 0.0508], 'm/s', 2.0)
         """
         stamps = shaped("time", time, None)
-        even, rate, _ = even_clock(stamps)
+        even, rate = even_clock(stamps)
         made = {name: real(name, v) for name, v in channels.items()}
         si = {name: unit if _SI.fullmatch(unit) else si_unit(unit) for name, unit in units.items()}
         for name in set(made) & {name for name, unit in units.items() if unit != si[name]}:

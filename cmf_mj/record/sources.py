@@ -219,8 +219,8 @@ def _steps(time: Array) -> Array:
     return steps
 
 
-def even_clock(time: Array) -> tuple[Array, float, float]:
-    """Even times of stamps [s], (N,), their rate [Hz], and the largest distance of a stamp [s].
+def even_clock(time: Array) -> tuple[Array, float]:
+    """Even times of stamps [s], (N,), and their rate [Hz].
 
     The rate is the one with the fewest digits that is as close to the stamps as a straight line.
     Stamps that are not even are refused with the row.
@@ -243,7 +243,7 @@ def even_clock(time: Array) -> tuple[Array, float, float]:
             f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"
         )
     # A first stamp in the middle of its rounding is as good as any other.
-    return time[0] + (middle if worst > 1e-9 else 0.0) + count / rate, rate, worst
+    return time[0] + (middle if worst > 1e-9 else 0.0) + count / rate, rate
 
 
 def resampled(time: Array, values: Array, rate: float, bridge: float) -> tuple[Array, Array]:

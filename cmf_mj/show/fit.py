@@ -105,7 +105,7 @@ def model_table(result: Identified) -> Table:
         for kind, root in roots
         if root.value.imag >= 0.0
     ]
-    _, outside = result.residuals.outside()
+    _, outside = result.residuals
     note = "correlation with past commands beyond 99 % bounds"
     rows.append(("residuals", f"{100.0 * outside:.0f} % of lags", "", note))
     misfit = f"{100.0 * result.continuous.misfit:.2f} %"

@@ -15,7 +15,6 @@ from cmf_mj.analysis.identification import (
     Continuous,
     Experiment,
     Orders,
-    Residuals,
     arx,
     experiment,
     fit_percentage,
@@ -46,7 +45,7 @@ class Identified:
     validation: Experiment
     estimation_fit: float  #: Of the simulated box to the fitted runs, the least [%].
     validation_fit: float  #: To the run that was not fitted [%].
-    residuals: Residuals  #: Of the validation run.
+    residuals: tuple[float, float]  #: Shares of the validation run, see `residual_analysis`.
     continuous: Continuous
     response: FrequencyResponse | None  #: Measured, of the last broad run; None without one.
 

@@ -223,13 +223,13 @@ def test_models_that_are_unstable_or_alternate_are_not_chosen() -> None:
 def test_residuals_of_the_right_model_are_white_and_of_a_small_one_are_not() -> None:
     """99 % bounds: one lag in a hundred outside on average, here of 20 lags of 100 models."""
     run = noisy(LEG, 21, samples=6000, where="equation", noise=0.1)
-    auto, cross = residual_analysis(arx([run], (1, 1, 1)), run, lags=100).outside()
+    auto, cross = residual_analysis(arx([run], (1, 1, 1)), run, lags=100)
     assert auto > 0.1 and cross > 0.03
     found = []
     for seed in range(100):
         run = noisy(lag(3.0), seed, samples=1000, noise=0.5)
         true = replace(arx([noisy(lag(3.0), seed, noise=0.0)], (1, 1, 1)), method="oe")
-        found.append(residual_analysis(true, run, lags=20).outside())
+        found.append(residual_analysis(true, run, lags=20))
     np.testing.assert_allclose(np.mean(found, axis=0), 0.01, atol=0.007)
 
 

@@ -85,10 +85,9 @@ def test_sign_scale_offset_and_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rate", [128.0, 333.33, 682.0 + 2.0 / 3.0, 2048.0])
 def test_clock_is_found_through_stamps_of_few_digits(rate: float) -> None:
-    even, found, off = even_clock(np.round(3.7 + np.arange(5000) / rate, 4))
+    even, found = even_clock(np.round(3.7 + np.arange(5000) / rate, 4))
     assert found == pytest.approx(rate, rel=1e-5)
     np.testing.assert_allclose(even, 3.7 + np.arange(5000) / rate, atol=1e-4)
-    assert off < 6e-5
 
 
 def test_uneven_time_is_refused_with_its_place_or_resampled(tmp_path: Path) -> None:

@@ -64,15 +64,11 @@ def sampled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points of four rounds under a linear model with Gaussian errors, and their weights."""
 
-    def likelihood(points: np.ndarray) -> np.ndarray:
+    def likelihood(_: int, points: np.ndarray) -> np.ndarray:
         return np.asarray(-0.5 * (((points @ matrix.T - told) / error) ** 2).sum(axis=1))
 
-    points, rounds = sampling.first_round(count, size, 1), []
-    for i in range(3):
-        weights = likelihood(points) + sampling.log_ratio(points, rounds)
-        rounds.append(sampling.Round.of(points, weights, count, [1, i]))
-        points = np.vstack([points, rounds[-1].draw()])
-    return points, sampling.normalised(likelihood(points) + sampling.log_ratio(points, rounds))
+    drawn = sampling.importance(likelihood, size, count, 4, 1)
+    return drawn.points, drawn.weights
 
 
 def test_sampling_gives_the_posterior_of_a_linear_model() -> None:

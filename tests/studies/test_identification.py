@@ -42,7 +42,7 @@ def test_residuals_do_not_know_the_command_but_distortion_is_not_white(
     identified: Identified,
 ) -> None:
     """Orifices leave a distortion that a linear model cannot have: not white, not linear in u."""
-    auto, cross = identified.residuals.outside()
+    auto, cross = identified.residuals
     assert cross == 0.0 and auto > 0.5
 
 

@@ -13,7 +13,7 @@ all are weighted by the mixture of the rounds (balance heuristic),
     w = p(z) L(z) / mean(q1(z), q2(z), ...),        effective sample size = (sum w)^2 / sum w^2
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -36,51 +36,36 @@ _EDGE = 1e-6
 """Least distance of a quantile from 0 and 1."""
 
 
-def first_round(count: int, size: int, seed: int) -> Array:
-    """Points of the prior, (count, size): Sobol's sequence, scrambled."""
-    return _normal(cube("sobol", count, size, seed))
-
-
 def quantiles(points: Array) -> Array:
     """Points as those of the unit cube."""
     return np.asarray(stats.norm.cdf(points))
 
 
-class Round:
+class _Round(NamedTuple):
     """What a later round is drawn from."""
 
-    def __init__(self, mean: Array, spread: Array, count: int, seed: list[int]) -> None:
-        """About a mean (k,) with a covariance (k, k); it draws `count`."""
-        one = np.eye(mean.size)
-        near = spread + _WIDER * one
-        self._mean, self._count, self._seed = mean, count, seed
-        self._spreads = near, 0.5 * (near + one)
+    mean: Array  #: (k,).
+    spreads: tuple[Array, Array]  #: Covariances (k, k) of its two distributions.
 
-    @classmethod
-    def of(cls, points: Array, log_weights: Array, count: int, seed: list[int]) -> "Round":
-        """From the points so far (n, k) and their weights (n,)."""
-        return cls(*moments(points, tempered(log_weights, _TEMPERED * count)), count, seed)
-
-    def draw(self) -> Array:
+    def draw(self, count: int, seed: list[int]) -> Array:
         """Its points, (count, k)."""
-        generator = np.random.default_rng(self._seed)
-        size = self._mean.size
-        uniform = cube("sobol", self._count, size + 1, generator)
-        points = _normal(uniform[:, :size])
-        chi = stats.chi2.ppf(np.clip(uniform[:, size], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
-        place, limit, begin = generator.random(self._count), stats.norm.ppf(1.0 - _EDGE), 0.0
-        for share, spread in zip(_SHARES, self._spreads, strict=True):
+        generator = np.random.default_rng(seed)
+        uniform = cube("sobol", count, self.mean.size + 1, generator)
+        points = _normal(uniform[:, :-1])
+        chi = stats.chi2.ppf(np.clip(uniform[:, -1], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
+        place, limit, begin = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
+        for share, spread in zip(_SHARES, self.spreads, strict=True):
             here = (place >= begin) & (place < begin + share)
             away = points[here] @ np.linalg.cholesky(spread).T / np.sqrt(chi[here])[:, None]
-            points[here] = np.clip(self._mean + away, -limit, limit)
+            points[here] = np.clip(self.mean + away, -limit, limit)
             begin += share
         return points
 
     def log_density(self, points: Array, prior: Array) -> Array:
         """Ln q at points, `prior` being ln p."""
         parts = [np.log(1.0 - sum(_SHARES)) + prior]
-        for share, spread in zip(_SHARES, self._spreads, strict=True):
-            local = stats.multivariate_t(self._mean, spread * (_TAILS - 2.0) / _TAILS, df=_TAILS)
+        for share, spread in zip(_SHARES, self.spreads, strict=True):
+            local = stats.multivariate_t(self.mean, spread * (_TAILS - 2.0) / _TAILS, df=_TAILS)
             parts.append(np.log(share) + local.logpdf(points))
         return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
@@ -90,14 +75,6 @@ def moments(points: Array, weights: Array) -> tuple[Array, Array]:
     mean = weights @ points
     apart = points - mean
     return mean, apart.T @ (apart * weights[:, None])
-
-
-def log_ratio(points: Array, rounds: Sequence[Round]) -> Array:
-    """Ln p / mean(q1, q2, ...) at points, q1 being the prior p and the others `rounds`."""
-    prior = stats.norm.logpdf(points).sum(axis=1)
-    densities = [prior, *(one.log_density(points, prior) for one in rounds)]
-    mixture = np.logaddexp.reduce(densities, axis=0) - np.log(len(densities))
-    return np.asarray(prior - mixture)
 
 
 class Draws(NamedTuple):
@@ -126,19 +103,23 @@ def importance(
     `likelihoods` gives ln L of the points of a round by its number, (count,); `guess` mean and
     covariance of the posterior from all points and their `ratio`, default those of the weights.
     """
-    points, known = first_round(count, size, seed), np.empty(0)
-    drawn: list[Round] = []
+    points, known = _normal(cube("sobol", count, size, seed)), np.empty(0)
+    drawn, one = list[_Round](), np.eye(size)
     while True:
         known = np.append(known, likelihoods(len(drawn), points[known.size :]))
-        ratio = log_ratio(points, drawn)
+        prior = stats.norm.logpdf(points).sum(axis=1)
+        densities = [prior, *(each.log_density(points, prior) for each in drawn)]
+        ratio = prior - (np.logaddexp.reduce(densities, axis=0) - np.log(len(densities)))
         if len(drawn) == rounds - 1:
             return Draws(points, known, ratio)
-        key = [seed, 2, len(drawn)]
         if guess is None:
-            drawn.append(Round.of(points, known + ratio, count, key))
+            mean, spread = moments(points, tempered(known + ratio, _TEMPERED * count))
         else:
-            drawn.append(Round(*guess(points, ratio), count, key))
-        points = np.vstack([points, drawn[-1].draw()])
+            mean, spread = guess(points, ratio)
+        near = spread + _WIDER * one
+        key = [seed, 2, len(drawn)]
+        drawn.append(_Round(mean, (near, 0.5 * (near + one))))
+        points = np.vstack([points, drawn[-1].draw(count, key)])
 
 
 def normalised(log_weights: Array) -> Array:
