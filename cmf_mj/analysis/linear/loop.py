@@ -21,7 +21,7 @@ swing the largest mass, they slow it by about 2 %: models of the pressures belon
 """
 
 import re
-from typing import Any, Literal, get_args
+from typing import Any
 
 import control
 import numpy as np
@@ -147,9 +147,6 @@ def reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bo
 
 OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
 
-Pressures = Literal["modelled", "zero"]
-"""Whether the law sees the plant's pressures; a plant without them has zero pressures."""
-
 STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
 Complex = NDArray[np.complex128]
@@ -160,7 +157,6 @@ def closed_loop(
     plant: UnitTransferFunction | control.StateSpace,
     *,
     command_delay: int = 1,
-    pressures: Pressures = "modelled",
     outputs: tuple[str, ...] = ("leg_position",),
 ) -> control.StateSpace:
     """Close the loop of a law around a linear plant; the clamps do not act.
@@ -168,8 +164,7 @@ def closed_loop(
     `plant` is a transfer function as for `leg_plant`, or a state space in SI units, continuous or
     discrete at the law's rate; a single input may have any name. Of its outputs, position must be
     there, velocity and acceleration where the law reads them. `command_delay` counts frames between
-    the DCL's output and the plant, at least 1. With `zero` pressures the law does not see the
-    plant's, as in the report. `outputs` are some of `OUTPUTS`.
+    the DCL's output and the plant, at least 1. `outputs` are some of `OUTPUTS`.
 
     The loop is discrete at the law's rate, SI: from `reference` [m] to the outputs; with several
     legs from `reference_1` and on to `leg_position_1` and on, leg by leg within an output. Raises
@@ -179,7 +174,6 @@ def closed_loop(
         raise InputError(f"command_delay: {command_delay} frames must be at least 1")
     for name in outputs:
         check_name("outputs", name, OUTPUTS)
-    check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
     sampled = at_frames(plant, loaded.frame)
     legs, given = int(sampled.ninputs), sampled.input_labels
@@ -198,17 +192,14 @@ def closed_loop(
         np.asarray(m) for m in (law_system.A, law_system.B, law_system.C, law_system.D)
     )
     br, by, dr, dy = bk[:, :legs], bk[:, legs:], dk[:, :legs], dk[:, legs:]
-    seen = c.copy()
-    if pressures == "zero":
-        seen[_PRESSURES * legs :] = 0.0
     law_order = ak.shape[0]
-    loop_a = np.block([[a + b @ dy @ seen, b @ ck], [by @ seen, ak]])
+    loop_a = np.block([[a + b @ dy @ c, b @ ck], [by @ c, ak]])
     loop_b = np.vstack([b @ dr, br])
     rows = {
         name: (np.hstack([c[i * legs : (i + 1) * legs], np.zeros((legs, law_order))]), 0.0 * dr)
         for i, name in enumerate(FEEDBACK)
     }
-    rows["command"] = (np.hstack([dy @ seen, ck]), dr)
+    rows["command"] = (np.hstack([dy @ c, ck]), dr)
     loop_c, loop_d = (np.vstack([rows[name][i] for name in outputs]) for i in (0, 1))
     names = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
     name = f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}"

@@ -1,13 +1,12 @@
 """Linear plants of a leg: from a command to everything its sensors read, at 2048 Hz.
 
-`leg_plant` joins models of single outputs, such as the report's, into one plant. What no model
-gives follows from what one does: position is the integral of velocity and velocity of acceleration,
-or the other way round the derivative. Commands are constant over a frame: the discrete plant is
-exact.
+`leg_plant` makes one of a model of one output, such as the report's: position is the integral of
+velocity and velocity of acceleration, or the other way round the derivative. Commands are constant
+over a frame: the discrete plant is exact.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import control
 import numpy as np
@@ -15,13 +14,11 @@ from numpy.typing import NDArray
 from scipy import linalg, signal
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import FRAME
 
 FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
 """What a leg's sensors give the DCL [m, m/s, m/s^2, Pa, Pa]."""
-
-_POSITION, _VELOCITY, _ACCELERATION = FEEDBACK[:3]
 
 
 class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
@@ -63,92 +60,39 @@ class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
         return control.tf(above, below, self.dt, **names)
 
 
-class _System(NamedTuple):
-    """x' = A x + B u, and one row of C and D for each output."""
+def leg_plant(model: UnitTransferFunction, *, frame: float = FRAME) -> control.StateSpace:
+    """One leg from a continuous model of position, velocity or acceleration: per frame [s], SI.
 
-    a: NDArray[np.float64]
-    b: NDArray[np.float64]
-    rows: dict[str, tuple[NDArray[np.float64], float]]
-
-
-def leg_plant(*models: UnitTransferFunction, frame: float = FRAME) -> control.StateSpace:
-    """One leg from continuous models of different outputs of `FEEDBACK`: per frame [s], SI.
-
-    At least one is of position, velocity or acceleration. The derivative of an output without a
-    direct term is exact; with one it is the difference over a frame, since a stepped command makes
-    such an output jump. Pressures without a model are zero, as in the report's loop. The input is
-    `command` [fraction], the outputs are `FEEDBACK`.
+    The derivative of an output without a direct term is exact; with one it is the difference over a
+    frame, since a stepped command makes such an output jump. Pressures are zero, as in the report's
+    loop. The input is `command` [fraction], the outputs are `FEEDBACK`.
     """
-    system = _joined(models)
-    system = _integrated(system, _ACCELERATION, _VELOCITY, unless=_POSITION)
-    system = _integrated(system, _VELOCITY, _POSITION)
-    if _POSITION not in system.rows:
-        names = ", ".join(system.rows) or "none"
-        raise InputError(f"models: {names}; one of {', '.join(FEEDBACK[:3])} is needed")
-    system = _derived(system, _POSITION, _VELOCITY)
-    system = _derived(system, _VELOCITY, _ACCELERATION)
-    order = system.a.shape[0]
-    c = np.zeros((len(FEEDBACK), order))
-    d = np.zeros((len(FEEDBACK), 1))
-    for name, (row, direct) in system.rows.items():
-        c[FEEDBACK.index(name)], d[FEEDBACK.index(name), 0] = row, direct
-    a, b, c, d, _ = signal.cont2discrete((system.a, system.b, c, d), frame, method="zoh")
-    for before, after in ((_POSITION, _VELOCITY), (_VELOCITY, _ACCELERATION)):
-        if after not in system.rows:
-            places = FEEDBACK.index(before), FEEDBACK.index(after)
-            a, b, c, d = _difference((a, b, c, d), *places, frame)
+    given, allowed = model.output_labels[0], FEEDBACK[:3]
+    place = FEEDBACK.index(check_name("model: output", given, allowed))
+    if not model.isctime():
+        raise InputError(f"model: {given} is discrete; a continuous model is needed")
+    si = model.to_si()
+    a, b, c, d = signal.tf2ss(si.num_array[0, 0], si.den_array[0, 0])
+    a, scaling = linalg.matrix_balance(a, permute=False)
+    scale = np.diag(scaling)
+    b, rows = b / scale[:, None], {place: (c[0] * scale, float(d[0, 0]))}
+    for rate in range(place, 0, -1):
+        row, direct = rows[rate]
+        a = np.block([[a, np.zeros((row.size, 1))], [row, np.zeros((1, 1))]])
+        b, integral = np.vstack([b, [[direct]]]), np.append(np.zeros(row.size), 1.0)
+        rows = {i: (np.append(kept, 0.0), d) for i, (kept, d) in rows.items()}
+        rows[rate - 1] = (integral, 0.0)
+    for i in range(place, len(allowed) - 1):
+        if i in rows and rows[i][1] == 0.0:
+            rows[i + 1] = (rows[i][0] @ a, float(rows[i][0] @ b[:, 0]))
+    c, d = np.zeros((len(FEEDBACK), len(a))), np.zeros((len(FEEDBACK), 1))
+    for i, (row, direct) in rows.items():
+        c[i], d[i, 0] = row, direct
+    a, b, c, d, _ = signal.cont2discrete((a, b, c, d), frame, method="zoh")
+    for i in range(len(allowed) - 1):
+        if i + 1 not in rows:
+            a, b, c, d = _difference((a, b, c, d), i, i + 1, frame)
     return control.ss(a, b, c, d, frame, inputs=["command"], outputs=list(FEEDBACK), name="plant")
-
-
-def _joined(models: tuple[UnitTransferFunction, ...]) -> _System:
-    """All models side by side, SI, each realised and balanced separately."""
-    system = _System(np.zeros((0, 0)), np.zeros((0, 1)), {})
-    for model in models:
-        name = model.output_labels[0]
-        if name not in FEEDBACK:
-            raise InputError(f"models: output {name!r} is not one of {', '.join(FEEDBACK)}")
-        if name in system.rows:
-            raise InputError(f"models: {name} is given twice")
-        if not model.isctime():
-            raise InputError(f"models: {name} is discrete; a continuous model is needed")
-        si = model.to_si()
-        a, b, c, d = signal.tf2ss(si.num_array[0, 0], si.den_array[0, 0])
-        a, scaling = linalg.matrix_balance(a, permute=False)
-        scale = np.diag(scaling)
-        before, order = system.a.shape[0], a.shape[0]
-        rows = {
-            key: (np.append(row, np.zeros(order)), direct)
-            for key, (row, direct) in system.rows.items()
-        }
-        rows[name] = (np.append(np.zeros(before), c[0] * scale), float(d[0, 0]))
-        system = _System(
-            linalg.block_diag(system.a, a), np.vstack([system.b, b / scale[:, None]]), rows
-        )
-    return system
-
-
-def _integrated(system: _System, rate: str, integral: str, unless: str = "") -> _System:
-    """Add `integral` of `rate`, where only the rate is there."""
-    if rate not in system.rows or integral in system.rows or unless in system.rows:
-        return system
-    row, direct = system.rows[rate]
-    order = row.size
-    rows = {key: (np.append(kept, 0.0), d) for key, (kept, d) in system.rows.items()}
-    rows[integral] = (np.append(np.zeros(order), 1.0), 0.0)
-    return _System(
-        np.block([[system.a, np.zeros((order, 1))], [row, np.zeros((1, 1))]]),
-        np.vstack([system.b, [[direct]]]),
-        rows,
-    )
-
-
-def _derived(system: _System, output: str, rate: str) -> _System:
-    """Add `rate` as the exact derivative of an output without a direct term."""
-    if rate in system.rows or output not in system.rows or system.rows[output][1] != 0.0:
-        return system
-    row, _ = system.rows[output]
-    system.rows[rate] = (row @ system.a, float(row @ system.b[:, 0]))
-    return system
 
 
 def _difference(
