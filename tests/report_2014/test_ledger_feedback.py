@@ -20,8 +20,8 @@ from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry
 from cmf_mj.report_2014.models import (
-    FeedbackLoop,
     hardware_velocity,
+    report_entry,
     report_model,
 )
 from cmf_mj.report_2014.posterior.evidence import oscillation_g
@@ -96,19 +96,27 @@ def test_combination_fits_with_1_8(entry: LedgerEntry) -> None:
 
 
 def test_eq_3_2_lacks_its_gain(entry: LedgerEntry) -> None:
-    loop = FeedbackLoop(5.0, 0.2, position_gain=5.0)
-    for variant, side in (("printed", "left"), ("corrected", "right")):
-        gain = float(control.dcgain(report_model("3.2", variant, loop=loop)))  # type: ignore[arg-type]
-        assert gain == pytest.approx(
-            entry.figure(f"static gain for K_p = 5, {side} side"), abs=5e-4
-        )
+    w, zeta, kp = 5.0, 0.2, 5.0
+    g = control.tf([w**2], [1.0, 2.0 * w * zeta, w**2])
+    for variant, side, gain in (("printed", "left", 1.0), ("corrected", "right", kp)):
+        formula = report_entry("3.2", variant).formula  # type: ignore[arg-type]
+        assert ("K_p G)" in formula) == (variant == "corrected")
+        expected = entry.figure(f"static gain for K_p = 5, {side} side")
+        assert control.dcgain(control.feedback(g, gain)) == pytest.approx(expected, abs=5e-4)
 
 
 def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
-    before, after = (
-        report_model("3.4", loop=FeedbackLoop(5.0, 0.2, 1.5, 0.1, gain / 25.0)).damp()
-        for gain in (0.0, 1.0)
-    )
+    """The nested loops of Figure 3-12, one around the other, are Eq 3.4."""
+    w, zeta, kp, kr, s = 5.0, 0.2, 1.5, 0.1, control.tf("s")
+    loops = []
+    for ka in (0.0, 1.0 / w**2):
+        below = [1.0 + ka * w**2, 2.0 * zeta * w + kr * w**2, (1.0 + kp) * w**2]
+        loops.append(control.tf([w**2], below))
+        nested = control.tf([w**2], [1.0, 2.0 * zeta * w, w**2])
+        for gain in (kp, kr * s, ka * s**2):
+            nested = nested / (1.0 + gain * nested)
+        assert nested(2.0j) == pytest.approx(loops[-1](2.0j))
+    before, after = (loop.damp() for loop in loops)
     frequency, damping = (float(after[i][0] / before[i][0]) for i in (0, 1))
     assert frequency == pytest.approx(entry.figure("frequency for K_a w^2 = 1"), abs=5e-4)
     assert damping == pytest.approx(entry.figure("damping for K_a w^2 = 1"), abs=5e-4)
