@@ -150,47 +150,6 @@ def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float)
     return float((i - 1 + level) / rate)
 
 
-class SecondOrder(NamedTuple):
-    """g w^2 / (s^2 + 2 z w s + w^2) e^(-s d), fitted to a frequency response."""
-
-    gain: float
-    natural_frequency_hz: float
-    damping_ratio: float
-    delay: float  #: d [s].
-    residual: float  #: Rms of the complex misfit over rms of the response.
-
-
-def fit_second_order(frequency: Signal, response: NDArray[np.complex128]) -> SecondOrder:
-    """Fit a second-order system with delay to a response by least squares on the complex misfit.
-
-    Lines [Hz] and response are (K,); those up to 1.5 times the first fall through -90 deg count.
-    """
-    phase = np.degrees(np.unwrap(np.angle(response)))
-    late = np.flatnonzero(phase < -90.0)
-    turn = float(frequency[late[0]]) if late.size else float(frequency[-1])
-    used = frequency <= 1.5 * turn
-    if np.count_nonzero(used) < 4:
-        raise InputError(
-            f"frequency: {np.count_nonzero(used)} lines up to 1.5 times -90 deg, not 4"
-        )
-    s = 2j * np.pi * frequency[used]
-    measured = response[used]
-
-    def misfit(p: Signal) -> Signal:
-        natural = 2.0 * np.pi * np.exp(p[1])
-        model = p[0] * natural**2 / (s * s + 2.0 * p[2] * natural * s + natural**2)
-        error = model * np.exp(-s * p[3]) - measured
-        return np.concatenate([error.real, error.imag])
-
-    start = [abs(measured[0]), np.log(turn), 0.5, 0.0]
-    fit = optimize.least_squares(misfit, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    size = np.sqrt(2.0 * fit.cost / measured.size) / np.sqrt(np.mean(np.abs(measured) ** 2))
-    gain, logarithm, damping, delay = fit.x
-    return SecondOrder(
-        float(gain), float(np.exp(logarithm)), float(damping), float(delay), float(size)
-    )
-
-
 def transient_delay(demand: Signal, response: Signal, rate: float) -> float:
     """Delay up to 0.5 s that brings a demand closest to its response, offset and gain free [s].
 

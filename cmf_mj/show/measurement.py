@@ -21,8 +21,6 @@ from cmf_mj.studies.diagnosis import Cause
 from cmf_mj.studies.guide_check import Compared, Master
 from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven
 
-_FIT = "second-order fit with delay"
-
 
 def _fields(*rows: tuple[str, str, str, str]) -> tuple[Field, ...]:
     """Of path, title, format and meaning."""
@@ -40,16 +38,13 @@ RESPONSE = _fields(
     ("measures.gain_bandwidth_hz", "-3 dB bandwidth", ".3f Hz", "from 0 dB"),
     ("measures.peak_gain_db", "peak", ".2f dB", "largest gain"),
     ("coherence", "coherence", ".4f", "least of all lines"),
-    ("second_order.natural_frequency_hz", "natural frequency", ".3f Hz", _FIT),
-    ("second_order.damping_ratio", "damping ratio", ".3f", _FIT),
-    ("second_order.residual", "fit residual", ".2f %", "rms misfit over rms response"),
 )
 
 
 def recordings_table(measures: RecordingMeasures) -> Table:
-    """Bandwidths, peak and second-order fit of recordings."""
+    """Bandwidths and peak of recordings."""
     response = measures.response
-    found = {"measures": joined(bandwidths(response)), "second_order": measures.second_order}
+    found = {"measures": joined(bandwidths(response))}
     why = f"not excited, or of a coherence below {CLEAR:g}"
     rows = lines(found | {"coherence": response.coherence.min()}, RESPONSE)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"

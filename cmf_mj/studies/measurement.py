@@ -239,7 +239,6 @@ class RecordingMeasures(NamedTuple):
     estimator: str
     response: FrequencyResponse  #: At the lines that are read.
     left_out: int  #: Lines that are not, since they were not excited or do not cohere.
-    second_order: metrics.SecondOrder
 
     def summary(self) -> dict[str, Any]:
         """Files, settings and measures."""
@@ -248,7 +247,6 @@ class RecordingMeasures(NamedTuple):
             "dof": self.dof,
             "estimator": self.estimator,
             "bandwidths": bandwidths(self.response),
-            "second_order": self.second_order,
             "coherence_least": float(self.response.coherence.min()),
             "lines_left_out": self.left_out,
         }
@@ -279,6 +277,4 @@ def measure_recordings(
     if not read.any():
         raise InputError(f"dof: no line of the demand in {dof} has a coherence of {CLEAR:g}")
     left_out = int(np.count_nonzero(~read))
-    response = response.at(read)
-    fit = metrics.fit_second_order(response.frequency, response.response)
-    return RecordingMeasures(tuple(files), dof, estimator, response, left_out, fit)
+    return RecordingMeasures(tuple(files), dof, estimator, response.at(read), left_out)

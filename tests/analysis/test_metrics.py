@@ -1,6 +1,5 @@
 """Motion-base measures on signals whose answers are known."""
 
-import control
 import numpy as np
 import pytest
 
@@ -8,7 +7,6 @@ from cmf_mj.analysis.metrics import (
     acceleration_noise,
     describing_function,
     dynamic_threshold,
-    fit_second_order,
     harmonics,
     hysteresis,
 )
@@ -98,20 +96,6 @@ def test_dynamic_threshold_of_a_lag_is_its_time_constant() -> None:
     assert dynamic_threshold(lag, RATE, 0.4, 1.0) == pytest.approx(0.15, abs=1e-4)
     assert np.isnan(dynamic_threshold(0.5 * lag, RATE, 0.4, 1.0))
     assert dynamic_threshold(-lag, RATE, -0.4, 1.0) == pytest.approx(0.15, abs=1e-4)
-
-
-@pytest.mark.parametrize("damping", [0.2, 0.5, 0.9])
-def test_second_order_fit_recovers_a_known_system(damping: float) -> None:
-    frequency = np.linspace(0.1, 10.0, 100)
-    natural = 2.0 * np.pi * 3.0
-    system = control.tf([0.93 * natural**2], [1.0, 2.0 * damping * natural, natural**2])
-    response = system(2j * np.pi * frequency) * np.exp(-2j * np.pi * frequency * 0.01)
-    result = fit_second_order(frequency, response)
-    assert result.gain == pytest.approx(0.93, rel=1e-6)
-    assert result.natural_frequency_hz == pytest.approx(3.0, rel=1e-6)
-    assert result.damping_ratio == pytest.approx(damping, rel=1e-6)
-    assert result.delay == pytest.approx(0.01, abs=1e-8)
-    assert result.residual < 1e-7
 
 
 @pytest.mark.parametrize(
