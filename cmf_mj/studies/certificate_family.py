@@ -318,12 +318,12 @@ def _kappa(plant: Hexapod) -> _Ports:
     rows, held = [], []
     for share in shares:
         try:
-            rest = hold(plant, 0, float(share) * area * supply, 0.0, supply, 0.0)
+            rest = hold(plant, 0, float(share) * area * supply, supply, 0.0)
         except NotLinearError:
             continue
         at = np.append(rest.pressure, [supply, 0.0])
         opening, outward = rest.command + bias, outward_share(rest.ratio)
-        slopes = port_slopes(hydraulics, 0, opening, at, 0.0, outward).opening[[CAP, ROD]]
+        slopes = port_slopes(hydraulics, 0, opening, at, outward).opening[[CAP, ROD]]
         rows.append(slopes.sum(axis=1))
         held.append((share, not opening.any()))
     found, shut = np.array(held).T

@@ -182,11 +182,8 @@ def _fill_hydraulics(
     extension = point.mechanics.extension[leg]
     ends = np.array([point.supply_pressure, point.return_pressure])
     pressures = np.append(point.pressure[leg], ends)
-    slopes = ports.port_slopes(
-        hydraulics, leg, point.spool[leg], pressures, extension, point.outward[leg]
-    )
+    slopes = ports.port_slopes(hydraulics, leg, point.spool[leg], pressures, point.outward[leg])
     cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
-    position = f"leg_position{number}"
 
     def flow(row: int) -> dict[str, float]:
         """What a port's flow depends on."""
@@ -195,7 +192,6 @@ def _fill_hydraulics(
             rod: slopes.pressure[row, ports.ROD],
             "supply_pressure": slopes.pressure[row, ports.HIGH],
             "return_pressure": slopes.pressure[row, ports.LOW],
-            position: slopes.extension[row],
         }
         for valve, suffix in enumerate(valves):
             name = f"spool{suffix}{number}"

@@ -161,18 +161,13 @@ def operating_point(
     supply, name = hydraulics.supply, plant.parameters.name
     high, low = supply.pressure, supply.return_pressure
     for _ in range(_ROUNDS):
-        rests = [
-            hold(plant, leg, mechanics.load[leg], mechanics.extension[leg], high, low)
-            for leg in range(plant.legs)
-        ]
+        rests = [hold(plant, leg, mechanics.load[leg], high, low) for leg in range(plant.legs)]
         command = np.array([rest.command for rest in rests])
         pressure = np.array([rest.pressure for rest in rests])
         spool = command[:, None] + hydraulics.valve.null_bias
         ends = np.array([high, low])
         flows = [
-            port_slopes(
-                hydraulics, i, spool[i], np.append(pressure[i], ends), mechanics.extension[i]
-            ).flow
+            port_slopes(hydraulics, i, spool[i], np.append(pressure[i], ends)).flow
             for i in range(plant.legs)
         ]
         drawn = float(sum(flow[DRAWN] for flow in flows))
@@ -207,8 +202,8 @@ class Rest(NamedTuple):
     """Openings outward over openings inward of a valve that is closed on average."""
 
 
-def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low: float) -> Rest:
-    """The rest of one leg [N], [m] at given pressures of the manifolds [Pa].
+def hold(plant: Plant, leg: int, load: float, high: float, low: float) -> Rest:
+    """The rest of one leg under a load [N] at given pressures of the manifolds [Pa].
 
     Raises `NotLinearError` for a load that no opening of the valves holds.
     """
@@ -218,7 +213,7 @@ def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low
     closed = holding_pressures(cylinder, load, high, low)[0]
     null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
     if bias[0] == bias[1] and cylinder.bearing_leakage == 0.0 and null:
-        at = (np.zeros(2), np.append(closed, [high, low]), extension)
+        at = (np.zeros(2), np.append(closed, [high, low]))
         ports = [port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]] for way in (0.0, 1.0)]
         fills = [float(opened.sum()) for opened in ports]
         if np.abs(fills).max() < _EVEN * np.abs(ports).max():  # areas alike: neither way fills
@@ -229,7 +224,7 @@ def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low
             return Rest(-float(bias[0]), closed, max(fills[0], least) / max(fills[1], least))
     reach = 1.0 + float(np.abs(bias).max())
     if bias[0] == bias[1]:
-        rest = _rest_by_newton(plant, leg, load, extension, high, low)
+        rest = _rest_by_newton(plant, leg, load, high, low)
         if rest is not None and abs(rest.command) < reach:
             return rest
     areas = cylinder.cap_area, cylinder.rod_area
@@ -238,7 +233,7 @@ def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low
         return np.array([(load + areas[1] * rod) / areas[0], rod, high, low])
 
     def flows(command: float, rod: float) -> NDArray[np.float64]:
-        ports = port_slopes(hydraulics, leg, command + bias, pressures(rod), extension)
+        ports = port_slopes(hydraulics, leg, command + bias, pressures(rod))
         return ports.flow[[CAP, ROD]] / areas
 
     def command_at(rod: float) -> float:
@@ -274,9 +269,7 @@ def hold(plant: Plant, leg: int, load: float, extension: float, high: float, low
     return Rest(command_at(rod), pressures(rod)[:2])
 
 
-def _rest_by_newton(
-    plant: Plant, leg: int, load: float, extension: float, high: float, low: float
-) -> Rest | None:
+def _rest_by_newton(plant: Plant, leg: int, load: float, high: float, low: float) -> Rest | None:
     """The rest of a leg with equal valves, by Newton's method; None where it finds none.
 
     What flows in through one valve port leaks through the piston and leaves through the other, so
@@ -306,7 +299,7 @@ def _rest_by_newton(
         command = flow / (float(valves.cap_gain.sum()) * np.sqrt(drop)) - bias
         for _ in range(_ROUNDS):
             pressures = np.array([share + rod / ratio, rod, high, low])
-            slopes = port_slopes(hydraulics, leg, command + valves.null_bias, pressures, extension)
+            slopes = port_slopes(hydraulics, leg, command + valves.null_bias, pressures)
             rows = slopes.pressure[[CAP, ROD]]
             jacobian = np.column_stack(
                 [slopes.opening[[CAP, ROD]].sum(axis=1), rows[:, ROD] + rows[:, CAP] / ratio]

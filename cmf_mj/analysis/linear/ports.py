@@ -1,6 +1,7 @@
 """Flows of one actuator and their slopes, at given openings and pressures.
 
-The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage, cushions.
+The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage. Cushions,
+which throttle what flows out of openings far beyond those of rest, are left out.
 The slope of a port's flow with the opening differs for opening one way or the other,
 
     dq_cap / de = k A_cap phi(Ps - p_cap)  (e > 0),    k A_cap phi(p_cap - Pt)  (e < 0)
@@ -32,7 +33,6 @@ from numpy.typing import NDArray
 from scipy import optimize, special
 
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.plant.cylinder import throttled
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.valve import opening, orifice
 
@@ -89,7 +89,6 @@ class Slopes(NamedTuple):
     flow: Matrix  #: (4,).
     pressure: Matrix  #: With the pressures of cap, rod, supply and return [m^3/s/Pa], (4, 4).
     opening: Matrix  #: With the openings of both valves [m^3/s], (4, 2).
-    extension: Matrix  #: With the extension, through a cushion [m^2/s], (4,).
 
 
 class Path(NamedTuple):
@@ -113,13 +112,12 @@ def port_slopes(
     leg: int,
     spools: Matrix,
     pressures: Matrix,
-    extension: float,
     outward: float = 0.5,
 ) -> Slopes:
     """Flows and slopes of one actuator.
 
     `spools` are the positions of its two spools, fractions, (2,), `pressures` those of cap, rod,
-    supply and return [Pa], (4,), `extension` is from neutral [m], `outward` the weight of the
+    supply and return [Pa], (4,), `outward` is the weight of the
     slopes to e > 0 where a valve is closed.
     """
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
@@ -132,17 +130,6 @@ def port_slopes(
         gains += max(size, 0.0) * out + max(-size, 0.0) * back
         share = outward if size == 0.0 else float(size > 0.0)
         rises[:, index] = share * out - (1.0 - share) * back
-    cushions = np.zeros(4)
-    if cylinder.cushion_length > 0.0:
-        full = valves.cap_gain.sum(), valves.rod_gain.sum()
-        half = cylinder.half_stroke
-        for row, gap, sign, whole in (
-            (1, half + extension, 1.0, full[0]),
-            (3, half - extension, -1.0, full[1]),
-        ):
-            gains[row], through, narrowing = _cushioned(cylinder, gap, gains[row], whole)
-            rises[row] *= through
-            cushions[row] = sign * narrowing
     cap, rod, high, low = pressures
     laminar, supply, tank = hydraulics.laminar, cylinder.supply_hose, cylinder.return_hose
     throttle = cylinder.cap_throttle
@@ -163,19 +150,4 @@ def port_slopes(
         into @ np.array([p.flow for p in paths]) + leaks @ (conductance * (across @ pressures)),
         (into * np.array([p.drop for p in paths])) @ drops + (leaks * conductance) @ across,
         by_gain @ rises,
-        by_gain @ cushions,
     )
-
-
-def _cushioned(
-    cylinder: np.record, gap: float, gain: float, full: float
-) -> tuple[float, float, float]:
-    """An outflow gain behind the cushion, its slope with the gain and with the gap."""
-    length = cylinder.cushion_length
-    if gap >= length:
-        return gain, 1.0, 0.0
-    depth = min((length - gap) / length, 1.0)
-    share = depth / (cylinder.cushion_opening * full)
-    cube = (1.0 + (gain * share) ** 2) ** -1.5
-    slope = gain**3 * share * cube / (length * cylinder.cushion_opening * full)
-    return float(throttled(cylinder, gap, gain, full)), float(cube), float(slope)
