@@ -262,9 +262,9 @@ def ledger_command(
 def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
-    """Show the report's linear models, Table 4-1 computed, and laws around them."""
+    """Show Table 4-1 computed, and laws around the report's linear models."""
     from cmf_mj.report_2014 import model_tables as linear
 
     loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    show(linear.equation_table(), rows, loops, written(paths, out))
+    show(rows, loops, written(paths, out))

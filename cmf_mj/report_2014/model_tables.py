@@ -1,4 +1,4 @@
-"""Tables and figures of the linear models: the report's, laws around them, Table 4-1."""
+"""Tables and figures of laws around the report's linear models, Table 4-1 among them."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -13,13 +13,8 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.result import Field, Result, Table, fields_of
-from cmf_mj.report_2014.models import (
-    HARDWARE_MODELS,
-    hardware_velocity,
-    report_model,
-    report_models,
-)
+from cmf_mj.core.result import Field, Result, fields_of
+from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
 
@@ -117,35 +112,6 @@ def table_4_1() -> Result[TableRow]:
     caption = _LEGEND.format(printed["hardware"])
     title = "Table 4-1: velocity law around linear models 1 to 3"
     return Result(rows, TABLE_4_1, title, caption, grouped=True)
-
-
-def roots_text(roots: Sequence[complex]) -> str:
-    """Poles or zeros in rad/s, slowest first, a complex pair once as `-a ± bj`."""
-    upper = sorted((r for r in roots if r.imag >= 0.0), key=abs)
-    return ", ".join(
-        f"{r.real:.5g}" if r.imag == 0.0 else f"{r.real:.5g} ± {r.imag:.5g}j" for r in upper
-    )
-
-
-def equation_table() -> Table:
-    """Every transfer function of the report, a line a variant: poles, zeros, static gain."""
-    rows = []
-    for one, variant in ((each.read(v), v) for each in report_models() for v in each.variants):
-        path = f"{one.input} [{one.input_unit}] -> {one.output} [{one.output_unit}]"
-        values = (one.formula, "", "")
-        if not one.formula:
-            system = report_model(one.number, variant)
-            gain = float(np.real(system.dcgain()))
-            values = (roots_text(system.poles()), roots_text(system.zeros()), f"{gain:.4g}")
-        rows.append(
-            (one.number, variant, f"{one.model}: {one.title}".removeprefix(": "), path, *values)
-        )
-    return Table(
-        "transfer functions of the report",
-        ("Eq", "variant", "model", "from, to", "poles", "zeros", "static gain"),
-        rows,
-        "poles and zeros in rad/s, of Eq 3.6 in the z plane",
-    )
 
 
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
