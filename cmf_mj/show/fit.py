@@ -12,8 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.identification import BlackBox
 from cmf_mj.core.result import Table, number
 from cmf_mj.show import look
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
@@ -114,25 +112,13 @@ def model_table(result: Identified) -> Table:
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
 
 
-def model_figure(box: BlackBox, response: FrequencyResponse | None) -> Figure:
-    """Bode plot of the model with its 95 % band, and the measured response with its own."""
-    title = f"Frequency response, {' to '.join(box.names)}".replace("_", " ")
-    figure, gain, phase = look.bode_axes(title)
-    highest = 0.4 / box.step if response is None else float(response.frequency[-1])
-    curves: dict[str, FrequencyResponse] = {}
-    curves[box.method] = box.response(np.geomspace(0.1, min(highest, 0.45 / box.step), 300))
-    if response is not None:
-        curves["measured"] = response
-    for (name, curve), colour in zip(curves.items(), (look.ORANGE, look.GREY), strict=False):
-        look.plot_bode(gain, phase, curve, color=colour, label=name)
-        look.plot_bound(gain, phase, curve, color=colour)
-    look.legend(figure)
-    return figure
-
-
 def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json` and `bode.png`."""
-    box, velocity = result.box, result.continuous.velocity.to_si()
+    box, velocity, response = result.box, result.continuous.velocity.to_si(), result.response
+    highest = 0.4 / box.step if response is None else float(response.frequency[-1])
+    curves = {str(box.method): box.response(np.geomspace(0.1, min(highest, 0.45 / box.step), 300))}
+    curves |= {} if response is None else {"measured": response}
+    title = f"Frequency response, {' to '.join(box.names)}".replace("_", " ")
     files = {
         "model.json": {
             "axis": result.axis,
@@ -149,6 +135,6 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
                 "misfit": result.continuous.misfit,
             },
         },
-        "bode.png": model_figure(box, result.response),
+        "bode.png": look.bode_figure(title, curves, bounds=True)[0],
     }
     return look.save_files(files, folder)

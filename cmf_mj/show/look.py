@@ -193,12 +193,16 @@ def bode_figure(
     *,
     stable: bool = True,
     limits: bool = False,
+    bounds: bool = False,
 ) -> tuple[Figure, Axes, Axes]:
-    """A Bode plot of responses by name, and its axes."""
+    """A Bode plot of responses by name, `bounds` with their circles of 95 %, and its axes."""
     figure, gain, phase = bode_axes(title, limits=limits)
     for i, (name, response) in enumerate(curves.items()):
         dashes = "--" if i % 2 else "-"  # every other, since neighbours may coincide
-        plot_bode(gain, phase, response, label=name, stable=stable, linestyle=dashes)
+        how: dict[str, Any] = {"stable": stable, "linestyle": dashes}
+        colour = plot_bode(gain, phase, response, label=name, **how)
+        if bounds:
+            plot_bound(gain, phase, response, color=colour)
     legend(figure)
     return figure, gain, phase
 

@@ -21,23 +21,17 @@ from cmf_mj.studies.diagnosis import Cause
 from cmf_mj.studies.guide_check import Compared, Master
 from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven
 
-
-def _fields(*rows: tuple[str, str, str, str]) -> tuple[Field, ...]:
-    """Of path, title, format and meaning."""
-    return tuple(
-        Field("", title, form, "%" if form[-1] == "%" else "", path, about=about)
-        for path, title, form, about in rows
+RESPONSE = tuple(
+    Field("", title, form, "%" if form[-1] == "%" else "", path, about=about)
+    for path, title, form, about in (
+        ("measures.phase_bandwidth_hz", "-90 deg bandwidth", ".3f Hz", "first fall through it"),
+        ("measures.later_phase_hz", "-90 deg, later", ".3f Hz", "last fall, after coming back"),
+        ("measures.graze_from_hz", "-90 deg, grazed from", ".2f Hz", "lingers within 10 deg of it"),
+        ("measures.graze_to_hz", "  to", ".2f Hz", ""),
+        ("measures.gain_bandwidth_hz", "-3 dB bandwidth", ".3f Hz", "from 0 dB"),
+        ("measures.peak_gain_db", "peak", ".2f dB", "largest gain"),
+        ("coherence", "coherence", ".4f", "least of all lines"),
     )
-
-
-RESPONSE = _fields(
-    ("measures.phase_bandwidth_hz", "-90 deg bandwidth", ".3f Hz", "first fall through it"),
-    ("measures.later_phase_hz", "-90 deg, later", ".3f Hz", "last fall, after coming back"),
-    ("measures.graze_from_hz", "-90 deg, grazed from", ".2f Hz", "lingers within 10 deg of it"),
-    ("measures.graze_to_hz", "  to", ".2f Hz", ""),
-    ("measures.gain_bandwidth_hz", "-3 dB bandwidth", ".3f Hz", "from 0 dB"),
-    ("measures.peak_gain_db", "peak", ".2f dB", "largest gain"),
-    ("coherence", "coherence", ".4f", "least of all lines"),
 )
 
 

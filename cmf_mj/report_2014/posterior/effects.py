@@ -178,19 +178,19 @@ def changed(part: Part, effects: Mapping[str, float], speed: float) -> Part:
     return part
 
 
+def _matrices(law: Law) -> tuple[Array, ...]:
+    system = dcl_state_space(law, _LEGS)
+    return tuple(np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+
+
 @lru_cache(maxsize=16)
 def _dcl(law: str) -> tuple[Array, ...]:
-    system = dcl_state_space(load_law(law), _LEGS)
-    return tuple(np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+    return _matrices(load_law(law))
 
 
 def close(part: Part, law: str | Law) -> tuple[Array, Array, Array]:
     """A, B and C of the legs' loop with a law, in frames, as `linear.loop.closed_loop`."""
-    if isinstance(law, str):
-        ak, bk, ck, dk = _dcl(law)
-    else:
-        system = dcl_state_space(law, _LEGS)
-        ak, bk, ck, dk = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+    ak, bk, ck, dk = _dcl(law) if isinstance(law, str) else _matrices(law)
     size, order = part.a.shape[0], ak.shape[0]
     none = np.zeros((_LEGS, _LEGS))
     a = np.block(

@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import load_law
@@ -68,10 +69,9 @@ def _gradient(posterior: Posterior, sought: str) -> Array:
         return np.asarray(unit[posterior.names.index(sought)])
     known, base = posterior.campaign.unknowns, posterior.campaign.plant
     law = posterior.campaign.of(held_back=False)[0].law or load_law(base.machine.law)
-    values = Fitter(posterior.campaign, "slow", 1).model.values
 
     def least(z: Array) -> float:
-        return Linear(known.apply(values(z), base)).damping(law)["least"]
+        return Linear(known.apply(known.at(stats.norm.cdf(z)), base)).damping(law)["least"]
 
     steps = _STEP * posterior.deviation[:, None] * unit
     ends = [(least(posterior.z + step), least(posterior.z - step)) for step in steps]
