@@ -200,23 +200,6 @@ def envelope_use(record: Record, limits: MotionLimits) -> EnvelopeUse:
     )
 
 
-def error_spectra(
-    reference: PilotMotion, motion: PilotMotion
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Spectral density of the difference of two motions at the same times.
-
-    Welch's method, Hann segments of 8 s with half overlap, each without its mean; one-sided.
-    Frequencies [Hz], (K,), and densities of specific force [(m/s^2)^2/Hz] and angular rate
-    [(rad/s)^2/Hz], (K, 6).
-    """
-    force = reference.specific_force - motion.specific_force
-    difference = np.hstack([force, reference.angular_rate - motion.angular_rate])
-    rate = reference.rate
-    length = min(round(8.0 * rate), difference.shape[0])
-    frequency, density = signal.welch(difference, rate, nperseg=length, axis=0)
-    return frequency, density
-
-
 def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     """Host to reference and reference to legs [s], by the leg that moves most."""
     reference, moved = record["leg_reference"], record["leg_extension"]

@@ -14,19 +14,12 @@ from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.fly import FlightResult, error_spectra
+from cmf_mj.pilot.fly import FlightResult
 from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
-from cmf_mj.show.cueing import (
-    NAMES,
-    SCALE,
-    DrawnMotion,
-    motion_axes,
-    motion_panels,
-    perceived_figure,
-)
+from cmf_mj.show.cueing import NAMES, DrawnMotion, motion_axes, motion_panels, perceived_figure
 from cmf_mj.show.stage import Panels
 
 _MOTIONS = {
@@ -66,29 +59,16 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
 
 
 def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
-    """Spectra of the machine's error at the pilot's station and its perceived size, law by law."""
-    figure, first = look.new_figure(12.0, 10.5), rides[0]
-    axes = figure.subplot_mosaic([[*"aabbcc"], [*"ddeeff"], [*"ggghhh"]])
-    *panels, machine, flight = axes.values()
+    """Perceived size of the machine's error and of the flight's, law by law."""
+    figure, first = look.new_figure(12.0, 4.5), rides[0]
+    machine, flight = figure.subplots(1, 2)
     coloured = list(zip(rides, look.COLOURS, strict=False))
-    curves = [(first.aircraft, first.asked, "washout: aircraft less asked", look.GREY, 2.5)]
-    curves += [(r.asked, r.simulator, r.law, colour, 1.2) for r, colour in coloured]
-    for reference, motion, label, colour, width in curves:
-        frequency, density = error_spectra(reference, motion)
-        for axis, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
-            axis.plot(frequency[1:], size, color=colour, linewidth=width, label=label)
-    for index, axis in enumerate(panels):
-        unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
-        axis.set_title(f"error of {NAMES[index]} [{unit}]")
-        look.frequency_axis(axis.xaxis)
-        xlabel = "frequency [Hz]" if index > 2 else ""
-        axis.set(xlim=(frequency[1], 30.0), yscale="log", xlabel=xlabel)
     _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in coloured])
     bars = [("machine that follows at once", look.GREY, first.washout_error)]
     bars += [(r.law, colour, r.cueing) for r, colour in coloured]
     _bars(flight, "of the flight: aircraft less cab", bars)
     look.legend(figure)
-    figure.suptitle(f"Spectra of the error, asked of the platform less cab {first.cab}")
+    figure.suptitle(f"Error at the pilot's station of cab {first.cab}, as it is sensed")
     return figure
 
 

@@ -27,7 +27,6 @@ from cmf_mj.pilot.fly import (
     FlightResult,
     crew_motion,
     envelope_use,
-    error_spectra,
     flight_result,
     fly,
     law_delay,
@@ -188,19 +187,6 @@ def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     np.testing.assert_allclose(use.pose, np.maximum(pose / low, pose / high), atol=0.06)
     legs = np.abs(kinematics.pose_to_legs(pose)).max() / WORKING_STROKE
     assert use.leg_position == pytest.approx(legs, abs=0.06)
-
-
-def test_spectra_hold_the_power_of_the_difference() -> None:
-    """A sine of amplitude A on one axis: the density integrates to A^2 / 2, at its frequency."""
-    time = np.arange(1600) / 80.0
-    still = PilotMotion(time, np.zeros((1600, 3)), np.zeros((1600, 3)), np.zeros((1600, 3)))
-    force = np.zeros((1600, 3))
-    force[:, 1] = 0.3 * np.sin(2.0 * np.pi * 2.0 * time)
-    moved = PilotMotion(time, force, np.zeros((1600, 3)), np.zeros((1600, 3)))
-    frequency, density = error_spectra(still, moved)
-    assert np.trapezoid(density[:, 1], frequency) == pytest.approx(0.3**2 / 2.0, rel=1e-3)
-    assert frequency[density[:, 1].argmax()] == pytest.approx(2.0, abs=0.13)
-    assert not density[:, [0, 2, 3, 4, 5]].any()
 
 
 @pytest.mark.parametrize("dof", ["heave", "pitch"])
