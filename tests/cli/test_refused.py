@@ -26,7 +26,6 @@ REFUSED = {
     "flight loop --file x.csv": "flight: 'loop' is not one of",
     "flight turn --from telex": "form: 'telex' is not one of",
     "learn gusts --trials 0": "trials: '0' is refused",
-    "learn gusts --jobs 0": "jobs: '0' is refused",
     "learn loop": "flight: 'loop' is not one of",
     "learn gusts --law none": "law: 'none'",
     "cue missing.csv": "missing.csv",
