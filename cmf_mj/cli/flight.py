@@ -19,6 +19,7 @@ command = partial(app.command, rich_help_panel="Flight")
 drawing = options.drawing(command)
 
 _FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
+_SOURCE = "script of JSBSim; with --from UDP port of telemetry, or CSV file"
 _FLOWN = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
@@ -44,7 +45,6 @@ def fly_command(
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
     delay: Annotated[bool, Option(help="measure the delay from host to pilot too")] = True,
-    dof: options.Dof = "heave",
     seconds: Annotated[float, Option(help="length of live telemetry [s]")] = 60.0,
     out: options.Out = Path("out/fly"),
 ) -> None:
@@ -80,12 +80,13 @@ def fly_command(
     title = flown.origin.title if flown else f"{form} at port {port}"
     show(title, report.flight_table(rides), unfolded=True)
     if delay:
-        show(report.delay_table(transport_delay(loaded[0], dof=dof, **how), f"{dof} at 1 Hz"))
+        show(report.delay_table(transport_delay(loaded[0], **how)))
     for ride in rides:
-        kept = "kept within" if ride.use.within else "LEFT"
+        kept = "kept within" if ride.use.travel <= 1.0 else "LEFT"
+        stroke, speed = ride.use.share[3:5].max(axis=1)
         show(
-            f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their "
-            f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.limited.sum())} "
+            f"{ride.law}: {kept} the envelope, legs {stroke:.0%} of their "
+            f"stroke, {speed:.0%} of their speed, {int(ride.limited.sum())} "
             f"host frames held back; host to legs "
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms",
             *([] if ride.plans is None else [f"{ride.law}: {ride.plans}"]),
@@ -123,24 +124,11 @@ def learn_command(
     show(report.verdict(learnt), written(paths, out))
 
 
-def formats() -> tuple[str, ...]:
-    """Formats of what `cmf flight` flies or reads."""
-    from cmf_mj.pilot.telemetry import FORMATS
-
-    return ("jsbsim", *FORMATS)
-
-
-_SOURCE = "script of JSBSim, UDP port of telemetry, or CSV file"
-_MADE = "jsbsim, or telemetry: xplane, beamng, csv"
-Made = Annotated[str, choice("cli.flight:formats", "FORMAT", _MADE, make=partial(Option, "--from"))]
-
-
 @command("flight")
 def flight_command(
     source: Annotated[str, argument(_SCRIPTS, "SOURCE", _SOURCE, free=True)],
-    form: Made = "jsbsim",
+    form: From = None,
     file: Annotated[Path | None, new_file(help="CSV or Parquet file to write it to")] = None,
-    aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
     seed: options.Seed = 1,
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
@@ -150,8 +138,8 @@ def flight_command(
     from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
     from cmf_mj.pilot.telemetry_check import check
 
-    if form == "jsbsim":
-        flight = fly_script(source, aircraft=aircraft, seed=seed)
+    if form is None:
+        flight = fly_script(source, seed)
         x, y, z = (number(arm, ".2f") for arm in flight.origin.lever_arm)
         show(
             f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",

@@ -167,7 +167,8 @@ def write_parquet(
 def read_table(path: Path) -> pa.Table:
     """Read a CSV or Parquet file, by the name's end; one of this project is as it was written.
 
-    Names of CSV columns may have capitals, and blanks about them; here they have not.
+    Names of CSV columns may have capitals, and blanks about them; here they have not. A unit in
+    brackets behind a name stays as it is.
     """
     if path.suffix == ".parquet":
         return _read_parquet(path)
@@ -175,7 +176,8 @@ def read_table(path: Path) -> pa.Table:
         raise InputError(f"{path}: must end in .csv or .parquet")
     try:
         table = pyarrow.csv.read_csv(check_file(path))
-        return table.rename_columns([name.strip(' "').lower() for name in table.column_names])
+        parts = (name.strip(' "').partition("[") for name in table.column_names)
+        return table.rename_columns(["".join((name.lower(), *unit)) for name, *unit in parts])
     except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
 

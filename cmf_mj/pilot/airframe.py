@@ -1,4 +1,4 @@
-"""An aircraft of JSBSim: loaded, trimmed, flown step by step, felt at the pilot's eye.
+"""JSBSim's 737: loaded, trimmed, flown step by step, felt at the pilot's eye.
 
 JSBSim integrates the rigid body in body axes, which are ours: x forward, y right, z down. At
 the end of a step it knows the force on the body F (aerodynamic, engines, ground; not gravity), the
@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, check_name, require, unknown_name
+from cmf_mj.core.errors import InputError, require
 
+AIRCRAFT = "737"  #: Its folder of JSBSim.
 RATE = 240  #: Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz.
 
 
@@ -57,29 +58,24 @@ class Controls(NamedTuple):
 
 
 class Airframe:
-    """One aircraft in the air or on the ground."""
+    """A 737 in the air or on the ground."""
 
-    def __init__(self, aircraft: str = "737", *, seed: int = 0) -> None:
-        """Load an aircraft that comes with JSBSim, by the name of its folder.
+    def __init__(self, seed: int = 0) -> None:
+        """Load the 737 that comes with JSBSim.
 
         Its network ports stay closed. The same seed gives the same turbulence, bit for bit.
         """
-        self.aircraft = aircraft
         self._failed: set[int] = set()
         os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner otherwise
         library = require("jsbsim", "flight")
-        shipped = Path(library.get_default_root_dir()) / "aircraft"
-        names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
-        if aircraft not in names:
-            raise unknown_name("aircraft", aircraft, names)
         self._fdm = library.FGFDMExec(library.get_default_root_dir())
         self._trim_failure = library.TrimFailureError
         self._fdm.set_dt(1.0 / RATE)
         with tempfile.TemporaryDirectory(prefix="cmf_aircraft_") as folder:
-            without_network(shipped / aircraft, Path(folder) / aircraft)
+            shipped = Path(library.get_default_root_dir()) / "aircraft" / AIRCRAFT
+            without_network(shipped, Path(folder) / AIRCRAFT)
             self._fdm.set_aircraft_path(folder)
-            if not self._fdm.load_model(aircraft):
-                raise InputError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
+            self._fdm.load_model(AIRCRAFT)
         self["simulation/randomseed"] = seed
 
     def __getitem__(self, name: str) -> float:
@@ -113,7 +109,7 @@ class Airframe:
         except self._trim_failure as error:
             raise InputError(
                 f"airspeed: {airspeed:.1f} m/s at {height:.0f} m on a path of {path:.3f} rad "
-                f"cannot be trimmed with the {self.aircraft}: {error}"
+                f"cannot be trimmed with the {AIRCRAFT}: {error}"
             ) from error
         return self["fcs/throttle-cmd-norm[0]"]
 
@@ -124,8 +120,7 @@ class Airframe:
         for part in ("cmd", "pos"):
             self[f"gear/gear-{part}-norm"] = controls.gear
             self[f"fcs/flap-{part}-norm"] = controls.flaps
-        if not self._fdm.run_ic():
-            raise InputError(f"aircraft: {self.aircraft} refuses the start {dict(start)}")
+        self._fdm.run_ic()
         self["propulsion/set-running"] = -1.0
 
     def gust(self, velocity: tuple[float, float, float], length: float) -> None:
@@ -150,7 +145,6 @@ class Airframe:
         third of seven severities.
         """
         kinds = {"milspec": 3.0, "tustin": 4.0}
-        check_name("model", model, kinds)
         speed = units.from_si("ft", wind)
         self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
         self["atmosphere/turbulence/milspec/severity"] = 3.0

@@ -127,19 +127,20 @@ def low_pass_filter(axis: Tilted) -> Matrices:
     """Specific force to its low-passed part and two derivatives."""
     wn, zeta = axis.low_pass_frequency.si, axis.low_pass_damping.si
     a = np.array([[0.0, 1.0], [-(wn**2), -2.0 * zeta * wn]])
-    b = np.array([[0.0], [wn**2]])
-    return a, b, np.vstack([np.eye(2), a[1]]), np.vstack([np.zeros((2, 1)), b[1]])
+    return _with_derivatives(a, np.array([[0.0], [wn**2]]))
 
 
 def translation_filter(axis: ThirdOrder) -> Matrices:
     """Acceleration demanded to displacement and two derivatives."""
     wn, zeta, wb = axis.natural_frequency.si, axis.damping.si, axis.break_frequency.si
     a = np.array([[0.0, 1.0, 0.0], [-(wn**2), -2.0 * zeta * wn, -1.0], [0.0, 0.0, -wb]])
-    b = np.array([[0.0], [1.0], [wb]])
-    if wb == 0.0:
-        a, b = a[:2, :2], b[:2]
-    states = len(a)
-    return a, b, np.vstack([np.eye(2, states), a[1]]), np.vstack([np.zeros((2, 1)), b[1]])
+    count = 2 if wb == 0.0 else 3
+    return _with_derivatives(a[:count, :count], np.array([[0.0], [1.0], [wb]])[:count])
+
+
+def _with_derivatives(a: Array, b: Array) -> Matrices:
+    """A system whose outputs are its first state and two derivatives; the second state is one."""
+    return a, b, np.vstack([np.eye(2, len(a)), a[1]]), np.vstack([np.zeros((2, 1)), b[1]])
 
 
 def side_by_side(systems: list[Matrices], interval: float) -> Held:

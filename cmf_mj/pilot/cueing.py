@@ -49,6 +49,11 @@ class Excursion(NamedTuple):
         return float(self.share.max())
 
     @property
+    def travel(self) -> float:
+        """Largest share of the travel of legs and pose."""
+        return float(self.share[[0, 3]].max())
+
+    @property
     def binding(self) -> str:
         """What comes closest to its limit, or exceeds it most, and where."""
         row, column = np.unravel_index(int(self.share.argmax()), self.share.shape)

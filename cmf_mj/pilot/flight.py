@@ -6,29 +6,25 @@ A file is CSV or Parquet with the columns of `PilotMotion` and any others,
 
 each with its unit: in a Parquet file as JSON in the schema, in a CSV file in the header, `time
 [s],specific_force_x [g],angular_rate_x [deg/s] ...`. Units that `cmf_mj.core.units` knows are
-converted; a column without one is in SI. The origin is with the units in Parquet, and in the first
-line of a CSV file after `# cmf_mj_flight`, as JSON; a file may do without.
+converted; a column without one is in SI. The origin is with the units in Parquet; CSV has none.
 """
 
-import io
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
 from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
 from cmf_mj.core.arrays import FrozenDict, frozen, shaped
-from cmf_mj.core.errors import InputError, reason, unknown_name, within
-from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
-from cmf_mj.core.settings import FileHeader, Settings, check_file, parsed_json, validated
+from cmf_mj.core.errors import InputError, unknown_name, within
+from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
+from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
 from cmf_mj.pilot.drives import DRIVES, drive
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 
@@ -43,7 +39,6 @@ _UNITS = {
     "height": "m",
 }
 _SHIPPED = Path(__file__).parent / "flights"
-
 _SLOWEST = 1.0  #: Longest time from row to row of a flight in a file [s].
 
 
@@ -82,20 +77,13 @@ class Flight:
 
     def save(self, path: str | Path) -> Path:
         """Write as CSV or Parquet, by the name's end; the file appears when it is complete."""
-        target = Path(path)
-        columns = {**self.motion.columns(), **self.others}
+        target, columns = Path(path), {**self.motion.columns(), **self.others}
         column_units = {name: _UNITS.get(name, "1") for name in columns}
-        origin = self.origin.model_dump(mode="json")
         if target.suffix == ".parquet":
-            header = {"units": column_units, "origin": origin}
+            header = {"units": column_units, "origin": self.origin.model_dump(mode="json")}
             return write_parquet(pa.table(columns), target, (_KEY, header))
-        if target.suffix != ".csv":
-            raise InputError(f"{target}: must end in .csv or .parquet")
         titled = {f"{name} [{column_units[name]}]": values for name, values in columns.items()}
-        with whole_file(target) as partial, partial.open("wb") as file:
-            file.write(f"# {_KEY} {json.dumps(origin)}\n".encode())
-            pyarrow.csv.write_csv(pa.table(titled), file)
-        return target
+        return write_table(pa.table(titled), target)
 
 
 def flight_names() -> list[str]:
@@ -140,46 +128,23 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
             files = " nor a .csv or .parquet file"
             raise unknown_name("flight", str(source), names(), files)
         path = _SHIPPED / f"{source}.parquet"
-    table, column_units, origin = (_csv if path.suffix == ".csv" else _parquet)(path)
+    table, column_units = read_table(path), dict[str, str]()
+    origin = Origin(title=path.stem, source=path.name)
+    if (raw := (table.schema.metadata or {}).get(_KEY.encode())) is not None:
+        where = f"{path}: header {_KEY}"
+        header = validated(FlightHeader, parsed_json(raw, where), where)
+        column_units, origin = header.units, header.origin
+    else:
+        titles = [_HEADER.match(cell) for cell in table.column_names]
+        for cell, title in zip(table.column_names, titles, strict=True):
+            if title is None:
+                allowed = "name or name [unit]"
+                raise InputError(f"{path}: header: {cell!r} is refused; allowed: {allowed}")
+        column_units = {title["name"]: title["unit"] or "1" for title in titles if title}
+        table = table.rename_columns([title["name"] for title in titles if title])
     columns = {}
     for name in dict.fromkeys(["time", *sum(COLUMNS.values(), ()), *table.column_names]):
         values = read_column(path, table, name)
         with within(f"{path}: {name}"):
             columns[name] = np.asarray(units.to_si(column_units.get(name, "1"), values))
-    return path, columns, origin or Origin(title=path.stem, source=path.name)
-
-
-Parts = tuple[pa.Table, dict[str, str], Origin | None]  #: Table, units of its columns, origin.
-
-
-def _parquet(path: Path) -> Parts:
-    table = read_table(path)
-    raw = (table.schema.metadata or {}).get(_KEY.encode())
-    if raw is None:
-        return table, {}, None
-    where = f"{path}: header {_KEY}"
-    header = validated(FlightHeader, parsed_json(raw, where), where)
-    return table, header.units, header.origin
-
-
-def _csv(path: Path) -> Parts:
-    origin: Any = None
-    try:
-        text = check_file(path).read_text(encoding="utf-8-sig")
-        if text.startswith("#"):
-            first, _, text = text.partition("\n")
-            if first.startswith(f"# {_KEY} "):
-                origin = parsed_json(first.removeprefix(f"# {_KEY} "), f"{path}: row 1")
-                origin = validated(Origin, origin, f"{path}: row 1")
-        table = pyarrow.csv.read_csv(io.BytesIO(text.encode()))
-    except InputError:
-        raise
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-    names, column_units = [], {}
-    for cell in table.column_names:
-        if (title := _HEADER.match(cell.strip(' "'))) is None:
-            raise InputError(f"{path}: header: {cell!r} is refused; allowed: name or name [unit]")
-        names.append(title["name"].lower())
-        column_units[names[-1]] = title["unit"] or "1"
-    return table.rename_columns(names), column_units, origin
+    return path, columns, origin

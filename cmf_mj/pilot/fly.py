@@ -34,14 +34,14 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
-from cmf_mj.facility.host.stream import HostStream, from_command, resample
+from cmf_mj.facility.host.stream import HostStream, from_command, make_stream, resample
 from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.cueing import Excursion, cue, excursion
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated
 from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
@@ -50,25 +50,10 @@ from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 
 RECORD_EVERY = 8  #: Control frames a row of the record: 256 Hz.
-
 _CORNER = 30.0
 """Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
 record hold vibration beyond half the host's rate."""
-
 _SETTLE, _CYCLES = 4, 4  #: Of the sine whose delay is measured.
-
-
-class EnvelopeUse(NamedTuple):
-    """Largest share of each limit in a run; 1 is the limit."""
-
-    leg_position: float  #: Of the legs' working stroke, 37.5 in.
-    leg_velocity: float  #: Of the legs' limit, mean over a row of the record.
-    pose: NDArray[np.float64]  #: Of the operational limits of Table 2-1, (6,).
-
-    @property
-    def within(self) -> bool:
-        """Whether legs, which meet their stops beyond it, and pose kept within their limits."""
-        return max(self.leg_position, float(self.pose.max())) <= 1.0
 
 
 class FlightResult(NamedTuple):
@@ -84,7 +69,7 @@ class FlightResult(NamedTuple):
     simulator: PilotMotion  #: At the pilot's station of the cab, in truth.
     cueing: CueingError  #: Sensed in the aircraft less sensed in the cab.
     machine: CueingError  #: Sensed if the machine followed at once less sensed in the cab.
-    use: EnvelopeUse  #: Of the envelope.
+    use: Excursion  #: Of the limits by the machine while engaged.
     host_delay: float
     """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
     loop_delay: float  #: From there to the legs, likewise [s]: a mean over the flight's band.
@@ -118,7 +103,7 @@ def fly(
 
     >>> from cmf_mj.pilot.flight import load_flight
     >>> from cmf_mj.pilot.fly import fly
-    >>> fly(load_flight("gusts").motion).use.within
+    >>> fly(load_flight("gusts").motion).use.travel < 1.0
     True
     """
     carried = load_cab(cab)
@@ -153,6 +138,8 @@ def flight_result(
     """What an operation on the frames of an aircraft was to the pilot, none of them held back."""
     asked = PilotMotion.from_platform(stream, load_cab(plant.cab_parameters).station)
     record = operation.record
+    engaged = record["operating_state"] == State.ENGAGED
+    flown = make_stream(record.time[engaged], record["platform_pose"][engaged])
     simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)
     return FlightResult(
@@ -165,7 +152,7 @@ def flight_result(
         simulator,
         cueing_error(aircraft, simulator),
         cueing_error(asked, simulator),
-        envelope_use(record, limits),
+        excursion(flown, limits, plant.machine),
         *_delays(legs, record),
         operation,
     )
@@ -184,20 +171,6 @@ def low_passed(
     """Columns at a record's rate and some times [s], at others, without what lies beyond 30 Hz."""
     sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
     return interpolated(at, time, signal.sosfiltfilt(sections, values, axis=0))
-
-
-def envelope_use(record: Record, limits: MotionLimits) -> EnvelopeUse:
-    """Largest shares of the limits in a run of the facility while engaged."""
-    engaged = record["operating_state"] == State.ENGAGED
-    low, high = limits.operational.T
-    pose = record["platform_pose"][engaged]
-    legs = record["leg_extension"][engaged]
-    speed = np.abs(np.diff(legs, axis=0)).max() * record.rate
-    return EnvelopeUse(
-        float(np.abs(legs).max() / limits.leg.position.si),
-        float(speed / limits.leg.velocity.si),
-        np.maximum(pose / low, pose / high).max(axis=0),
-    )
 
 
 def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:

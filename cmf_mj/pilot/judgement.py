@@ -26,7 +26,6 @@ from cmf_mj.pilot.washout_settings import WashoutSettings
 
 TUNED = (*DRIVES, "turn")
 """Drives and flights to tune on."""
-
 _SHORTEST = 0.1  #: Of what counts as a false cue, and of the gap between two [s].
 
 
@@ -90,7 +89,7 @@ def judge(cued: Cue) -> Judgement:
         mismatch=float(missed @ [0.34, 0.66, 0.0]),
         tilting=float(turning.any(axis=1).mean()),
         workspace=float(np.sqrt(np.mean(legs**2)) / cued.machine.working_stroke),
-        travel=float(cued.excursion.share[[0, 3]].max()),
+        travel=cued.excursion.travel,
         limited=int(cued.limited.sum()),
     )
 

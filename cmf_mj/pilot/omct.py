@@ -57,19 +57,13 @@ TESTS = (
     ("heave", "heave"),
 )
 """Input and output of the ten tests."""
-
 FREQUENCIES = (0.1, 0.158, 0.251, 0.398, 0.631, 1.0, 1.585, 2.512, 3.981, 6.31, 10.0, 15.849)
 """Frequencies [rad/s], five a decade; recalled."""
-
 FORCE = 1.0  #: Amplitude of surge, sway and heave [m/s^2]; recalled.
-
 ANGLE = 6.0 * DEGREE  #: Largest amplitude of an angle [rad]; recalled.
-
 ANGULAR_RATE = 1.0 * DEGREE  #: Largest amplitude of an angle's rate [rad/s]; recalled.
-
 STAGES = ("washout", "ideal")
 """Places without a machine: the host's frames, and an ideal one's motion behind the DCU."""
-
 _SETTLE = 20.0  #: Least time before the cycles that are measured [s].
 _MEASURE = 5.0  #: Least time measured [s].
 _FADE = 5.0  #: Longest fade-in [s].

@@ -118,11 +118,7 @@ def _solve(
 
 def _pick(count: int, *places: int | None) -> Matrix:
     """Rows that pick each one of `count` variables, or none of them."""
-    rows = np.zeros((len(places), count))
-    for row, place in enumerate(places):
-        if place is not None:
-            rows[row, place] = 1.0
-    return rows
+    return np.eye(count + 1, count)[[count if place is None else place for place in places]]
 
 
 def _si(sizes: Settings, *names: str) -> list[float]:

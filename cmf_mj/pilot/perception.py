@@ -22,18 +22,15 @@ from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import history, hold, settled
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import Kind, Quantity
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.washout_settings import Force, Rate, Ratio, Time
 
 QUANTITIES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Specific force along, angular rate about the body axes."""
 
-Time = Annotated[Quantity, positive_in("s")]
 Lead = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
-Gain = Annotated[Quantity, positive_in("1")]
-Force = Annotated[Quantity, positive_in("m/s^2", "g")]
-Rate = Annotated[Quantity, positive_in("rad/s", "deg/s")]
 
 
 class Canals(Settings):
@@ -48,7 +45,7 @@ class Canals(Settings):
 class Otoliths(Settings):
     """Otoliths."""
 
-    gain: Gain  #: Sensed over true at rest.
+    gain: Ratio  #: Sensed over true at rest.
     lead: Time
     long_lag: Time
     short_lag: Time

@@ -60,19 +60,11 @@ _MOVES = {"pitch_surge": (0, 4), "roll_sway": (1, 3), "yaw": (None, 5), "heave":
 """Displacement and angle of each mode among those of a pose."""
 
 _BEGUN = 9  #: Accelerations bounded where a frame begins: of the legs and of the centroid's shift.
-
 _STEP = 1e-6  #: Of time, to differentiate the Jacobian along the motion [s].
-
 _SOLVED = (1, 2)  #: Exit flags of DAQP at an optimum, and at one that passes soft rows.
-
 _SOFT = 8  #: How DAQP marks a row that may be passed at a price.
-
 _STEEP = 1e-6  #: Reciprocal of the quadratic price of rows whose price is linear.
-
-_LISTED = 12  #: Late or bridged frames that a report names.
-
 _TWICE = 20.0  #: Thresholds by which a false cue is passed where the next costs twice the first.
-
 _GO_ON = 0.5  #: Time for which the last plan goes on alone, and then fades to a washout [s].
 
 INPUTS = {name: list(inputs) for name, (inputs, _) in PLACES.items()}
@@ -119,17 +111,15 @@ class Solves(NamedTuple):
     bridged: list[bool]  #: Whether the last plan went on instead.
 
     def report(self, interval: float) -> str:
-        """Times of frames `interval` [s] apart, and which were late or bridged."""
-        taken = np.array(self.seconds or [0.0])
+        """Times of frames `interval` [s] apart, how many were late or bridged, and the first."""
+        taken, bridged = np.array(self.seconds or [0.0]), np.array(self.bridged or [False])
         shares = " / ".join(f"{1e3 * np.quantile(taken, q):.2g}" for q in (0.95, 0.999, 1.0))
         late = taken > interval
-        missed = interval * (1.0 + np.flatnonzero(late | np.array(self.bridged or [False])))
-        said = [f"{at:.2f} s" for at in missed[:_LISTED]]
-        said += [f"{missed.size - _LISTED} more"] * (missed.size > _LISTED)
+        first = np.flatnonzero(late | bridged)[:1]
         return (
             f"plans made in {shares} ms (95, 99.9 %, worst) of {1e3 * interval:.3g} ms: "
-            f"{late.sum()} late, {sum(self.bridged)} of {len(self.bridged)} bridged by the last "
-            f"plan{', at ' * bool(said)}{', '.join(said)}"
+            f"{late.sum()} late, {bridged.sum()} of {len(self.bridged)} bridged by the last plan"
+            + "".join(f", first at {interval * (1.0 + row):.2f} s" for row in first)
         )
 
 

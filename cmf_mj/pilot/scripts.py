@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
-from cmf_mj.pilot.airframe import RATE, AircraftState, Airframe, Controls
+from cmf_mj.pilot.airframe import AIRCRAFT, RATE, AircraftState, Airframe, Controls
 from cmf_mj.pilot.flight import Flight, Origin
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion
 
@@ -257,14 +257,14 @@ SCRIPTS = {
 """Flights of the 737 by name."""
 
 
-def script_states(name: str, *, aircraft: str = "737", seed: int = 1) -> Iterator[AircraftState]:
-    """Fly one of `SCRIPTS` with JSBSim, made for the 737; the seed is the turbulence's.
+def script_states(name: str, seed: int = 1) -> Iterator[AircraftState]:
+    """Fly one of `SCRIPTS` with JSBSim; the seed is the turbulence's.
 
     Yields the state 80 times a second, with time from 0 and heading without wrapping. Raises
-    `MissingExtraError` without JSBSim; an aircraft that cannot be trimmed is refused.
+    `MissingExtraError` without JSBSim.
     """
     check_name("flight", name, SCRIPTS)
-    script, airframe = SCRIPTS[name], Airframe(aircraft, seed=seed)
+    script, airframe = SCRIPTS[name], Airframe(seed)
     throttle, aim = script.begin(airframe)
     pilot, heading = Pilot(airframe, throttle), 0.0
     for step in range(round(script.seconds * RATE)):
@@ -276,14 +276,14 @@ def script_states(name: str, *, aircraft: str = "737", seed: int = 1) -> Iterato
         pilot.fly(aim(step / RATE, state))
 
 
-def fly_script(name: str, *, aircraft: str = "737", seed: int = 1) -> Flight:
+def fly_script(name: str, seed: int = 1) -> Flight:
     """Fly one of `SCRIPTS` to its end; as `script_states`."""
-    flown = zip(*script_states(name, aircraft=aircraft, seed=seed), strict=True)
+    flown = zip(*script_states(name, seed), strict=True)
     states = dict(zip(AircraftState._fields, map(np.array, flown), strict=True))
     x, y, z = (round(float(part), 6) for part in states["lever"][0])
     origin = Origin(
         title=SCRIPTS[name].title,
-        aircraft=aircraft,
+        aircraft=AIRCRAFT,
         lever_arm=(x, y, z),
         source=f"JSBSim {version('jsbsim')}, script {name}",
         seed=seed,

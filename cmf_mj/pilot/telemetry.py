@@ -43,7 +43,6 @@ from cmf_mj.plant.parameters import HydraulicParameters
 
 Row = tuple[float, ...]
 """Twelve numbers: time, specific force, angular rate, attitude, speed, height; NaN if unknown."""
-
 _ROW, _BEAMNG = struct.Struct("<i8f"), struct.Struct("<4s21f")
 _UNKNOWN = (math.nan, math.nan)
 
@@ -143,11 +142,8 @@ def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:
 
 
 _FADE = (0.1, 0.5)  #: Ages of the newest sample between which it fades to rest [s].
-
 _AHEAD, _LEARN = 0.15, 0.03  #: T, and the time constant of the slope [s].
-
 _STALE = 1.0  #: Age of the newest sample from which on nothing is sent [s].
-
 _REST = np.array([0.0, 0.0, -STANDARD_GRAVITY, 0.0, 0.0, 0.0])
 """Specific force and angular rate at rest."""
 

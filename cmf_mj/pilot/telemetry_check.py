@@ -32,15 +32,11 @@ from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, interpolated
 Array = NDArray[np.float64]
 
 _RATE = 20.0  #: At which telemetry is compared [Hz].
-
 _MEAN = 1.0
 """Of the moving mean before that [s]: faster motion is at the station, not on the path."""
-
 _FLOOR = {"rate": 0.003, "force": 0.15, "vertical": 0.5}
 """r0: what does not count [rad/s, m/s^2]; the last without speed and height."""
-
 _CHANGE = np.log(2.0)
-
 _GAP, _LEAST_GAP = 3.0, 0.1
 """Intervals are gaps that are longer than this many of the median, and than this [s]."""
 

@@ -106,17 +106,12 @@ class ClassicalSettings(_Set):
     @model_validator(mode="after")
     def _tilt_in_range(self) -> "ClassicalSettings":
         for dof, axis in (("surge", self.surge), ("sway", self.sway)):
-            zeta = axis.low_pass_damping.si
+            zeta, most = min(axis.low_pass_damping.si, 0.99), STANDARD_GRAVITY
             # Largest output of the low-pass over its largest input: the L1 norm of its response.
-            overshoot = 1.0
-            if zeta < 1.0:
-                overshoot = 1.0 / np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
-            most = STANDARD_GRAVITY / overshoot
-            if not self.inputs.tilt_force_limit.si < most:
-                raise InputError(
-                    f"inputs.tilt_force_limit: {self.inputs.tilt_force_limit} must be less than "
-                    f"{most:.3g} m/s^2: the low-pass of {dof} may overshoot to 1 g"
-                )
+            most *= np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
+            if not (limit := self.inputs.tilt_force_limit).si < most:
+                fault = f"{limit} must be less than {most:.3g} m/s^2: the low-pass of {dof} may"
+                raise InputError(f"inputs.tilt_force_limit: {fault} overshoot to 1 g")
         return self
 
 

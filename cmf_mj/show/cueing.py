@@ -21,9 +21,7 @@ from cmf_mj.pilot.perception import QUANTITIES, CueingError, Sensed
 from cmf_mj.show import look
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])  #: Plotted units in SI.
-
 NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")  #: Of specific force and angular rate.
-
 _LEAST_SPAN = 0.1  #: Of an axis, in its unit, so that round-off shows as the nothing it is.
 
 
@@ -169,7 +167,6 @@ _OMCT_LEGEND = (
 
 UP_TO = 2.0 * np.pi + 0.1
 """Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
-
 _ROTATIONS = ("roll", "pitch", "yaw")
 
 

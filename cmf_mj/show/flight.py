@@ -28,7 +28,6 @@ _MOTIONS = {
     "simulator": ("cab", look.ORANGE, 0.9),
 }
 """Motions at the pilot's station, and how they are drawn."""
-
 _SCALE = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
 """What is shown of one SI unit: mm or mm/s^2, and deg or deg/s."""
 
@@ -97,18 +96,18 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     for ride in rides:
         machine, flight = ride.machine.rms * _SCALE, ride.cueing.rms * _SCALE
         row = [ride.law, *machine, *flight[:2], 1e3 * ride.loop_delay]
-        rows.append([*row, 100 * ride.use.leg_position, ride.fault or "none"])
+        rows.append([*row, 100 * ride.use.share[3].max(), ride.fault or "none"])
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
     return Table(title, ("law", *columns, ("legs [%]", ".0f"), "fault"), rows)
 
 
-def delay_table(delays: Mapping[str, float], about: str) -> Table:
-    """The way from host to pilot, stage by stage."""
+def delay_table(delays: Mapping[str, float]) -> Table:
+    """The way from host to pilot, stage by stage, of a sine in heave."""
     rows = [
         (name, 1e3 * delay, "setting" if name.startswith("DCU") else "measured")
         for name, delay in delays.items()
     ]
-    return Table(f"host to pilot, {about}", ("stage", ("delay [ms]", ".2f"), ""), rows)
+    return Table("host to pilot, heave at 1 Hz", ("stage", ("delay [ms]", ".2f"), ""), rows)
 
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:

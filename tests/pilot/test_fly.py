@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pytest
 from cab_motions import pushed
@@ -26,7 +25,6 @@ from cmf_mj.pilot.fly import (
     RECORD_EVERY,
     FlightResult,
     crew_motion,
-    envelope_use,
     flight_result,
     fly,
     law_delay,
@@ -62,8 +60,8 @@ def ride(failing: PilotMotion) -> FlightResult:
 
 
 def test_the_envelope_is_kept_and_nothing_fails(ride: FlightResult) -> None:
-    assert ride.fault is None and ride.use.within
-    assert 0.1 < ride.use.leg_position < 1.0
+    assert ride.fault is None
+    assert 0.1 < ride.use.travel < 1.0
     assert not ride.limited.any()
     assert all(np.isfinite(values).all() for values in ride.operation.record.channels.values())
 
@@ -105,7 +103,7 @@ def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -
     settled = ride.asked.time > 1.0
     np.testing.assert_allclose(ride.simulator.specific_force[settled], rest[settled], atol=5e-3)
     assert np.isnan(ride.host_delay)
-    assert ride.use.pose.max() < 1e-3
+    assert ride.use.share[0].max() < 1e-3
 
 
 def platform_flown(stream: HostStream, law: str = "velocity") -> FlightResult:
@@ -127,7 +125,7 @@ def test_an_aircraft_that_moves_as_the_frames_ask_has_no_error_of_the_washout(
 ) -> None:
     assert not direct.washout_error.error.any()
     np.testing.assert_array_equal(direct.cueing.error, direct.machine.error)
-    assert direct.use.within and not direct.limited.any()
+    assert direct.use.travel < 1.0 and not direct.limited.any()
 
 
 def test_a_plan_leads_by_the_loops_delay(direct: FlightResult) -> None:
@@ -182,11 +180,11 @@ def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     stream = make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
     ride = platform_flown(stream, "velocity_integral")
     low, high = load_motion_limits().operational.T
-    use = envelope_use(ride.operation.record, load_motion_limits())
+    use = ride.use
     # The law's own offset moves the platform by an inch or so.
-    np.testing.assert_allclose(use.pose, np.maximum(pose / low, pose / high), atol=0.06)
+    np.testing.assert_allclose(use.share[0], np.maximum(pose / low, pose / high), atol=0.06)
     legs = np.abs(kinematics.pose_to_legs(pose)).max() / WORKING_STROKE
-    assert use.leg_position == pytest.approx(legs, abs=0.06)
+    assert use.share[3].max() == pytest.approx(legs, abs=0.06)
 
 
 @pytest.mark.parametrize("dof", ["heave", "pitch"])
@@ -259,23 +257,6 @@ def test_traces_beside_records_are_those_that_move(ride: FlightResult, tmp_path:
     assert [[panel.y_title for panel in panels] for panels in both] == [every, every]
     assert [panel.y_title for panel in alone[0]] == every[:3]
     assert flight_report.saved_traces([*files, tmp_path / "other" / "record.parquet"]) == []
-
-
-@pytest.mark.slow
-def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Path) -> None:
-    """Two laws, 1.5 s at 4 pictures a second from 0.5 s on; the record of one is a film too."""
-    origin = load_flight("engine_failure").origin
-    short = Flight(cut(failing, 2.0, 4.5), origin).save(tmp_path / "short.parquet")
-    out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
-    part, file = ("--start", "0.5", "--seconds", "1.5"), tmp_path / "film.mp4"
-    laws = ("velocity", "modal_plan")
-    text = cmf("fly", short, "--laws", ",".join(laws), "--no-delay", "--ideal", "--out", out)
-    assert text.count("kept within the envelope") == 2
-    records = [out / law / "record.parquet" for law in laws]
-    cmf("video", *records, *part, *size, "--file", file)
-    with av.open(str(file)) as container:
-        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(pictures) == 7 and pictures[0].shape == (400, 320, 3)
 
 
 def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
