@@ -155,12 +155,14 @@ def smallest(n: int, m: int, level: float, degrees: float) -> float:
 
     `level` is the two-sided probability of a false alarm. The noncentral t of d degrees of freedom
     at its quantile e: c sqrt(1/n + 1/m), where the mean over a normal z of P(chi^2_d < d (c + z)^2
-    / e^2) is `POWER`. SciPy's own inverse searches for ever where e is large.
+    / e^2) is `POWER`. SciPy's own inverse searches for ever where e is large. NaN without a degree.
 
     >>> from cmf_mj.studies.guide_check import smallest
     >>> round(smallest(6, 2, 0.05, degrees=5), 2)
     3.34
     """
+    if not degrees > 0.0:
+        return float("nan")
     edge, half = float(stats.t.isf(level / 2.0, degrees)), degrees / 2.0
     z = np.linspace(-8.0, 8.0, 1601)
     weight = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
