@@ -1,26 +1,28 @@
 """Sealed changes of hidden machines: `python scripts/guides.py`, again to go on.
 
-Machines by turns like the CMF, SIMONA and the laboratory hexapod, off their data sheets, get a
-master of a guide. Then each is checked: some have changed in a number or two, of which the check
-knows nothing, the others not at all. The rows, a check each, are appended to OUT/checks.jsonl and
-written to OUT/guide_checks.csv. The diagnosis linearises the data sheet's machine, not the hidden.
+Machines by turns, NAME or NAME@SEED, off their data sheets, get a master of a guide. Then each is
+checked: some have changed in a number or two, of which the check knows nothing, the others not at
+all. The rows, a check each, are appended to OUT/checks.jsonl and written to OUT/guide_checks.csv.
+The diagnosis linearises the data sheet's machine, not the hidden.
 """
 
 import argparse
 import json
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cmf_mj.core.files import write_csv
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.run import Run
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
 from cmf_mj.studies.diagnosis import Number, diagnose, moved_machine, numbers_of, slopes
-from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
+from cmf_mj.studies.guide import FILE, Bench, bench, head_of, load_guide, run_guide
 from cmf_mj.studies.guide_check import compare, load_master
 
 MACHINES = ("cmf", "simona", "lab")
@@ -49,6 +51,13 @@ OFF = {
     "payload place": 0.2,
 }
 """How far hidden machines are off their data sheets: deviations in the sizes of `numbers_of`."""
+
+
+class Way(NamedTuple):
+    """How machines come to a bench and are recorded."""
+
+    bench: Callable[..., Bench] = bench  #: From guide and machine.
+    record: Callable[[Run], Record] = Run.record
 
 
 def sealed(
@@ -96,7 +105,7 @@ def checks(options: argparse.Namespace) -> Iterator[tuple[str, int, str]]:
                     yield machine, 1000 + 2 * turn + other, ""
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, way: Way) -> None:
     """Make what is missing."""
     out, guide = Path(options.out), load_guide(options.guide)
     journal = out / "checks.jsonl"
@@ -109,9 +118,9 @@ def run(options: argparse.Namespace) -> None:
         if (machine, number) in done:
             continue
         if machine not in known:
-            known[machine] = _master(out, machine, guide, options)
+            known[machine] = _master(out, machine, guide, options, way)
         began = time.monotonic()
-        row = _check(out / f"{machine}.{number}", kind, number, known[machine], options)
+        row = _check(out / f"{machine}.{number}", kind, number, known[machine], options, way)
         rows.append(
             {"machine": machine, "check": number} | row | {"seconds": time.monotonic() - began}
         )
@@ -136,29 +145,37 @@ def summed(rows: list[Mapping[str, Any]]) -> dict[str, int]:
     }
 
 
-def _master(out: Path, machine: str, guide: Any, options: argparse.Namespace) -> tuple[Any, ...]:
-    """A hidden machine, the bench of its data sheet and its head, its master and the slopes."""
-    on = bench(guide, machine)
+def _master(
+    out: Path, named: str, guide: Any, options: argparse.Namespace, way: Way
+) -> tuple[Any, ...]:
+    """A hidden machine, its seed, the bench of its data sheet and its head, master and slopes."""
+    machine, _, own = named.partition("@")
+    on, seed = way.bench(guide, machine), int(own or options.seed)
     key = MACHINES.index(machine) if machine in MACHINES else 99
-    plant = hidden(on.plant, np.random.default_rng([options.seed, key]))
-    head, folder = head_of(on, machine=machine), out / machine
+    plant = hidden(on.plant, np.random.default_rng([seed, key]))
+    head, folder = head_of(on, machine=machine), out / named
     if not (folder / FILE).exists():
-        run_guide(on, head, folder, seed=options.seed, jobs=options.jobs, plant=plant)
+        how = {"jobs": options.jobs, "plant": plant, "record": way.record}
+        run_guide(on, head, folder, seed=seed, **how)
     master = load_master(folder, on=on)
-    return plant, on, head, master, slopes(master, options.jobs)
+    return plant, seed, on, head, master, slopes(master, options.jobs)
 
 
 def _check(
-    folder: Path, kind: str, number: int, known: tuple[Any, ...], options: argparse.Namespace
+    folder: Path,
+    kind: str,
+    number: int,
+    known: tuple[Any, ...],
+    options: argparse.Namespace,
+    way: Way,
 ) -> dict[str, Any]:
     """Record a machine that may have changed, check it, and ask why."""
-    plant, on, head, master, slope = known
-    draw = np.random.default_rng([options.seed, number, len(on.plant.machine.name)])
+    plant, seed, on, head, master, slope = known
+    draw = np.random.default_rng([seed, number, len(on.plant.machine.name)])
     moved = sealed(kind, numbers_of(on.plant), draw) if kind else {}
     machine = moved_machine(plant, ElectronicsSettings(), moved)
-    seed = int(draw.integers(1, 2**31))
-    again = {"repetitions": options.repetitions, "seed": seed, "jobs": options.jobs}
-    run_guide(on, head, folder, **again, **machine)
+    again = {"repetitions": options.repetitions, "jobs": options.jobs, "record": way.record}
+    run_guide(on, head, folder, seed=int(draw.integers(1, 2**31)), **again, **machine)
     since = load_master(folder, on=on)
     found = any(row.verdict in ("changed", "beyond its limit") for row in compare(master, since))
     causes = diagnose(master, since, slope, options.jobs) if found else []
@@ -174,7 +191,7 @@ def _check(
     }
 
 
-def main() -> None:
+def main(way: Way | None = None, **defaults: Any) -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", default="out/guides", help="folder of all")
@@ -185,7 +202,8 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=2, help="of a check")
     parser.add_argument("--seed", type=int, default=1, help="of all that is drawn")
     parser.add_argument("--jobs", type=int, default=1, help="threads")
-    run(parser.parse_args())
+    parser.set_defaults(**defaults)
+    run(parser.parse_args(), way or Way())
 
 
 if __name__ == "__main__":

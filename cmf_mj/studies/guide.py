@@ -286,11 +286,12 @@ def simulated(
     *,
     shift: Array | None = None,
     seed: int = 0,
+    record: Callable[[Run], Record] = Run.record,
 ) -> Record:
     """One repetition of a test on a machine, by default that of the guide.
 
     `shift` is what position sensors read too much [m], (6,): the machine follows the demand less
-    it, and the reading shows it again. Raises `OutOfBounds` as `simulate`.
+    it, and the reading shows it again. Another engine may `record`. Raises `OutOfBounds`.
     """
     plant = copy.deepcopy(on.plant if plant is None else plant)
     offset = np.zeros(plant.legs) if shift is None else shift
@@ -300,7 +301,7 @@ def simulated(
     start = legs_to_pose(legs[0], plant.machine)
     how: dict[str, Any] = {"law": on.of[name].law or on.law, "source": LegDemand(legs)}
     how |= {"start": start, "electronics": electronics, "seed": seed, "record_every": every}
-    run = Run(plant=plant, **how).record()
+    run = record(Run(plant=plant, **how))
     channels = {key: run[key] for key in ("leg_reference", *SIGNED)}
     channels |= {key: channels[key] + offset for key in ("leg_reference", "leg_position")}
     known = {key: run.metadata[key] for key in ("sample_rate", "law")} | plant.machine.known()

@@ -1,4 +1,4 @@
-"""The hydraulics of a set with constant supply and no losses, written a second time.
+"""The hydraulics of a set with constant supply and no losses but friction, written a second time.
 
 Nothing is taken from `cmf_mj.plant`: only the numbers of the parameter set are shared. There the
 unknown is the oil content of a chamber, advanced by an L-stable Runge-Kutta method; here it is the
@@ -17,7 +17,10 @@ else, so their two lags are summed in closed form frame by frame:
 
     d = c + D e^{-a t},    u = c + (U - k D) e^{-b t} + k D e^{-a t},    k = b / (b - a)
 
-with D and U the offsets of drive and spool from the held command c at the start of a frame.
+with D and U the offsets of drive and spool from the held command c at the start of a frame. A seal
+that slides, with the same friction at all speeds, is Dahl's contact, s from -1 to 1:
+
+    F = -Fc s,    ds/dt = (v - |v| s) / d
 """
 
 from typing import Any, NamedTuple
@@ -34,7 +37,6 @@ _OFF = (
     "null_bias",
     "hysteresis",
     "bearing_leakage",
-    "coulomb_friction",
     "viscous_friction",
     "cushion_length",
     "entrained_gas",
@@ -55,12 +57,12 @@ def _rates(circuit, pressure, extension, speed, spool):  # type: ignore[no-untyp
     found = np.empty_like(pressure)
     for leg in range(pressure.shape[1]):
         opens = max(abs(spool[leg]) - circuit.overlap, 0.0)
-        leak = circuit.leakage * (pressure[0, leg] - pressure[1, leg])
+        leak = circuit.leakage[leg] * (pressure[0, leg] - pressure[1, leg])
         for side in range(2):
             p, sign = pressure[side, leg], 1.0 - 2.0 * side
             filled = (spool[leg] >= 0.0) == (side == 0)
             drop = (circuit.supply if filled else circuit.tank) - p
-            flow = circuit.gain[side, 0] * opens * _flow(drop, circuit.laminar) - sign * leak
+            flow = circuit.gain[side, leg] * opens * _flow(drop, circuit.laminar) - sign * leak
             ratio = p / circuit.bulk_modulus
             content = 1.0 + ratio + 0.5 * ratio * ratio
             yielding = (1.0 + ratio) / circuit.bulk_modulus
@@ -71,14 +73,14 @@ def _rates(circuit, pressure, extension, speed, spool):  # type: ignore[no-untyp
 
 
 class Circuit(NamedTuple):
-    """Six equal cylinders and their valves on a constant supply."""
+    """Six cylinders of one size and their valves on a constant supply."""
 
     area: NDArray[np.float64]  #: Piston area of cap and rod side [m^2], (2, 1).
     half_stroke: float  #: Length of a chamber at neutral [m].
     minimum_gap: float  #: Length of a chamber at its stop [m].
     gain: NDArray[np.float64]
-    """Flow of both valves, fully open, per root of the drop [m^3/s/sqrt(Pa)], (2, 1)."""
-    leakage: float  #: Content lost from cap to rod [m^3/s/Pa].
+    """Flow of both valves, fully open, per root of the drop [m^3/s/sqrt(Pa)], (2, n)."""
+    leakage: NDArray[np.float64]  #: Content lost from cap to rod [m^3/s/Pa], (n,).
     bulk_modulus: float  #: [Pa].
     laminar: float  #: s [sqrt(Pa)].
     supply: float  #: Ps [Pa].
@@ -86,6 +88,8 @@ class Circuit(NamedTuple):
     drive_rate: float  #: a [rad/s].
     spool_rate: float  #: b [rad/s].
     overlap: float  #: o, fraction.
+    friction: float  #: Fc [N].
+    presliding: float  #: d [m].
 
     def start_pressures(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
         """Equal pressures (2, n) that hold static loads [N]: what piston leakage ends at."""
@@ -144,7 +148,7 @@ class Circuit(NamedTuple):
 
 
 def make_circuit(parameters: HydraulicParameters) -> Circuit:
-    """Derive the circuit from a parameter set.
+    """Derive the circuit from a parameter set, of which legs may differ in speed and leakage.
 
     Both valves together give `leg_speed` with half the supply pressure across each port. Leakage
     lets a force built up at neutral begin to relax at `leak_rate` = 4 beta L / (h (Ac + Ar)).
@@ -153,10 +157,14 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
         InputError: the set has what these equations leave out.
     """
     values = parameters.quantities()
-    if parameters.supply != "constant" or parameters.actuators:
-        raise InputError(
-            f"hydraulics: {parameters.name!r} must have a constant supply and equal actuators"
-        )
+    if parameters.supply != "constant":
+        raise InputError(f"hydraulics: {parameters.name!r} must have a constant supply")
+    legs = [parameters.actuator(f"leg_{leg}") for leg in range(1, 7)]
+    for name in values.keys() - {"leg_speed", "leak_rate"}:
+        if any(leg[name] != values[name] for leg in legs):
+            raise InputError(f"actuators: {name} must be the same for the cross-verification")
+    if values["breakaway_friction"].si != values["coulomb_friction"].si:
+        raise InputError("breakaway_friction: must be coulomb_friction for the cross-verification")
     for name in _OFF:
         if values[name].value != 0.0:
             raise InputError(f"{name}: {values[name]} must be 0 for the cross-verification")
@@ -168,12 +176,13 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
     squeezed = (si["return_pressure"] + half_drop) / si["bulk_modulus"]
     content = 1.0 + squeezed + 0.5 * squeezed * squeezed
     drop = float(_flow(half_drop, laminar))
-    relaxing = si["leak_rate"] * si["half_stroke"] / (4.0 * si["bulk_modulus"])
+    speed, rate = (np.array([leg[n].si for leg in legs]) for n in ("leg_speed", "leak_rate"))
+    relaxing = rate * si["half_stroke"] / (4.0 * si["bulk_modulus"])
     return Circuit(
         area=area,
         half_stroke=si["half_stroke"],
         minimum_gap=si["minimum_gap"],
-        gain=si["leg_speed"] * si["valve_flow"] * content / drop * area,
+        gain=speed * si["valve_flow"] * content / drop * area,
         leakage=relaxing * float(area.sum()) * content,
         bulk_modulus=si["bulk_modulus"],
         laminar=laminar,
@@ -182,4 +191,6 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
         drive_rate=si["drive_lag"],
         spool_rate=si["valve_lag"],
         overlap=si["overlap"],
+        friction=si["coulomb_friction"],
+        presliding=si["presliding"],
     )

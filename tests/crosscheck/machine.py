@@ -4,8 +4,9 @@ Numbers come from the compiled MuJoCo model: masses, inertias, frames and gravit
 Exudyn's: the legs are a kinematic tree in their 18 joint coordinates (two hinges of the lower
 gimbal, the slide), platform and cab one rigid body in Euler parameters, each upper gimbal a
 spherical joint with Lagrange multipliers where MuJoCo has a spring of finite stiffness. The twelve
-chamber pressures are first-order states of the same system. The implicit trapezoidal rule advances
-all of it together, constraints on velocity level (index 2), and so is of order 2:
+chamber pressures, with friction also six contacts, are first-order states of the same system. The
+implicit trapezoidal rule advances all of it together, constraints on velocity level (index 2), and
+so is of order 2:
 
     M(q) dv/dt = f(q, v, p) - G' lambda,    G v = 0,    dp/dt = g(p, q, v, u(t))
 
@@ -101,7 +102,12 @@ class Machine:
     """The hexapod at rest in its neutral pose, ready to be driven once or several times."""
 
     def __init__(
-        self, plant: Hexapod, *, floor: Spring | None = None, mounts: Spring | None = None
+        self,
+        plant: Hexapod,
+        *,
+        floor: Spring | None = None,
+        mounts: Spring | None = None,
+        tolerance: float = 1e-8,
     ) -> None:
         """Build the machine of a plant.
 
@@ -109,6 +115,7 @@ class Machine:
             plant: gives the mechanical numbers, the hydraulic set and the static leg forces.
             floor: that the legs stand on, by default a rigid one.
             mounts: of the cylinders on their lower gimbals, by default rigid ones.
+            tolerance: of a step's residual, in proportion.
 
         Raises:
             MissingExtraError: exudyn is not installed.
@@ -123,7 +130,7 @@ class Machine:
         self._spools = np.zeros((1, _LEGS))
         self._rate = float(RATE)
         self._extra = np.zeros(_LEGS)
-        self.floor, self.mounts = floor, mounts
+        self.floor, self.mounts, self.tolerance = floor, mounts, tolerance
         self._base = 3 if floor else 0  # joints of the floor
         self._joints = 4 if mounts else 3  # of a leg
         self.pushed = 0.0
@@ -155,11 +162,12 @@ class Machine:
             )
             markers = [system.AddMarker(above), system.AddMarker(below)]
             system.AddObject(items.ObjectJointSpherical(markerNumbers=markers))
-        states = 2 * _LEGS
+        states = (self.circuit.start_pressures(self.load) / _UNIT).ravel().tolist()
+        states += [0.0] * (_LEGS if self.circuit.friction else 0)
         node = items.NodeGenericODE1(
-            numberOfODE1Coordinates=states,
-            referenceCoordinates=[0.0] * states,
-            initialCoordinates=(self.circuit.start_pressures(self.load) / _UNIT).ravel().tolist(),
+            numberOfODE1Coordinates=len(states),
+            referenceCoordinates=[0.0] * len(states),
+            initialCoordinates=states,
         )
         system.AddObject(
             items.ObjectGenericODE1(nodeNumbers=[system.AddNode(node)], rhsUserFunction=self._rates)
@@ -237,10 +245,12 @@ class Machine:
         self, system: Any, time: float, item: int, q: Any, speed: Any
     ) -> NDArray[np.float64]:
         """Generalised forces of the tree: the cylinders on the slides, and the springs."""
-        pressure = np.asarray(system.systemData.GetODE1Coordinates(copy=False))
+        states = np.asarray(system.systemData.GetODE1Coordinates(copy=False))
         forces = np.zeros(self._base + self._joints * _LEGS)
-        cylinder = self.circuit.forces(pressure.reshape(2, _LEGS) * _UNIT)
+        cylinder = self.circuit.forces(states[: 2 * _LEGS].reshape(2, _LEGS) * _UNIT)
         forces[self._of_legs()] = cylinder + self._extra
+        if self.circuit.friction:
+            forces[self._of_legs()] -= self.circuit.friction * states[2 * _LEGS :]
         if self.floor:
             way, rate = np.asarray(q)[:3], np.asarray(speed)[:3]
             forces[:3] = -self.floor.stiffness * way - self.floor.damping * rate
@@ -252,13 +262,17 @@ class Machine:
         return forces
 
     def _rates(self, system: Any, time: float, item: int, states: Any) -> NDArray[np.float64]:
-        """Rates of the pressure states."""
+        """Rates of the pressure states, and of the contacts' where there is friction."""
         data = system.systemData
         extension = np.asarray(data.GetODE2Coordinates(copy=False))[self._slides]
         speed = np.asarray(data.GetODE2Coordinates_t(copy=False))[self._slides]
         spool = self._spools[round(time * self._rate)]
-        pressure = np.asarray(states).reshape(2, _LEGS) * _UNIT
-        return self.circuit.rates(pressure, extension, speed, spool).ravel() / _UNIT
+        values = np.asarray(states)
+        pressure, contact = values[: 2 * _LEGS].reshape(2, _LEGS) * _UNIT, values[2 * _LEGS :]
+        rates = self.circuit.rates(pressure, extension, speed, spool).ravel() / _UNIT
+        if not self.circuit.friction:
+            return rates
+        return np.append(rates, (speed - np.abs(speed) * contact) / self.circuit.presliding)
 
     def reflected_mass(self) -> NDArray[np.float64]:
         """Reflected mass at neutral [kg], (6, 6), from Exudyn's own accelerations.
@@ -330,8 +344,8 @@ class Machine:
                     data.GetODE2Coordinates_tt,
                 )
                 way, speed, rate = (np.asarray(of(copy=False))[self._slides] for of in motion)
-                states = np.asarray(data.GetODE1Coordinates(copy=False)).reshape(2, _LEGS)
-                begin(done // parts, State(way, speed, rate, states * _UNIT))
+                states = np.asarray(data.GetODE1Coordinates(copy=False))[: 2 * _LEGS]
+                begin(done // parts, State(way, speed, rate, states.reshape(2, _LEGS) * _UNIT))
             return True
 
         still = np.zeros(_LEGS)
@@ -348,7 +362,9 @@ class Machine:
         settings.timeIntegration.numberOfSteps = steps
         settings.timeIntegration.endTime = end
         settings.timeIntegration.adaptiveStep = False
-        settings.timeIntegration.newton.useModifiedNewton = True
+        newton = settings.timeIntegration.newton
+        newton.useModifiedNewton, newton.relativeTolerance = True, self.tolerance
+        newton.absoluteTolerance = self.tolerance / 100.0
         settings.solution.file.write = False
         solver = self._exudyn.DynamicSolverType.TrapezoidalIndex2
         if not self.system.SolveDynamic(settings, solverType=solver):

@@ -21,6 +21,7 @@ from crosscheck.machine import Machine, State
 _SIGNALS = {"signal", "change", "duration"}
 
 KEPT = {"leg_reference": "m", "leg_position": "m", "cap_pressure": "Pa", "rod_pressure": "Pa"}
+KEPT |= {"valve_command": "1"}
 
 
 @compiled
@@ -56,7 +57,7 @@ def recorded(run: Run, machine: Machine) -> Record:
         faults = session.dynamics.faults
         decide(controller, faults, frame, truth, read, memory.reference, command)
         if frame % session.every == 0:
-            row = controller.dcl.workspace.limited, read.position, *read[3:]
+            row = controller.dcl.workspace.limited, read.position, *read[3:5], commands[frame]
             for name, value in zip(KEPT, row, strict=True):
                 kept[name].append(value.copy())
         return commands[frame]
@@ -64,4 +65,5 @@ def recorded(run: Run, machine: Machine) -> Record:
     machine.control(control, frames, session.plant.machine.frame)
     time = np.arange(0, frames, session.every) / session.rate
     channels = {name: np.array(rows) for name, rows in kept.items()}
-    return Record(time, channels, KEPT, {"sample_rate": session.rate / session.every})
+    described = session.describe()
+    return Record(time, channels, KEPT, {key: described[key] for key in ("sample_rate", "law")})
