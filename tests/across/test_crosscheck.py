@@ -249,6 +249,16 @@ def test_machines_with_what_the_model_lacks_are_doubted_by_name() -> None:
         assert int(inside) > 0.8 * int(numbers)
 
 
+def test_changes_are_found_and_named_rightly() -> None:
+    """As docs/data says of recordings of this engine: `tests/crosscheck/foreign_guides.py`."""
+    path = SCRIPT.parents[1] / "docs" / "data" / "foreign_guides.csv"
+    with path.open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert all((row["found"] == "True") == bool(row["changed"]) for row in rows)
+    changes = [row for row in rows if row["changed"]]
+    assert sum(row["named"] == row["changed"] for row in changes) > 0.8 * len(changes)
+
+
 def test_what_changes_on_the_way_is_recorded() -> None:
     """A scenario's motion that begins later: the demand is that of the simulation, bit for bit."""
     oil = Hexapod(machine="lab").parameters.model_copy(update={"supply": "constant"})
