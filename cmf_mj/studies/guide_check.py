@@ -6,11 +6,14 @@ What differs is found among numbers x, n of the master and m since:
 
 against Student's t at the level alpha / (2 tests) over all numbers of a test, half for its measures
 and half for its signature, see `signature`: a false alarm of the whole guide has at most the
-probability alpha. Of a signature s is the mean of all legs, of real and imaginary parts, with the
-degrees of freedom of one leg: what one leg does by chance, with friction above all, the others do.
+probability alpha. A measure that all of one have and none of the other has changed where chance,
+one in (n + m)! / n! m!, is below the level. Of a signature s is the mean of all legs, of real and
+imaginary parts, with the degrees of freedom of one leg: what one leg does by chance, with friction
+above all, the others do.
 """
 
 from collections.abc import Mapping, Sequence
+from math import comb
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -272,7 +275,8 @@ def _measure(
     seen = spread * smallest(n, m, level, n - 1.0)
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
         off, edge, seen, after = float("nan"), float("nan"), float("nan"), float(now.max())
-    gone = np.isnan(now).all() != np.isnan(old).all()
+    apart = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
+    gone = apart and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
     verdict = "changed" if gone or abs(off) > edge else "as before"
     if abs(after) > limit:
         verdict = "beyond its limit"

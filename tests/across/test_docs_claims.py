@@ -88,6 +88,8 @@ def test_the_plant_agrees_as_far_as_the_page_says() -> None:
     ranks = list(left.values())
     assert 0.8 <= np.mean([0.05 <= rank <= 0.95 for rank in ranks]) <= 0.97
     assert all(0.0025 <= rank <= 0.9975 for rank in ranks)
+    average = [float(r["rank"]) for r in of("_left_out") if r["plant"] == "average"]
+    assert (len(average), sum(0.05 <= rank <= 0.95 for rank in average)) == (12, 11)
     least = sorted(left, key=lambda name: -abs(left[name] - 0.5))[:2]
     assert least == ["pair_damping", "velocity_phase_bandwidth_hz"]
     (none,) = (row for row in of("") if row["plant"] == "none")

@@ -59,6 +59,10 @@ def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
     )
     assert stats.binom.cdf(alarms, 3000, level) > 1e-3
     assert stats.binom.sf(alarms, 3000, level) > 1e-3
+    none, some = np.full(20, np.nan), np.linspace(1.0, 1.1, 20)
+    for old, new in ((none, some), (some, none)):  # a phase that grazes has a bandwidth by chance
+        assert _measure("t", "m", old[:6], new[:1], 1e-3, np.nan).verdict == "as before"
+        assert _measure("t", "m", old, new, 1e-3, np.nan).verdict == "changed"
     row = _measure("t", "m", np.array([1.0, 1.1, 0.9]), np.array([1.0]), level, 0.5)
     assert row.verdict == "beyond its limit"
 
