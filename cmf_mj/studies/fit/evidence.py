@@ -213,8 +213,10 @@ class Evidence(NamedTuple):
 
 def _measured(loop: Any) -> Measures:
     """Measures of a loop, its bandwidths whether it is stable or not."""
-    widths = bandwidths(loop_response(loop, LINES))
-    return _unjudged(measure_loop(loop, frequencies=LINES, duration=_STEP), widths)
+    measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
+    if measures.stable:
+        return measures
+    return _unjudged(measures, bandwidths(loop_response(loop, LINES)))
 
 
 def _unjudged(measures: Measures, widths: Any) -> Measures:

@@ -1,5 +1,6 @@
 """What is stated of a machine: how it counts, that shipped sets meet it, that numbers return."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core.errors import InputError
 from cmf_mj.studies.case import make_case
+from cmf_mj.studies.fit import doubt as doubts
 from cmf_mj.studies.fit import engine
 from cmf_mj.studies.fit.campaign import FILE, SHIPPED, Campaign, load_campaign
 from cmf_mj.studies.fit.doubt import Stated, doubt, stated
@@ -130,6 +132,7 @@ def test_step_runs_judge_as_the_linear_loop() -> None:
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few machines are drawn."""
     monkeypatch.setattr(engine, "_SAMPLING", (16, 2, 1))
+    monkeypatch.setattr(doubts, "stated", partial(stated, samples=24))
 
 
 # -- fits to evidence -----------------------------------------------------------------------------
