@@ -79,10 +79,10 @@ LACKING = {
 """A floor of 2 t that swings at 20 Hz, mounts three times as stiff as the oil, 2 % of the spool."""
 
 
-def data_sheet() -> Hexapod:
-    """The laboratory hexapod with a constant supply."""
-    oil = Hexapod(machine="lab").parameters
-    return Hexapod(None, oil.model_copy(update={"supply": "constant"}), machine="lab")
+def data_sheet(machine: str = "lab") -> Hexapod:
+    """The laboratory hexapod, or another machine, with a constant supply."""
+    oil = Hexapod(machine=machine).parameters
+    return Hexapod(None, oil.model_copy(update={"supply": "constant"}), machine=machine)
 
 
 def hidden(lacking: Lacking) -> Hexapod:

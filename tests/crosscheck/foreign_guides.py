@@ -1,8 +1,8 @@
 """Sealed changes in the second engine: `python tests/crosscheck/foreign_guides.py`.
 
-As scripts/guides.py, but the hidden machine is a laboratory hexapod with a constant supply that
-Exudyn records through the tests of foreign_guides.toml. The diagnosis simulates the data sheet's
-machine with the project's own engine.
+As scripts/guides.py, but the hidden machine, a laboratory hexapod or that of `--machines`, has a
+constant supply, and Exudyn records it through the tests of foreign_guides.toml. The diagnosis
+simulates the data sheet's machine with the project's own engine.
 """
 
 import sys
@@ -27,8 +27,8 @@ TOLERANCE = 1e-5
 
 
 def on_bench(guide: GuideSettings, machine: str) -> Bench:
-    """The laboratory hexapod with a constant supply."""
-    return bench(guide, machine, hydraulics=data_sheet().parameters)
+    """A machine with a constant supply."""
+    return bench(guide, machine, hydraulics=data_sheet(machine).parameters)
 
 
 def record(run: Run) -> Record:
