@@ -11,6 +11,7 @@ share = 0.3
 measures = ["response"]
 no_limit = "a test"
 diagnosed = true
+sought = { "surge peak [dB]" = 0.2, "signature [deviations]" = 1e4 }
 [tests.all.signal]
 kind = "orthogonal_multisines"
 period = 4.0

@@ -184,7 +184,10 @@ def save_guide(
 
     `rows` are of `compare`; of a master beside itself the page says what its guide is.
     """
-    measures = Result(rows, fields_of(Compared), "Measures")
+    said = (
+        f"found with {master.head.guide.power:.0%}; what is sought takes so many recordings of both"
+    )
+    measures = Result(rows, fields_of(Compared), "Measures", f"Changes {said}.")
     files: dict[str, Any] = {**_pictures(master, new), "measures.csv": measures}
     tables = [verdict_table(rows), measures.table]
     if causes:

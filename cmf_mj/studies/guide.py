@@ -77,6 +77,8 @@ class TestSettings(Settings):
     measures: Texts = ()
     limits: Mapping[str, Positive] = {}  #: Largest size of measures by name.
     no_limit: str = ""  #: Why there is none.
+    sought: Mapping[str, Positive] = {}
+    """Changes of measures by name that repetitions shall find, of `signature [deviations]` too."""
     diagnosed: bool = False  #: Whether a diagnosis simulates it.
 
 
@@ -88,6 +90,8 @@ class GuideSettings(Settings):
     repetitions: Annotated[int, Field(ge=2, le=1000)] = 6  #: Of each test of a master.
     false_alarm: Annotated[float, Field(gt=0.0, lt=0.5)] = 1e-3
     """Probability that a machine that has not changed is alarmed by the whole guide."""
+    power: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9
+    """Probability with which a change that is sought is found."""
     tests: Annotated[Mapping[Name, TestSettings], Field(min_length=1)]
 
 

@@ -12,7 +12,9 @@ imaginary parts, with the degrees of freedom of one leg: what one leg does by ch
 above all, the others do.
 """
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from math import comb
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -36,7 +38,9 @@ Array = NDArray[np.float64]
 REPEATABLE = "repeatability [g]"
 """Measure of every test: largest linear acceleration off the master's mean history."""
 SIGNATURE = "signature [deviations]"  #: The largest difference of a test's signature.
-POWER = 0.9  #: Probability with which the smallest change that is stated is found.
+SOUGHT = 0.05  #: Change that repetitions shall find where no other is `sought`, of a measure.
+SIGNATURE_SOUGHT = 10.0  #: Likewise of a signature [deviations].
+MOST = 1000  #: Repetitions that are stated; beyond they are infinitely many.
 ALIKE = 0.05  #: How far a recorded demand may be off the plan's, over its range.
 _ROUND = 1e-9  # deviation over the mean that is round-off
 
@@ -148,17 +152,20 @@ class Compared(NamedTuple):
     off: Annotated[float, Field("", "t", ".1f")]  #: Student's t of the difference.
     level: Annotated[float, Field("", "alarm from", ".1f")]  #: Largest t without an alarm.
     found: Annotated[float, Field("", "found from", ".2g")]
-    """Difference that is found with the probability `POWER`."""
+    """Difference that is found with the guide's `power`."""
+    sought: Annotated[float, Field("", "sought", ".2g", about="a difference to be found")]
+    repetitions: Annotated[float, Field("", "takes", ".0f", about="of master and now to find it")]
     limit: Annotated[float, Field(form=".3g")]  #: Largest size allowed; NaN for none.
     verdict: str
 
 
-def smallest(n: int, m: int, level: float, degrees: float) -> float:
-    """Change, in deviations of one repetition, that n of the master and m since find with `POWER`.
+@lru_cache
+def smallest(n: int, m: int, level: float, degrees: float, power: float = 0.9) -> float:
+    """Change, in deviations of one repetition, that n of the master and m since find with `power`.
 
     `level` is the two-sided probability of a false alarm. The noncentral t of d degrees of freedom
     at its quantile e: c sqrt(1/n + 1/m), where the mean over a normal z of P(chi^2_d < d (c + z)^2
-    / e^2) is `POWER`. SciPy's own inverse searches for ever where e is large. NaN without a degree.
+    / e^2) is `power`. SciPy's own inverse searches for ever where e is large. NaN without a degree.
 
     >>> from cmf_mj.studies.guide_check import smallest
     >>> round(smallest(6, 2, 0.05, degrees=5), 2)
@@ -172,10 +179,29 @@ def smallest(n: int, m: int, level: float, degrees: float) -> float:
 
     def missed(c: float) -> float:
         found = special.gammainc(half, half * (np.maximum(c + z, 0.0) / edge) ** 2)
-        return POWER - float(weight @ found)
+        return power - float(weight @ found)
 
-    most = 10.0 + edge * np.sqrt(special.gammainccinv(half, 0.01 * (1.0 - POWER)) / half)
+    most = 10.0 + edge * np.sqrt(special.gammainccinv(half, 0.01 * (1.0 - power)) / half)
     return float(optimize.brentq(missed, 0.0, most) * np.sqrt(1.0 / n + 1.0 / m))
+
+
+def enough(change: float, level: float, degrees: float, power: float = 0.9) -> float:
+    """Repetitions, as many of the master as since, that find a change in deviations of one.
+
+    `degrees` are those of freedom that each but the first adds; the rest as `smallest` has it.
+
+    >>> from cmf_mj.studies.guide_check import enough
+    >>> enough(3.0, 0.05, degrees=1)
+    5.0
+    """
+    if not change > 0.0:
+        return float("nan")
+
+    def found(n: int) -> bool:
+        return smallest(n, n, level, degrees * (n - 1.0), power) <= change
+
+    least = 2 + bisect_left(range(2, MOST + 1), True, key=found)
+    return float(least if least <= MOST else "inf")
 
 
 class Signed(NamedTuple):
@@ -239,45 +265,61 @@ def compare(master: Master, new: Master) -> list[Compared]:
     """
     if new is not master:
         check_same(master, new)
-    share = master.head.guide.false_alarm / (2.0 * max(1, len(master.records)))
-    none = float("nan")
+    guide, none = master.head.guide, float("nan")
+    share, power = guide.false_alarm / (2.0 * max(1, len(master.records))), guide.power
     found = []
     for name in master.bench.commands:
         if name not in master.records or name not in new.records:
             why = new.head.left_out.get(name) or master.head.left_out.get(name, "")
-            blank = (none, none, none, none, none, none, none)
+            blank = (none, none, none, none, none, none, none, none, none)
             found.append(Compared(name, "", *blank, f"left out: {why}"))
             continue
-        mean = master.accelerations(name).mean(axis=0)
+        mean, test = master.accelerations(name).mean(axis=0), master.bench.of[name]
         old, now = master.measured(name, mean), new.measured(name, mean)
         level = share / max(1, len(old) - 1)
         for measure, values in old.items():
             if not (np.isnan(values).all() and np.isnan(now[measure]).all()):
-                limit = master.bench.of[name].limits.get(measure, none)
-                found.append(_measure(name, measure, values, now[measure], level, limit))
+                limit = test.limits.get(measure, none)
+                sought = {**test.limits, **test.sought}.get(measure, none)
+                pair = values, now[measure]
+                found.append(_measure(name, measure, *pair, level, limit, sought, power))
         one = signed(master, new, name)
         (most, degrees), least = one.worst(), share / one.difference.size
         edge = float(stats.t.isf(least / 2.0, degrees))
-        seen = smallest(len(master.records[name]), len(new.records[name]), least, degrees)
+        n, m = (len(each.records[name]) for each in (master, new))
+        seen = smallest(n, m, least, degrees, power)
+        sought = test.sought.get(SIGNATURE, SIGNATURE_SOUGHT)
+        takes = enough(sought, least, degrees / max(n - 1, 1), power)
         verdict = "changed" if most > edge else "as before"
-        found.append(Compared(name, SIGNATURE, 0.0, 1.0, most, most, edge, seen, none, verdict))
+        row = (0.0, 1.0, most, most, edge, seen, sought, takes, none, verdict)
+        found.append(Compared(name, SIGNATURE, *row))
     return found
 
 
 def _measure(
-    test: str, measure: str, old: Array, now: Array, level: float, limit: float
+    test: str,
+    measure: str,
+    old: Array,
+    now: Array,
+    level: float,
+    limit: float,
+    sought: float = float("nan"),
+    power: float = 0.9,
 ) -> Compared:
     n, m = old.size, now.size
-    before, after = float(old.mean()), float(now.mean())
+    before, after, none = float(old.mean()), float(now.mean()), float("nan")
     spread = float(np.maximum(_deviation(old), _ROUND * abs(before)))
     edge = float(stats.t.isf(level / 2.0, n - 1))
     off = (after - before) / (spread * np.sqrt(1.0 / n + 1.0 / m))
-    seen = spread * smallest(n, m, level, n - 1.0)
+    seen = spread * smallest(n, m, level, n - 1.0, power)
+    sought = SOUGHT * abs(before) if np.isnan(sought) else sought
+    takes = enough(sought / spread, level, 1.0, power) if spread else none
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
-        off, edge, seen, after = float("nan"), float("nan"), float("nan"), float(now.max())
+        off, edge, seen, sought, takes, after = none, none, none, none, none, float(now.max())
     apart = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
     gone = apart and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
     verdict = "changed" if gone or abs(off) > edge else "as before"
     if abs(after) > limit:
         verdict = "beyond its limit"
-    return Compared(test, measure, before, spread, after, float(off), edge, seen, limit, verdict)
+    row = (before, spread, after, float(off), edge, seen, sought, takes, limit, verdict)
+    return Compared(test, measure, *row)

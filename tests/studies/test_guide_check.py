@@ -14,7 +14,15 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
-from cmf_mj.studies.guide_check import _measure, compare, load_master, signed, smallest
+from cmf_mj.studies.guide_check import (
+    SIGNATURE,
+    _measure,
+    compare,
+    enough,
+    load_master,
+    signed,
+    smallest,
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +45,18 @@ def edited(folder: Path, name: str, target: Path, **changes: object) -> Path:
 
 def test_the_smallest_change_is_found_with_its_power() -> None:
     """Drawn: 20 000 masters and checks; and for many repetitions that of the normal law."""
-    n, m, level = 5, 2, 0.01
-    draw = np.random.default_rng(3)
-    size = smallest(n, m, level, n - 1)
-    old, new = draw.normal(size=(20000, n)), size + draw.normal(size=(20000, m))
-    spread = old.std(axis=1, ddof=1) * np.sqrt(1.0 / n + 1.0 / m)
-    t = (new.mean(axis=1) - old.mean(axis=1)) / spread
-    found = np.mean(np.abs(t) > stats.t.isf(level / 2.0, n - 1))
-    assert found == pytest.approx(0.9, abs=0.01)
+    level, draw = 0.01, np.random.default_rng(3)
+
+    def found(size: float, n: int, m: int) -> float:
+        old, new = draw.normal(size=(20000, n)), size + draw.normal(size=(20000, m))
+        spread = old.std(axis=1, ddof=1) * np.sqrt(1.0 / n + 1.0 / m)
+        t = (new.mean(axis=1) - old.mean(axis=1)) / spread
+        return float(np.mean(np.abs(t) > stats.t.isf(level / 2.0, n - 1)))
+
+    assert found(smallest(5, 2, level, 4), 5, 2) == pytest.approx(0.9, abs=0.01)
+    takes = int(enough(2.0, level, 1.0, power=0.8))
+    assert found(2.0, takes - 1, takes - 1) < 0.8 < found(2.0, takes, takes)
+    assert enough(1e-6, level, 1.0) == np.inf
     normal = (stats.norm.isf(level / 2.0) + stats.norm.isf(0.1)) * np.sqrt(2.0 / 5000)
     assert smallest(5000, 5000, level, 4999) == pytest.approx(normal, rel=0.01)
     wide = stats.t.isf(5e-7, 1) * stats.norm.isf(0.05)  # so large is e |z| 90 times of 100
@@ -90,7 +102,14 @@ def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Pat
 def test_nothing_has_changed(folder: Path) -> None:
     rows = compare(load_master(folder / "master"), load_master(folder / "new"))
     assert {row.verdict for row in rows} == {"as before"}
-    assert {"heave peak [dB]", "repeatability [g]"} <= {row.measure for row in rows}
+    named = {row.measure: row for row in rows}
+    assert np.isnan(named.pop("repeatability [g]").repetitions)
+    assert named["heave peak [dB]"].sought == 0.05 * abs(named["heave peak [dB]"].master)
+    assert named["surge peak [dB]"].sought == 0.2
+    assert named[SIGNATURE].sought == 1e4
+    for row in named.values():  # three of each were recorded
+        assert (row.repetitions <= 3) == (row.found <= row.sought)
+    assert {row.repetitions <= 3 for row in named.values()} == {True, False}
 
 
 def test_an_older_master_is_read_and_what_was_left_out_is_said(
