@@ -57,7 +57,6 @@ COPIES = {
     "compare/bode_heave.png": "images/bode_heave.png",
     "compare/step_surge.png": "images/step_surge.png",
     "modes/modes_sweep.png": "images/modes_sweep.png",
-    "modes/modes_map.png": "images/modes_map.png",
     "films/surge_heave.html": "_static/films/surge_heave.html",
     # cmf video surge_ring --laws velocity,position_error_rate --start 0.8 --seconds 3 --speed 0.25
     "films/surge_laws.html": "_static/films/surge_laws.html",

@@ -13,7 +13,7 @@ LINES = {
     "failure": "failure pump_lost --after 4 --at 1 --out {out}",
     "capacity": "capacity --signal sine --dofs heave --out {out}",
     "linearize": "linearize --out {out}",
-    "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
+    "modes": "modes --cabs gfd --samples 90 --rounds 2 --out {out}",
     "measure": "measure {swept} --out {out}",
     "identify": "identify {swept} {swept} --orders 2,1,1 --method arx --out {out}",
     "operate": "operate {stream} --out {out}",

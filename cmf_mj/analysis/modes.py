@@ -102,17 +102,6 @@ class Sweep(NamedTuple):
     frequency_hz: NDArray[np.float64]  #: (n, 6) [Hz].
 
 
-class PlaneMap(NamedTuple):
-    """Frequencies over two degrees of freedom, all others at neutral."""
-
-    dofs: tuple[str, str]
-    first: NDArray[np.float64]
-    """Excursions of the first degree of freedom [m or rad], (rays, rings): each ray goes from
-    neutral to the end of the envelope, the last is the first again."""
-    second: NDArray[np.float64]  #: Of the second, (rays, rings).
-    frequency_hz: NDArray[np.float64]  #: (rays, rings, 6) [Hz].
-
-
 class EnvelopeModes(NamedTuple):
     """Modes over the whole envelope."""
 
@@ -143,49 +132,6 @@ def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
     return Sweep(
         dof, excursions, np.array([plant.hydraulic_modes(pose).frequency_hz for pose in poses])
     )
-
-
-def _reach(plant: Hexapod, direction: NDArray[np.float64]) -> float:
-    """How many times a direction (6,) leads from neutral to the end of the envelope."""
-    low, high = load_motion_limits(None, plant.machine).operational.T
-    moved = np.flatnonzero(direction)
-    end = float((np.where(direction > 0.0, high, low)[moved] / direction[moved]).min())
-    tried = np.linspace(0.0, end, 65)
-    outside = np.flatnonzero(reserve(tried[:, None] * direction, plant) < 0.0)
-    if not outside.size:
-        return end
-    inner, outer = tried[outside[0] - 1], tried[outside[0]]
-    return float(optimize.brentq(lambda far: reserve(far * direction, plant), inner, outer))
-
-
-def plane_map(plant: Hexapod, dofs: tuple[str, str], *, count: int = 21) -> PlaneMap:
-    """Frequencies over two degrees of freedom, on rays from neutral to the end of the envelope.
-
-    `count` are the poses along each axis, odd, at least 3; there are four times as many rays, less
-    4.
-    """
-    if dofs[0] == dofs[1] or not set(dofs) <= set(DOFS):
-        raise InputError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
-    if count < 3:
-        raise InputError(f"count: {count} poses along each axis must be at least 3")
-    operational = load_motion_limits(None, plant.machine).operational
-    indices = [DOFS.index(dof) for dof in dofs]
-    rays, rings = 4 * (count - 1), count // 2 + 1
-    poses = np.zeros((rays + 1, rings, 6))
-    for ray in range(rays):
-        # Whole quarters are the axes themselves.
-        angle = np.array([np.cos(2.0 * np.pi * ray / rays), np.sin(2.0 * np.pi * ray / rays)])
-        direction = np.zeros(6)
-        direction[indices] = np.ptp(operational[indices], axis=1) * angle.round(12)
-        far = np.linspace(0.0, _reach(plant, direction), rings)
-        poses[ray] = far[:, None] * direction
-    poses[rays] = poses[0]
-    frequencies = np.empty(poses.shape)
-    frequencies[:, 0] = plant.hydraulic_modes().frequency_hz
-    for ray, ring in np.ndindex(rays, rings - 1):
-        frequencies[ray, ring + 1] = plant.hydraulic_modes(poses[ray, ring + 1]).frequency_hz
-    frequencies[rays] = frequencies[0]
-    return PlaneMap(dofs, poses[..., indices[0]], poses[..., indices[1]], frequencies)
 
 
 def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.float64]:
@@ -267,15 +213,9 @@ def swinging(
 
     The legs swing, as in the equation of the modes; the platform follows through the forward
     kinematics, so that all gimbals stay closed however large the stroke. `mode` is 0 for the
-    lowest, `time` (n,) [s], `stroke` the largest leg motion [m], at most `largest_stroke`. The
+    lowest, `time` (n,) [s], `stroke` the largest leg motion [m], up to `largest_stroke`. The
     result is MuJoCo's qpos, (n, nq); the plant is left in the last one.
     """
-    largest = largest_stroke(plant, modes, mode)
-    if not 0.0 < stroke <= largest:
-        raise InputError(
-            f"stroke: {stroke:.4f} m must be greater than 0 and at most {largest:.4f} m, where "
-            f"mode {mode + 1} takes a leg to the end of its working stroke"
-        )
     shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
     phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
     rest = pose_to_legs(modes.pose, plant.machine)

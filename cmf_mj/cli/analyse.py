@@ -61,24 +61,22 @@ def modes_command(
     samples: Annotated[int, Option(min=90, help="poses of the envelope")] = 1000,
     rounds: Annotated[int, Option(min=0, help="generations of the search, at most")] = 200,
     seed: options.Seed = 0,
-    points: Annotated[int, Option(min=3, help="excursions along each axis of a map")] = 21,
     out: options.Out = Path("out/modes"),
 ) -> None:
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
-    from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
+    from cmf_mj.analysis.modes import over_envelope, sweep
     from cmf_mj.machine.geometry import DOFS
     from cmf_mj.show import linearization as report
 
     plants = [cmf_mj.Hexapod(name, hydraulics) for name in cabs]
     at_pose = [plant.hydraulic_modes(pose_option(pose)) for plant in plants]
-    sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
-    maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
+    sweeps = [[sweep(plant, dof) for dof in DOFS] for plant in plants]
     with progress_bar() as progress:
         ranges = [
             over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
             for plant in plants
         ]
-    paths = report.save_modes(ranges, sweeps, maps, out)
+    paths = report.save_modes(ranges, sweeps, out)
     for modes in at_pose:
         show(report.mode_table(modes))
     for one in ranges:

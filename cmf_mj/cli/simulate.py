@@ -217,8 +217,6 @@ def capacity_command(
 
 
 _SOURCES = "scenarios, Parquet records (of a flight with what its pilot felt), or `modes` of a cab"
-Stroke = Annotated[str | None, options.film(help="of modes: largest leg motion, in or mm")]
-Periods = Annotated[float, options.film(help="of modes: length, in periods of the lowest")]
 
 
 def _differing(name: str, names: list[str]) -> str:
@@ -248,8 +246,6 @@ def video_command(
     start: options.Start = 0.0,
     seconds: options.Seconds = None,
     pose: options.Pose = options.NEUTRAL,
-    stroke: Stroke = None,
-    periods: Periods = 1.0,
 ) -> None:
     """Show runs side by side, or modes of a cab, as MP4 or an HTML page; needs no display."""
     from cmf_mj.show.film import FilmSettings, film, swing_film
@@ -267,10 +263,9 @@ def video_command(
     look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
     if modes:
         plant = cmf_mj.Hexapod(cmf_mj.load_cab(cab, machine or "cmf"))
-        swing: dict[str, Any] = {"stroke": in_si("heave", stroke), "periods": periods}
         with progress_bar("drawing") as progress:
             swings = plant.hydraulic_modes(pose_option(pose))
-            path = swing_film(plant, swings, file, look, **swing, progress=progress)
+            path = swing_film(plant, swings, file, look, progress=progress)
         return show(f"written: {path}")
     if len(names) > 1 and laws:
         raise InputError("laws: are for one scenario; give one, or no laws")

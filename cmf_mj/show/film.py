@@ -183,6 +183,8 @@ def _mp4(pictures: Iterator[Picture], target: Path, fps: int) -> Iterator[None]:
 
 LEAST_PICTURES = 4  #: Pictures in a period of the fastest mode, at least.
 
+STROKE = 0.32  #: Swing of the legs over their working stroke.
+
 
 def swing_film(
     plant: Hexapod,
@@ -190,23 +192,14 @@ def swing_film(
     path: str | Path,
     settings: FilmSettings,
     *,
-    stroke: float | None = None,
-    periods: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render the modes at a pose, for `periods` of the lowest, to an MP4 or HTML file.
+    """Render the modes at a pose, for a period of the lowest, to an MP4 or HTML file.
 
-    In each mode the legs swing by `stroke` [m], default 0.32 of the working stroke (12 in of the
-    CMF), or by what that leaves.
+    In each mode the legs swing by 0.32 of the working stroke (12 in of the CMF), or by what that
+    leaves.
     """
     check_settings(path, settings)
-    if not (np.isfinite(periods) and periods > 0.0):
-        raise InputError(f"periods: {periods} of the lowest mode must be greater than 0")
-    most_stroke = plant.machine.working_stroke
-    stroke = 0.32 * most_stroke if stroke is None else stroke
-    if not 0.0 < stroke <= most_stroke:
-        text = f"must be greater than 0 and at most {most_stroke:.4f} m"
-        raise InputError(f"stroke: {stroke:.4f} m {text}")
     lowest, fastest = float(modes.frequency_hz[0]), float(modes.frequency_hz[-1])
     most = settings.fps / (LEAST_PICTURES * fastest)
     if settings.speed > most:
@@ -214,14 +207,14 @@ def swing_film(
             f"speed: {settings.speed} with {settings.fps} frames a second leaves the fastest at "
             f"{fastest:.1f} Hz fewer than {LEAST_PICTURES} a period; must be at most {most:.3g}"
         )
-    count = max(round(periods / (lowest * settings.speed) * settings.fps), 1)
+    count = max(round(settings.fps / (lowest * settings.speed)), 1)
     time = np.arange(count) * settings.speed / settings.fps
     model = copy.copy(plant.drawn_model)
     model.cam_fovy *= 1.15  # the swinging machine needs a wider view
     model.cam_pos[:, 2] -= 0.5 * modes.pose[2]  # half way with the platform, whose z is down
     reels = []
     for mode in range(6):
-        motion = min(stroke, largest_stroke(plant, modes, mode))
+        motion = min(STROKE * plant.machine.working_stroke, largest_stroke(plant, modes, mode))
         caption = f"{title_of(modes)}\n{caption_of(modes, mode, motion)}"
         qpos = swinging(plant, modes, mode, time, stroke=motion)
         reels.append(Reel(model, time, qpos, caption))

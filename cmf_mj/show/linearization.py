@@ -11,7 +11,6 @@ import control
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
@@ -19,7 +18,7 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.analysis.linear.poles import Mode, reduced
 from cmf_mj.analysis.measures import are_stable, joined
-from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
+from cmf_mj.analysis.modes import EnvelopeModes, Sweep
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
@@ -187,9 +186,6 @@ def entries(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[st
     return {form.format(name): value for name, value in zip(names, values, strict=False)}
 
 
-PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
-"""Planes of the maps: the two coupled pairs, and the rest."""
-
 _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _SIX = range(1, 7)
 _MOVES = 0.05  #: Share of the kinetic energy from which on a degree of freedom names a mode.
@@ -262,39 +258,15 @@ def _axis_text(dof: str) -> str:
     return f"{dof} [{dof_unit(dof)}]" + (", down" if dof == "heave" else "")
 
 
-def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figure:
-    """Lowest mode over planes of the envelope, a row a cab, a scale a plane; white outside."""
-    figure = look.new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
-    panels = figure.subplots(len(cabs), len(maps[0]), squeeze=False, sharex="col", sharey="col")
-    for column, planes in zip(panels.T, zip(*maps, strict=True), strict=True):
-        lowest = [one.frequency_hz[..., 0] for one in planes]
-        levels = MaxNLocator(14).tick_values(float(np.min(lowest)), float(np.max(lowest)))
-        for cab, axis, one, values in zip(cabs, column, planes, lowest, strict=True):
-            first, second = (
-                units.from_si(dof_unit(dof), along)
-                for dof, along in zip(one.dofs, (one.first, one.second), strict=True)
-            )
-            drawn = axis.contourf(first, second, values, levels=levels, cmap="viridis")
-            axis.contour(first, second, values, levels=levels, colors="white", linewidths=0.4)
-            axis.plot(0.0, 0.0, "w+")
-            axis.set(title=cab.upper(), ylabel=_axis_text(one.dofs[1]))
-        column[-1].set_xlabel(_axis_text(planes[0].dofs[0]))
-        figure.colorbar(drawn, ax=list(column), location="bottom", label="frequency [Hz]")
-    figure.suptitle("Lowest hydraulic mode, all other degrees of freedom at neutral")
-    return figure
-
-
 def save_modes(
     ranges: Sequence[EnvelopeModes],
     sweeps: Sequence[Sequence[Sweep]],
-    maps: Sequence[Sequence[PlaneMap]],
     folder: Path,
 ) -> list[Path]:
-    """Write the figures `modes_sweep.png` and `modes_map.png`, `range_table` and `modes.csv`.
+    """Write the figure `modes_sweep.png`, `range_table` and `modes.csv`.
 
     `modes.csv` has the six frequencies at each pose [m, rad] of each cab, the worst pose last.
     """
-    cabs = [each.worst.cab for each in ranges]
     rows = [
         {
             "cab": modes.cab,
@@ -306,7 +278,6 @@ def save_modes(
     ]
     files = {
         "modes_sweep.png": sweep_figure(ranges, sweeps),
-        "modes_map.png": map_figure(cabs, maps),
         "modes.csv": rows,
         "modes.md": range_table(ranges),
     }

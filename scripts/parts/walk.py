@@ -53,7 +53,7 @@ COMMANDS: dict[str, str] = {
     "machine build": "machine build {name}",
     "list": "list hydraulics --machine {name}",
     "linearize": "linearize {machine} {dry} --dofs heave,leg_1",
-    "modes": "modes {cabs} --samples 90 --rounds 0 --points 3",
+    "modes": "modes {cabs} --samples 90 --rounds 0",
     "compare": "compare {machine} --dofs heave --quick --no-records",
     "guide run": f"guide run {GUIDE} {{machine}} --repetitions 2",
     "measure": "measure swept.parquet --machine {name}",

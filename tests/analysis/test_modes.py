@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis import modes
-from cmf_mj.analysis.modes import EnvelopeModes, over_envelope, plane_map, sweep
+from cmf_mj.analysis.modes import EnvelopeModes, over_envelope, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
@@ -67,40 +67,21 @@ def test_mirrored_poses_ring_alike(plant: Hexapod) -> None:
     """The machine is its own image in the vertical plane through x."""
     one, other = plant.hydraulic_modes(RAISED), plant.hydraulic_modes(RAISED * MIRROR)
     assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-6)
-    hydraulic = plane_map(plant, ("sway", "roll"), count=5)
-    np.testing.assert_allclose(hydraulic.first[8:], -hydraulic.first[:9], atol=1e-9)
-    np.testing.assert_allclose(hydraulic.frequency_hz[8:], hydraulic.frequency_hz[:9], rtol=1e-6)
 
 
-def test_map_and_sweep_meet(plant: Hexapod) -> None:
-    """A map begins at neutral, ends where sweeps do, and fills the envelope to its very end."""
-    hydraulic = plane_map(plant, ("surge", "heave"), count=7)
-    for dof, values, (end, begin) in (
-        ("surge", hydraulic.first, (0, 12)),
-        ("heave", hydraulic.second, (6, 18)),
-    ):
-        along = sweep(plant, dof, count=7)
-        ends = [values[begin, -1], values[end, -1]]
-        assert ends == pytest.approx([along.excursion[0], along.excursion[-1]], abs=1e-9)
-        frequencies = hydraulic.frequency_hz[[begin, end], -1]
-        np.testing.assert_allclose(frequencies, along.frequency_hz[[0, -1]], rtol=1e-6)
-        np.testing.assert_array_equal(along.frequency_hz[3], plant.hydraulic_modes().frequency_hz)
-        np.testing.assert_array_equal(hydraulic.frequency_hz[:, 0], 25 * [along.frequency_hz[3]])
-    low, high = load_motion_limits().operational[[0, 2]].T
-    ends_by_stroke = []
-    for ray, ring in np.ndindex(hydraulic.first.shape):
-        pose = np.zeros(6)
-        pose[[0, 2]] = hydraulic.first[ray, ring], hydraulic.second[ray, ring]
-        left = modes.reserve(pose, plant)
-        inside = np.concatenate([pose[[0, 2]] - low, high - pose[[0, 2]]]).min()
-        assert min(left, inside) >= -1e-9
-        if ring == 3:
-            assert min(left, inside) == pytest.approx(0.0, abs=1e-9)
-            ends_by_stroke.append(left < inside)
-        if ring and ray % 5 == 0:
-            expected = plant.hydraulic_modes(pose).frequency_hz
-            np.testing.assert_array_equal(hydraulic.frequency_hz[ray, ring], expected)
-    assert any(ends_by_stroke)
+@pytest.mark.parametrize("dof", [0, 2])
+def test_a_sweep_ends_where_a_limit_or_a_leg_does(plant: Hexapod, dof: int) -> None:
+    along = sweep(plant, DOFS[dof], count=7)
+    low, high = load_motion_limits().operational[dof]
+    for place, excursion in enumerate(along.excursion):
+        pose = excursion * np.eye(6)[dof]
+        expected = plant.hydraulic_modes(pose).frequency_hz
+        np.testing.assert_array_equal(along.frequency_hz[place], expected)
+        room = min(float(modes.reserve(pose, plant)), excursion - low, high - excursion)
+        assert room >= -1e-9
+        if place in (0, 6):
+            assert room == pytest.approx(0.0, abs=1e-9)
+    assert along.excursion[3] == 0.0
 
 
 def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: EnvelopeModes) -> None:
@@ -122,17 +103,9 @@ def test_the_same_seed_finds_the_same_pose(plant: Hexapod, envelope: EnvelopeMod
     assert all(modes.reserve(pose, plant) >= 0.0 for pose in (m.pose for m in again.modes))
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda p: over_envelope(p, samples=10), "samples: 10 must be at least 90"),
-        (lambda p: plane_map(p, ("sway", "sway")), "two different ones of surge, sway"),
-        (lambda p: plane_map(p, ("sway", "roll"), count=1), "count: 1 poses .* at least 3"),
-    ],
-)
-def test_refusals(plant: Hexapod, call: object, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        call(plant)  # type: ignore[operator]
+def test_few_samples_are_refused(plant: Hexapod) -> None:
+    with pytest.raises(ValueError, match="samples: 10 must be at least 90"):
+        over_envelope(plant, samples=10)
 
 
 def test_masses_and_shapes_solve_the_eigenvalue_problem(plant: Hexapod) -> None:
@@ -153,7 +126,7 @@ def test_masses_and_shapes_solve_the_eigenvalue_problem(plant: Hexapod) -> None:
 
 
 def test_the_command_writes_what_it_says(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
-    arguments = ["modes", "--cabs", "gfd", "--samples", "90", "--points", "3", "--rounds", "5"]
+    arguments = ["modes", "--cabs", "gfd", "--samples", "90", "--rounds", "5"]
     done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "39346" in done.output and "surge 92 %, pitch 8 %" in done.output
@@ -164,6 +137,6 @@ def test_the_command_writes_what_it_says(tmp_path: Path, drawn: dict[str, set[st
     expected = Hexapod("gfd").hydraulic_modes(pose).frequency_hz
     got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
     assert got == pytest.approx(expected, rel=1e-4)
-    assert set(drawn) == {"modes_sweep.png", "modes_map.png"}
+    assert set(drawn) == {"modes_sweep.png"}
     assert {"surge with pitch", "yaw", "heave", "roll with sway"} <= drawn["modes_sweep.png"]
     assert "| gfd | pitch with surge |" in (tmp_path / "modes.md").read_text()

@@ -31,7 +31,7 @@ FIGURES = {
     "failure": "pump_lost",
     "capacity": "supply envelope",
     "linearize": "bode loop",
-    "modes": "modes_sweep modes_map",
+    "modes": "modes_sweep",
     "identify": "bode",
     "operate": "operation",
     "serve": "operation timing",
