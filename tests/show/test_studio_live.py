@@ -30,9 +30,7 @@ from cmf_mj.facility.scenario import scenario_of, scenario_toml
 from cmf_mj.facility.settings import Change, change_of
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
-from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio import controls, desk
-from cmf_mj.show.studio.desk import session_page
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
     LARGEST,
@@ -44,7 +42,7 @@ from cmf_mj.show.studio.live import (
     marks_of,
     words,
 )
-from cmf_mj.show.studio.plots import Plots, lamp, spikes
+from cmf_mj.show.studio.plots import UNITS, Plots, lamp, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
@@ -392,8 +390,8 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     waiting = screen.views[-1]._replace(past=[], beside=[])
     plots.show(waiting, 10.0, "heave", "US", 2)  # nothing is left of a run before
     assert all(len(line) == 2 for plot in drawn if plot.visible for line in plot.data)
-    for dof, system in zip(("heave", ""), UNITS, strict=True):  # nothing else moves
-        plots.show(screen.views[-1], 10.0, dof, system, 2)
+    for system in UNITS:
+        plots.show(screen.views[-1], 10.0, "heave", system, 2)
     session.close()
     of = {plot.title: plot for plot in drawn}
     for shown, hidden, factor in (
@@ -409,21 +407,6 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
     )
     assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
     assert np.array_equal(second, response) == (not beside)
-
-
-def test_page_of_a_session_begins_where_the_record_does_and_says_what_happened(
-    tmp_path: Path,
-) -> None:
-    """Of a long session only the end is kept."""
-    session = SignalSession(heave(), keep=0.25)
-    session.run(256)
-    session.apply(Change(law="force"))
-    session.run(768)
-    record, marks = session.record(), marks_of(session.done(), None)
-    text = session_page(record, tmp_path / "x.html", marks, "metric").read_text("utf-8")
-    assert "<title>velocity, 0.1 s: law force</title>" in text
-    assert "heave [mm]: response" in text and "[bar]: supply" in text
-    assert f"from {record.time[0]:g} to" in text and record.time[0] == 0.25
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

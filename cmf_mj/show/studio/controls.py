@@ -2,7 +2,6 @@
 
 import math
 import tempfile
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -12,20 +11,13 @@ import viser
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
 from cmf_mj.core.settings import read_toml
-from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
-from cmf_mj.facility.signal import HostFile
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
-from cmf_mj.pilot.cueing import cue
-from cmf_mj.pilot.flight import load_flight, names
-from cmf_mj.pilot.washout_settings import WASHOUTS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
-from cmf_mj.record.record import Record
-from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import (
     DIRECTIONS,
     LARGEST_PUSH,
@@ -36,13 +28,12 @@ from cmf_mj.show.studio.desk import (
     law_of,
     pick,
     ready_scenarios,
-    session_page,
     signal_settings,
     signal_table,
     weight,
 )
 from cmf_mj.show.studio.live import View
-from cmf_mj.show.studio.plots import lamp
+from cmf_mj.show.studio.plots import UNITS, lamp
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -53,15 +44,9 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
-NONE = "none"  #: Choice of no second law, and of no flight.
-
-_cueing = threading.Lock()  #: One flight is made at a time, of all tabs.
-
-CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
+NONE = "none"  #: Choice of no second law.
 
 _WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
-
-_FADE = 3.0  #: Time in which a flight takes over [s]: it begins at neutral.
 
 
 def scenario_controls(desk: Desk) -> Callable[[View], None]:
@@ -169,7 +154,6 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
         chosen = {name: handle.value for name, handle in settings.items()}
         table = signal_table(kind.value, dof.value, size(), **chosen)
         desk.apply(change_of({"signal": table}, "signal"))
-        desk.land()
 
     def limit(chosen: float) -> None:
         """Show an amplitude [in or deg] and its limit in the units of the page."""
@@ -223,56 +207,6 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     again.on_click(lambda _: desk.later("signal", send))
     desk.follow(follow)
     return lambda: (dof.value, system.value)
-
-
-def cueing_controls(desk: Desk) -> Callable[[], bool]:
-    """A flight through a washout as the demand, exchanged as it goes; says whether there is one."""
-    gui = desk.client.gui
-    flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; from its start")
-    washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
-    sent = (NONE, "")
-
-    def send(handle: Any) -> None:
-        """Let a flight take over, unless another choice has been made meanwhile."""
-        nonlocal sent
-        with _cueing:
-            chosen = flown.value, washout.value
-            if chosen == sent or (flown.value == NONE and handle is washout):
-                return
-            signals = frames(*chosen)
-            if signals is not None and chosen == (flown.value, washout.value):
-                sent = chosen
-                desk.apply(change_of({"signal": signals, "fade": _FADE}, "signal"))
-
-    def frames(flight: str, by: str) -> list[dict[str, str]] | None:
-        """Signals of a file of host frames, none to rest; None where they are refused."""
-        if flight == NONE:
-            return []
-        expect = "is being computed: some ten seconds, the first time half a minute"
-        note = desk.client.add_notification(f"{flight}, {by}", expect, loading=True)
-        try:
-            cued = cue(load_flight(flight).motion, by, cab=desk.carried)
-            name = f"{flight}-{by}-{desk.carried.machine.name}-{desk.carried.name}.csv"
-            file = write_stream(cued.stream, CUED.resolve() / name)
-            return [{"kind": "host", "file": str(file)}]
-        except (ValueError, OSError) as error:
-            desk.tell(error)
-            return None
-        finally:
-            note.remove()
-
-    def land() -> None:
-        nonlocal sent
-        flown.value, sent = NONE, (NONE, "")
-
-    def follow(scenario: Run) -> None:
-        if not any(isinstance(signal, HostFile) for signal in scenario.signal):
-            land()
-
-    desk.land = land
-    by_hand(send, flown, washout)
-    desk.follow(follow)
-    return lambda: flown.value != NONE
 
 
 def law_controls(desk: Desk) -> None:
@@ -358,8 +292,8 @@ def disturbance_controls(desk: Desk) -> None:
     desk.follow(lambda _: setattr(on, "value", False))  # a new run begins without a push
 
 
-def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
-    """The session as a scenario, its record, and a page that plays it in the units shown."""
+def file_controls(desk: Desk) -> None:
+    """The session as a scenario, and its record."""
     client, gui = desk.client, desk.client.gui
     export = gui.add_button(
         "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
@@ -367,30 +301,18 @@ def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
     save = gui.add_button(
         "save record", icon="download", hint="the last ten minutes at 128 Hz, as Parquet"
     )
-    page = gui.add_button("save page", icon="download", hint="the session as a page that plays it")
 
     @export.on_click
     def _(_: Any) -> None:
-        done = desk.live.scenario().result()
-        signals = [*done.signal, *(one for change in done.change for one in change.signal or ())]
-        for file in {one.file for one in signals if isinstance(one, HostFile)}:
-            client.add_notification(
-                "Send it along and mend its `file`", file, auto_close_seconds=30.0
-            )
-        text = scenario_toml(done)
+        text = scenario_toml(desk.live.scenario().result())
         client.send_file_download("session.toml", text.encode("utf-8"), save_immediately=True)
 
-    def keep(name: str, write: Callable[[Record, Path], Path]) -> None:
+    @save.on_click
+    def _(_: Any) -> None:
         try:
             record = desk.live.record().result()
             with tempfile.TemporaryDirectory() as folder:
-                content = write(record, Path(folder) / name).read_bytes()
-            client.send_file_download(name, content, save_immediately=True)
+                content = record.save(Path(folder) / "session.parquet").read_bytes()
+            client.send_file_download("session.parquet", content, save_immediately=True)
         except ValueError as error:
             desk.tell(error)
-
-    def played(record: Record, path: Path) -> Path:
-        return session_page(record, path, desk.live.marks().result(), shown()[1])
-
-    save.on_click(lambda _: keep("session.parquet", Record.save))
-    page.on_click(lambda _: keep("session.html", played))

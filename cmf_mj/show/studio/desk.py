@@ -3,10 +3,9 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from functools import cache
-from pathlib import Path
 from typing import Any, get_args
 
 import viser
@@ -25,10 +24,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.record.record import Record
-from cmf_mj.show.film import FilmSettings, film
-from cmf_mj.show.stage import traces_of
-from cmf_mj.show.studio.live import LiveSession, Mark, View
+from cmf_mj.show.studio.live import LiveSession, View
 from cmf_mj.signals.signal import SingleSignal
 
 SIGNALS: dict[str, type[SingleSignal]] = {
@@ -138,8 +134,6 @@ class Desk:
         self.wait = False
         """Whether the run that begins stands still: its first prompt is to be read."""
         self.live = LiveSession(scenario, show, self.tell)
-        self.land: Callable[[], None] = lambda: None
-        """Say that no flight is flown any more."""
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
@@ -205,18 +199,6 @@ class Desk:
         error = None if done.cancelled() else done.exception()
         if isinstance(error, Exception):
             self.tell(error)
-
-
-def session_page(record: Record, path: Path, marks: Sequence[Mark], system: str) -> Path:
-    """Write a page that plays what a session has kept, in one of `UNITS`.
-
-    Its title is the law it began with and what happened since, but for signals, which its traces
-    show.
-    """
-    said = [f"{one.time:.1f} s: {one.text}" for one in marks if not one.text.startswith("signal")]
-    title = "\n".join([str(record.metadata["law"]), *said])
-    begun = FilmSettings(start=float(record.time[0]))  # of a long session the end is kept
-    return film([record], path, begun, titles=[title], traces=[traces_of(record, system)])
 
 
 def by_hand(action: Callable[[Any], None], *handles: Any) -> None:

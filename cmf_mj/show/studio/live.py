@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple, TypeVar
 
@@ -24,7 +23,6 @@ from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.session import Live
 from cmf_mj.facility.settings import Change
-from cmf_mj.facility.signal import HostFile
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import SingleSignal
@@ -135,9 +133,7 @@ def _texts(change: Change) -> list[str]:
     texts = [] if change.law is None else [f"law {change.law}"]
     texts += ["gain"] if change.gains else []
     for signal in () if change.signal is None else change.signal or (None,):
-        if isinstance(signal, HostFile):
-            texts.append("host frames " + Path(signal.file).stem.replace("-", ", "))
-        elif isinstance(signal, SingleSignal):
+        if isinstance(signal, SingleSignal):
             texts.append(f"signal {signal.kind.replace('_', ' ')} in {signal.dof}")
         else:
             texts.append("signal " + ("rest" if signal is None else signal.kind))

@@ -16,9 +16,11 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
-from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import LARGEST_PUSH, weight
 from cmf_mj.show.studio.live import PLOT_RATE, Mark, View, words
+
+UNITS = {"US": ("in", "deg", "psi", "lbf"), "metric": ("mm", "deg", "bar", "kN")}
+"""Units of lengths, angles, pressures and forces, by their system."""
 
 _DARK, _PALE, RED, _GOOD, _FAILED = "#222222", "#8a9099", "#d62728", "#2f9e44", "#f08c00"
 
@@ -116,18 +118,13 @@ class Plots:
         self._plots = {title: _add_plot(client, title, *how) for title, how in drawn.items()}
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
-        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0.
-
-        Without one the translation that moves most.
-        """
+        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0."""
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
         beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:  # a run that begins, or waits
             past, beside = [view.live] * 2, [None] * 2
         length, angle, pressure, force = UNITS[system]
-        if not dof:
-            dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:

@@ -53,8 +53,6 @@ class Page:
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
             self._shown = controls.signal_controls(desk)
-        with gui.add_folder("Flight"):
-            self._flying = controls.cueing_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
@@ -62,7 +60,7 @@ class Page:
         with gui.add_folder("Machine"):
             controls.machine_controls(desk)
         with gui.add_folder("Session"):
-            controls.file_controls(desk, self._shown)
+            controls.file_controls(desk)
         gui.main_panel.dock_right()
 
     def _panel(self) -> None:
@@ -89,8 +87,7 @@ class Page:
         if self._turn % _PLOTS_EVERY == 0:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
-            moves = "" if self._flying() else dof
-            dof = self._dof.value if self._dof.value in DOFS else moves
+            dof = self._dof.value if self._dof.value in DOFS else dof
             self._plots.show(view, float(self._window.value), dof, system, leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
