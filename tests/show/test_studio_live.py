@@ -1,6 +1,5 @@
 """The studio without a browser: real time in parts, what the controls mean, sessions."""
 
-import re
 import subprocess
 import sys
 import threading
@@ -22,15 +21,13 @@ from typer.testing import CliRunner
 
 from cmf_mj import InputError, RunError
 from cmf_mj.cli.common import app
-from cmf_mj.control.law import law_names
 from cmf_mj.control.protection import Fault
-from cmf_mj.core.settings import parsed_toml, read_toml
+from cmf_mj.core.settings import parsed_toml
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.scenario import scenario_of, scenario_toml
 from cmf_mj.facility.settings import Change, change_of
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.plant.events import KINDS
-from cmf_mj.show.studio import controls, desk
+from cmf_mj.show.studio import desk
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
     LARGEST,
@@ -40,7 +37,6 @@ from cmf_mj.show.studio.live import (
     LiveSession,
     View,
     marks_of,
-    words,
 )
 from cmf_mj.show.studio.plots import UNITS, Plots, lamp, spikes
 
@@ -292,83 +288,6 @@ def test_every_ready_scenario_goes_on_in_a_session(name: str, screen: Screen) ->
     session = LiveSession(desk.ready_scenarios()[name], screen.show, screen.tell)
     session._run.run(256)
     assert session._run.look().time == 0.125
-
-
-LESSONS = read_toml(Path(controls.__file__).with_name("lessons.toml"))
-
-
-@pytest.mark.parametrize(
-    ("prompt", "change", "top"),
-    [
-        (0, {}, 2.0),
-        (1, {"law": "velocity"}, 1.5),
-        (2, {"law": "velocity", "dof": "heave"}, 1.14),
-        (3, {"law": "modal_plan"}, 1.0),
-    ],
-)
-def test_what_the_lesson_on_surge_says_is_seen(
-    prompt: int, change: dict[str, str], top: float
-) -> None:
-    law, dof = change.get("law", "position_error_rate"), change.get("dof", "surge")
-    step = desk.signal_table("step", dof, 1.0)
-    record = scenario_of({"law": law, "signal": step, "duration": 4.0}, "test").record()
-    response = record["platform_pose"][:, DOFS.index(dof)] / 0.0254
-    assert response.max() == pytest.approx(top, abs=0.05)
-    peaks = record.time[1:-1][(np.diff(response)[:-1] > 0) & (np.diff(response)[1:] <= 0)]
-    swings = peaks[peaks > 1.1]
-    answer = LESSONS["surge_ring"][prompt]["answer"]
-    if dof == "surge" and law != "modal_plan":
-        assert 1.0 / np.diff(swings)[:4].mean() == pytest.approx(3.0, abs=0.2)
-    else:
-        assert (response[record.time > 1.6] < 1.03).all()
-    if prompt == 0:
-        assert "twice the step, three times a second" in answer
-    if prompt in (1, 2):
-        assert {1: "to about 1.5 times the step, but as fast", 2: "overshoot of 14 %"}[
-            prompt
-        ] in answer
-
-
-def test_what_the_lesson_on_the_pump_says_is_seen() -> None:
-    record = desk.ready_scenarios()["pump_failure"].record()
-    tripped = record.metadata["fault"]["time"]
-    pressure = record["supply_pressure"].ravel()[record.time.searchsorted(tripped)]
-    assert tripped - 4.0 == pytest.approx(6.0, abs=0.3)
-    assert pressure == pytest.approx(1000 * 6894.76, rel=0.02)
-    assert "Near 1000 psi (70 bar), about six seconds" in LESSONS["pump_failure"][1]["answer"]
-
-
-def test_lessons_are_of_ready_scenarios_and_wait_for_what_can_happen() -> None:
-    happens = {"", "signal", "tripped", *(f"law {name}" for name in law_names("all"))}
-    happens |= {words(kind, None) for kind in KINDS}
-    for name, prompts in LESSONS.items():
-        assert name in desk.ready_scenarios()
-        assert all(set(prompt) == {"ask", "until", "answer"} for prompt in prompts)
-        assert {prompt["until"] for prompt in prompts} <= happens
-        for link in re.findall(r"\?scenario=(\w+)", str(prompts)):
-            assert link in desk.ready_scenarios()
-
-
-def test_a_prompt_is_never_beyond_the_last_however_often_the_button_is_pressed() -> None:
-    pressed: list[Callable[[object], None]] = []
-    followers: list[Callable[[Run], None]] = []
-
-    def add(*_: object, **given: object) -> SimpleNamespace:
-        return SimpleNamespace(**given, on_click=pressed.append, on_update=lambda _: None)
-
-    def add_dropdown(*_: object, **__: object) -> SimpleNamespace:
-        return SimpleNamespace(options=(), value="", on_update=lambda _: None)
-
-    gui = SimpleNamespace(add_markdown=add, add_button=add, add_dropdown=add_dropdown)
-    live = SimpleNamespace(marks=lambda: SimpleNamespace(result=lambda: ()))
-    studio = SimpleNamespace(client=SimpleNamespace(gui=gui), live=live, follow=followers.append)
-    show = controls.scenario_controls(cast(Any, studio))
-    view = cast(Any, SimpleNamespace(marks=(), live=SimpleNamespace(time=0.0)))
-    for name in ("surge_ring", "pump_failure", "push"):
-        followers[0](desk.ready_scenarios()[name])
-        for _ in range(9):
-            pressed[0](None)
-            show(view)
 
 
 @pytest.mark.parametrize("beside", ["", "force"])

@@ -307,30 +307,6 @@ def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
     assert signal.kind == "noise" and signal.band == (0.05, 0.8)
 
 
-@pytest.mark.usefixtures("fewer_pictures")
-def test_a_lesson_answers_what_was_done_and_leads_to_the_next(tab: Tab) -> None:
-    tab.page.get_by_label("scenario", exact=True).first.click()
-    tab.page.get_by_role("option", name="Surge step, position error rate feedback").click()
-    tab.status("Lesson, 1 of 4")
-    tab.wait(lambda: tab.behind.live.paused)  # until the prompt is read
-    assert tab.page.get_by_text("twice the step").count() == 0 and tab.time() < 0.01
-    tab.press("go on")
-    tab.page.get_by_text("twice the step").wait_for()
-    tab.press("next prompt")
-    tab.status("Lesson, 2 of 4")
-    tab.choose("law", "modal_plan")  # not what is asked for
-    since = tab.time()
-    tab.wait(lambda: tab.time() > since + 4.0)
-    onward = tab.page.get_by_role("button", name="next prompt")
-    assert onward.count() == 0
-    tab.choose("law", "velocity")
-    onward.wait_for()
-    tab.press("reset")  # a new run has no such event, but the prompt was answered
-    tab.wait(lambda: tab.time() < since)
-    tab.status("Lesson, 2 of 4")
-    assert onward.count() == 1
-
-
 _REACHED = """() => [
     ...document.querySelectorAll("button, input:not([type=hidden]), [role=slider]")
 ].filter(one => one.checkVisibility()).map(one => {

@@ -10,7 +10,6 @@ import viser
 
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
-from cmf_mj.core.settings import read_toml
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
@@ -46,52 +45,17 @@ _HERTZ = ("frequency", "start", "stop", "corner")
 
 NONE = "none"  #: Choice of no second law.
 
-_WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
 
-
-def scenario_controls(desk: Desk) -> Callable[[View], None]:
-    """The ready scenarios by title; of some, prompts, answered once one has seen what follows."""
-    gui, ready = desk.client.gui, {run.title: run for run in ready_scenarios().values()}
-    chosen = gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
-    text, onward = gui.add_markdown("", visible=False), gui.add_button("next prompt", visible=False)
-    lessons = read_toml(Path(__file__).with_name("lessons.toml"))
-    of = {ready_scenarios()[name].title: prompts for name, prompts in lessons.items()}
-    prompts: list[dict[str, str]] = []
-    at, since = 0, 0  # prompt, and number of marks when it was shown
-    answered = set[int]()  # prompts, whatever runs begin after
+def scenario_controls(desk: Desk) -> None:
+    """The ready scenarios by title."""
+    ready = {run.title: run for run in ready_scenarios().values()}
+    chosen = desk.client.gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
 
     def follow(scenario: Run) -> None:
-        nonlocal prompts, at, since
         pick(chosen, ready.setdefault(scenario.title, scenario).title)
-        now = of.get(scenario.title, [])
-        if prompts is not now or at + 1 == len(now):  # the last begins the first again
-            at, prompts = 0, now  # in this order: the session's thread reads both
-            answered.clear()
-            desk.wait = bool(now)
-        since = 0
 
-    def show(view: View) -> None:
-        said, done = "", False
-        if prompts:
-            ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
-            seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
-            if any(until in mark.text for mark in seen) if until else view.live.time > _WATCHED:
-                answered.add(at)
-            done = at in answered
-            then = f"**Answer:** {answer}" if done else "*Answered some seconds after you did it.*"
-            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask}\n\n{then}"
-        text.content, text.visible = said, bool(said)
-        onward.visible = done and at + 1 < len(prompts)
-
-    def go_on(_: Any) -> None:
-        nonlocal at, since
-        at = min(at + 1, max(len(prompts) - 1, 0))  # a button may be pressed twice
-        since = len(desk.live.marks().result())
-
-    onward.on_click(go_on)
     by_hand(lambda _: desk.begin(ready[chosen.value]), chosen)
     desk.follow(follow)
-    return show
 
 
 def run_controls(desk: Desk) -> Callable[[View], None]:

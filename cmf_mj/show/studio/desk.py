@@ -131,8 +131,6 @@ class Desk:
         """The cab of the run, with its machine."""
         self.beside = ""
         """Law of the machine that does the same beside; empty for none."""
-        self.wait = False
-        """Whether the run that begins stands still: its first prompt is to be read."""
         self.live = LiveSession(scenario, show, self.tell)
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
@@ -146,7 +144,6 @@ class Desk:
         """Show the first run and set the session going."""
         for follower in self._followers:
             follower(scenario)
-        self.live.pause(self.wait)
         self.live.start()
 
     def apply(self, change: Change) -> None:
@@ -155,7 +152,7 @@ class Desk:
 
     def begin(self, scenario: Run) -> None:
         """Begin again; on a refusal show it and let the run go on."""
-        paused, self.wait = self.live.paused, False
+        paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for
         try:
             self.live.begin(scenario, self.beside).result()
@@ -165,7 +162,7 @@ class Desk:
         except (ValueError, OSError) as error:
             self.tell(error)
         finally:
-            self.live.pause(paused or self.wait)
+            self.live.pause(paused)
 
     def again(self, **settings: Any) -> None:
         """Begin again with the present law and signal and some settings changed."""

@@ -248,10 +248,6 @@ class LiveSession:
         """What the session has kept of its signals."""
         return self._ask(lambda: self._run.record())
 
-    def marks(self) -> "Future[tuple[Mark, ...]]":
-        """What has happened so far."""
-        return self._ask(lambda: marks_of(self._run.done(), self._run.fault))
-
     def _ask(self, action: Callable[[], Answer]) -> "Future[Answer]":
         future: Future[Answer] = Future()
 
