@@ -9,9 +9,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from typer.testing import CliRunner
 
-from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
+from cmf_mj import (
+    Hexapod,
+    SingleLegs,
+    bandwidths,
+    frequency_response,
+    load_machine,
+    signals,
+    simulate,
+)
 from cmf_mj.analysis.frequency_response import Bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
@@ -19,8 +29,9 @@ from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
-from cmf_mj.core.units import INCH
+from cmf_mj.core.units import INCH, STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import leg_jacobian, pose_to_legs
 from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
 
 FOLDER = "CMF_MJ_SHARED_RUNS"
@@ -36,6 +47,18 @@ def cmf(*arguments: object, code: int = 0) -> str:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
     return result.output
+
+
+def axial_gravity(pose: ArrayLike) -> NDArray[np.float64]:
+    """What accelerometers along the legs read at rest, n . g by the kinematics [m/s^2]."""
+    rows = [-STANDARD_GRAVITY * leg_jacobian(one)[:, 2] for one in np.reshape(pose, (-1, 6))]
+    return np.reshape(rows, np.shape(pose))
+
+
+def projected_gravity(pose: ArrayLike, distance: float) -> NDArray[np.float64]:
+    """Eq C.3, |(I - r/L P) g|, with r from the upper gimbal to the moving part's centre of mass."""
+    along, length = axial_gravity(pose), pose_to_legs(pose) + load_machine().geometry.neutral
+    return np.hypot(along, (1.0 - distance / length) * np.sqrt(STANDARD_GRAVITY**2 - along**2))
 
 
 def once(name: str, compute: Callable[[], Result]) -> Result:

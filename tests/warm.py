@@ -24,7 +24,7 @@ from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import SignalSession
 from cmf_mj.facility.scenario import load_scenario
-from cmf_mj.machine.leg_motion import axial_gravity, leg_motion_to_pose
+from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import sense
@@ -52,7 +52,6 @@ def table() -> None:
     inverse = make_dcl(load_law("modal_plan").bound_to("gfd"), 6).plan.inverse
     follow(inverse, np.zeros(6))
     opened(inverse, 0.1, 0.1, 0.1, 0.1)
-    axial_gravity(np.zeros(6))
     step_response(load_law("velocity"), linear_cab(machine), [0], np.ones(6))
     cylinder = Cylinder(*make_cylinders(load_hydraulics("report"), ["leg"])[0])
     cylinders.test_volume_slopes_are_the_areas(cylinder)

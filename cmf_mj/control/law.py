@@ -71,16 +71,6 @@ class Gains(Settings):
     acceleration: PerMode = 0.0
     force: PerMode = 0.0
 
-    def of_legs(self, signal: str) -> float:
-        """Gain of a signal, where all legs share it.
-
-        A list, one a mode, is refused.
-        """
-        gain = getattr(self, signal)
-        if is_per_mode(gain):
-            raise InputError(f"{signal}: {gain} is a list, one a mode; one gain for all is needed")
-        return float(gain)
-
 
 class Adaptation(Settings):
     """Adaptation of a reference model's feed-forward to the speed of the leg.

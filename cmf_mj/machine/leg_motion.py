@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.arrays import shaped
-from cmf_mj.core.compiled import allocating, assign, compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.kinematics import (
@@ -207,45 +206,3 @@ def track(axes, state, legs):  # type: ignore[no-untyped-def]
 def upward(state, leg):  # type: ignore[no-untyped-def]
     """Cosine between a leg and the vertical, n . up."""
     return -state.direction[leg, 2]
-
-
-@allocating
-def _directions(axes, state, poses, lengths, directions):  # type: ignore[no-untyped-def]
-    for row in range(poses.shape[0]):
-        assign(state.pose, poses[row])
-        _evaluate(axes, state)
-        lengths[row] = state.length
-        directions[row] = state.direction
-
-
-def leg_directions(
-    pose: ArrayLike, machine: MachineOrGimbals = models.CMF
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths (..., 6) [m] and unit vectors (..., 6, 3) of the legs at poses (..., 6), Eq C.6."""
-    poses = shaped("pose", pose, 6, leading=True)
-    axes = make_leg_axes(machine)
-    lengths, directions = np.empty(poses.shape), np.empty((*poses.shape, 3))
-    state = leg_axes_state(axes, np.zeros(6))
-    _directions(
-        axes, state, poses.reshape(-1, 6), lengths.reshape(-1, 6), directions.reshape(-1, 6, 3)
-    )
-    return lengths, directions
-
-
-def axial_gravity(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
-    """What accelerometers along the legs read at rest, g n . up [m/s^2], (..., 6)."""
-    return -STANDARD_GRAVITY * leg_directions(pose, machine)[1][..., 2]
-
-
-def projected_gravity(
-    pose: ArrayLike, distance: float, machine: MachineOrGimbals = models.CMF
-) -> NDArray[np.float64]:
-    """Magnitude of Eq C.3, |(I - r/L P) g| [m/s^2], (..., 6).
-
-    The distance r [m] is from the upper gimbal to the centre of mass of the leg's moving part.
-    """
-    length, direction = leg_directions(pose, machine)
-    gravity = np.array([0.0, 0.0, STANDARD_GRAVITY])
-    along = (direction @ gravity)[..., None] * direction
-    across = gravity - along
-    return np.linalg.norm(along + (1.0 - distance / length)[..., None] * across, axis=-1)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from protected_records import fault_of
+from shared import axial_gravity
 
 from cmf_mj import Hexapod, Law, load_law, signals, simulate
 from cmf_mj.control import dcl as blocks
@@ -22,7 +23,6 @@ from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings, gravity_history
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.record.record import Record
 
 INCH, GRAVITY = 0.0254, 9.80665

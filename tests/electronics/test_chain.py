@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared import axial_gravity
 
 from cmf_mj import Hexapod, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.electronics.chain import ElectronicsSettings, find_gravity
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.leg_motion import axial_gravity, leg_axes_state, make_leg_axes
+from cmf_mj.machine.leg_motion import leg_axes_state, make_leg_axes
 
 AXES = make_leg_axes()
 POSE = np.array([0.2, -0.1, 0.3, 0.05, -0.1, 0.2])

@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from shared import WORKING_STROKE
+from shared import WORKING_STROKE, axial_gravity, projected_gravity
 
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.leg_motion import (
-    axial_gravity,
     leg_axes_state,
-    leg_directions,
     make_leg_axes,
-    projected_gravity,
     track,
     upward,
 )
@@ -46,7 +43,7 @@ def test_where_the_hardwares_reading_would_come_from() -> None:
 
 def test_equation_c3_between_its_limits() -> None:
     poses = some_poses(20)
-    lengths, _ = leg_directions(poses)
+    lengths = kinematics.pose_to_legs(poses) + load_machine().geometry.neutral
     np.testing.assert_allclose(projected_gravity(poses, 0.0), GRAVITY, rtol=1e-12)
     for pose, length in zip(poses, lengths, strict=True):
         for leg in range(6):
@@ -55,13 +52,13 @@ def test_equation_c3_between_its_limits() -> None:
 
 
 def test_lengths_and_directions_are_those_of_the_kinematics() -> None:
-    geometry = load_machine().geometry
+    axes = make_leg_axes()
     for pose in some_poses(20):
-        lengths, directions = leg_directions(pose)
         legs = kinematics.pose_to_legs(pose)
-        np.testing.assert_allclose(lengths - geometry.neutral, legs, rtol=0.0, atol=1e-12)
+        state = leg_axes_state(axes, legs)
+        np.testing.assert_allclose(state.length - axes.geometry.neutral, legs, rtol=0.0, atol=1e-12)
         jacobian = kinematics.leg_jacobian(pose)
-        np.testing.assert_allclose(directions, jacobian[:, :3], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(state.direction, jacobian[:, :3], rtol=0.0, atol=1e-12)
 
 
 def test_the_tracker_contracts_everywhere_in_the_working_strokes() -> None:

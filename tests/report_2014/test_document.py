@@ -159,9 +159,9 @@ def test_shipped_gains_are_the_printed_ones_but_for_two_readings(printed: dict[s
 def test_steady_state_of_a_law_follows_from_its_gains(law: str, expected: float) -> None:
     """The gain of the demand over the net gain of the position, D_p + C B_p / (1 - A)."""
     gains = load_law(law)
-    through = gains.output_gain * gains.input_gain.of_legs("position") / (1.0 - gains.state_gain)
-    net = gains.direct_gain.of_legs("position") + through
-    assert -gains.direct_gain.of_legs("reference") / net == pytest.approx(expected, abs=5e-4)
+    through = gains.output_gain * float(gains.input_gain.position) / (1.0 - gains.state_gain)
+    net = float(gains.direct_gain.position) + through
+    assert -float(gains.direct_gain.reference) / net == pytest.approx(expected, abs=5e-4)
     leg = reduced(leg_model(linearize(SingleLegs("report")), 1), outputs=FEEDBACK[:3])
     loop = closed_loop(law, leg)  # pressures zero
     assert float(np.real(control.dcgain(loop)).item()) == pytest.approx(expected, abs=5e-4)

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from shared import SINGLE, WORKING_STROKE, chirp_bandwidths, printed, report_leg
+from shared import SINGLE, WORKING_STROKE, axial_gravity, chirp_bandwidths, printed, report_leg
 
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
@@ -15,7 +15,6 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.leg_motion import axial_gravity
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.report_2014.ledger import LedgerEntry
@@ -56,8 +55,8 @@ def test_pressure_gains_act_in_pascal_only(entry: LedgerEntry) -> None:
         loop = closed_loop(
             with_gains(
                 law,
-                cap_pressure=direct.of_legs("cap_pressure") / units.PSI,
-                rod_pressure=direct.of_legs("rod_pressure") / units.PSI,
+                cap_pressure=float(direct.cap_pressure) / units.PSI,
+                rod_pressure=float(direct.rod_pressure) / units.PSI,
             ),
             report_leg(),
         )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import signal
+from shared import axial_gravity, projected_gravity
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis.linear.loop import closed_loop
@@ -12,7 +13,6 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.analysis.spectra import from_h1, report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.leg_motion import axial_gravity, projected_gravity
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.report_2014.ledger import LedgerEntry
 from cmf_mj.report_2014.models import hardware_velocity, report_entry, report_model
