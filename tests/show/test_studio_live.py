@@ -220,29 +220,6 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     np.testing.assert_allclose(np.diff(times), 1.0 / PLOT_RATE, rtol=1e-9)
 
 
-def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
-    """With the first one's law its numbers are the first one's; with another they are not."""
-    session = screen.session(heave())
-    for beside, same in (("velocity", True), ("force", False)):
-        session.begin(heave(), beside).result()
-        session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
-        screen.wait_for_time(0.5)
-        session.pause(True)
-        session.scenario().result()
-        pairs = [(a, b) for a, b in zip(session._past, session._beside_past, strict=True) if b]
-        assert len(pairs) == len(session._past) > 0.4 * PLOT_RATE
-        assert np.array_equal(pairs[-1][0].qpos, pairs[-1][1].qpos) == same
-        session.pause(False)
-        screen.views.clear()
-    session.apply(change_of({"law": "position_error_rate"})).result()
-    screen.wait_for_time(session._past[-1].time + 0.1)
-    assert session._beside is not None and session._beside.look().law == "force"
-    with pytest.raises(InputError, match="nobody"):
-        session.begin(heave(), "nobody").result()
-    session.close()
-    assert not screen.errors
-
-
 def test_all_that_happens_is_marked() -> None:
     scenario = heave(
         duration=10.0,
@@ -290,9 +267,8 @@ def test_every_ready_scenario_goes_on_in_a_session(name: str, screen: Screen) ->
     assert session._run.look().time == 0.125
 
 
-@pytest.mark.parametrize("beside", ["", "force"])
-def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
-    """A gap would have no scale. The second line is the first one's without a second law."""
+def test_plots_draw_numbers_alone(screen: Screen) -> None:
+    """A gap would have no scale."""
     drawn: list[SimpleNamespace] = []
 
     def add_uplot(*_: object, **given: object) -> SimpleNamespace:
@@ -301,12 +277,11 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
 
     plots = Plots(cast(Any, SimpleNamespace(gui=SimpleNamespace(add_uplot=add_uplot))))
     session = LiveSession(heave(), screen.show, screen.tell)
-    session.begin(heave(), beside)
     session.start()
     screen.wait_for_time(0.5)
     session.pause(True)
     session.scenario().result()
-    waiting = screen.views[-1]._replace(past=[], beside=[])
+    waiting = screen.views[-1]._replace(past=[])
     plots.show(waiting, 10.0, "heave", "US", 2)  # nothing is left of a run before
     assert all(len(line) == 2 for plot in drawn if plot.visible for line in plot.data)
     for system in UNITS:
@@ -321,11 +296,8 @@ def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
         np.testing.assert_allclose(of[shown].data[1], factor * of[hidden].data[1], rtol=1e-6)
     lines = [line for plot in drawn for line in plot.data]
     assert len(lines) > 20 and np.isfinite(np.concatenate(lines)).all()
-    _, demand, second, response, *_ = next(
-        plot.data for plot in drawn if "heave [in]" in plot.title
-    )
+    _, demand, response, *_ = next(plot.data for plot in drawn if "heave [in]" in plot.title)
     assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
-    assert np.array_equal(second, response) == (not beside)
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

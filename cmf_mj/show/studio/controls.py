@@ -43,8 +43,6 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
-NONE = "none"  #: Choice of no second law.
-
 
 def scenario_controls(desk: Desk) -> None:
     """The ready scenarios by title."""
@@ -174,23 +172,14 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
 
 
 def law_controls(desk: Desk) -> None:
-    """The law, and that of a second machine."""
-    gui, laws = desk.client.gui, law_names("all")
-    chosen = gui.add_dropdown(
-        "law", laws, initial_value="velocity", hint="takes over while the machine moves"
+    """The law."""
+    chosen = desk.client.gui.add_dropdown(
+        "law",
+        law_names("all"),
+        initial_value="velocity",
+        hint="takes over while the machine moves",
     )
-    second = gui.add_dropdown(
-        "second law",
-        (NONE, *laws),
-        hint="a second machine with this law does the same, drawn beside; begins a new run",
-    )
-
-    def compare(_: Any) -> None:
-        desk.beside = "" if second.value == NONE else second.value
-        desk.again()
-
     by_hand(lambda _: desk.apply(Change(law=chosen.value)), chosen)
-    by_hand(compare, second)
     desk.follow(lambda scenario: pick(chosen, law_of(scenario)))
 
 

@@ -129,8 +129,6 @@ class Desk:
         self.client = client
         self.carried = scenario.carried
         """The cab of the run, with its machine."""
-        self.beside = ""
-        """Law of the machine that does the same beside; empty for none."""
         self.live = LiveSession(scenario, show, self.tell)
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
@@ -155,7 +153,7 @@ class Desk:
         paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for
         try:
-            self.live.begin(scenario, self.beside).result()
+            self.live.begin(scenario).result()
             self.carried = scenario.carried
             for follower in self._followers:
                 follower(scenario)

@@ -147,7 +147,6 @@ class View(NamedTuple):
 
     live: Live  #: The run as it stands.
     past: Collection[Live]  #: The states of the last `LONGEST` seconds, oldest first.
-    beside: Collection[Live | None]  #: Those of the second law at the same times, where it runs.
     marks: tuple[Mark, ...]  #: What has happened, in order of time.
     plant: Hexapod  #: The machine; its MuJoCo data is that of the run.
     pace: SessionPace  #: How the session keeps up.
@@ -162,7 +161,7 @@ class View(NamedTuple):
 
 
 class LiveSession:
-    """One run at a time, in real time; beside it, if asked for, the same run with a second law."""
+    """One run at a time, in real time."""
 
     def __init__(
         self,
@@ -179,11 +178,8 @@ class LiveSession:
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._closed = threading.Event()
         self._clock = Clock(time.monotonic())
-        kept = round(LONGEST * PLOT_RATE)
-        self._past: deque[Live] = deque(maxlen=kept)
-        self._beside_past: deque[Live | None] = deque(maxlen=kept)
+        self._past: deque[Live] = deque(maxlen=round(LONGEST * PLOT_RATE))
         self._run = _open_run(scenario)
-        self._beside: SignalSession | None = None
         self._end = ""
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
@@ -197,35 +193,19 @@ class LiveSession:
         if wait and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
-    def begin(self, scenario: Run, beside: str = "") -> "Future[None]":
-        """Begin again with another scenario; the run goes on if it is refused.
-
-        With a law `beside`, a second plant does all that the first does, but with this law to the
-        end. Only the first is exported and recorded.
-        """
+    def begin(self, scenario: Run) -> "Future[None]":
+        """Begin again with another scenario; the run goes on if it is refused."""
 
         def build() -> None:
-            run, second = _open_run(scenario), None
-            if beside:
-                changes = tuple(map(_without_law, scenario.change))
-                same = {"law": beside, "gains": {}, "change": changes}
-                second = _open_run(scenario.model_copy(update=same))
-            self._run, self._beside, self._end = run, second, ""
+            self._run, self._end = _open_run(scenario), ""
             self._past.clear()
-            self._beside_past.clear()
             self._clock.restart(time.monotonic())
 
         return self._ask(build)
 
     def apply(self, change: Change) -> "Future[None]":
         """Let something change from the next control frame on."""
-
-        def act() -> None:
-            self._run.apply(change)
-            if self._beside is not None:
-                self._beside.apply(_without_law(change))
-
-        return self._ask(act)
+        return self._ask(lambda: self._run.apply(change))
 
     @property
     def paused(self) -> bool:
@@ -308,8 +288,7 @@ class LiveSession:
         marks = marks_of(run.done(), live.fault)
         if self._end:
             marks += (Mark(live.time, "the run ended", True),)
-        pasts = self._past, self._beside_past
-        self._show(View(live, *pasts, marks, plant, clock.pace, clock.paused, self._end))
+        self._show(View(live, self._past, marks, plant, clock.pace, clock.paused, self._end))
         return due
 
     def _advance(self, frames: int) -> None:
@@ -319,27 +298,8 @@ class LiveSession:
             frame = self._run.frame
             part = min(_PART - frame % _PART, end - frame)
             self._run.run(part)
-            second = self._second(part)
             if self._run.frame % _PART == 0:
                 self._past.append(self._run.look())
-                self._beside_past.append(second)
-
-    def _second(self, frames: int) -> Live | None:
-        """Run control frames of the second law; its end is not that of the first."""
-        if self._beside is None:
-            return None
-        try:
-            self._beside.run(frames)
-        except CmfError as error:
-            self._beside = None
-            self._tell(error)
-            return None
-        return self._beside.look()
-
-
-def _without_law(change: Change) -> Change:
-    """The same change to the run beside, which keeps its law."""
-    return change.model_copy(update={"law": None, "gains": {}})
 
 
 def _open_run(scenario: Run) -> SignalSession:

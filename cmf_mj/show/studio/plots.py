@@ -103,7 +103,7 @@ class Plots:
         # Mirrored legs have one colour and the left ones are dashed: both show where they agree.
         mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
-        both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
+        both = [("demand", _DARK, True), ("response", BLUE, False)]
         sides = [("cap", BLUE, False), ("rod", ORANGE, False)]
         manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
         # One for each title: a plot whose title changes loses its time axis in the browser.
@@ -121,9 +121,8 @@ class Plots:
         """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0."""
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
-        beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:  # a run that begins, or waits
-            past, beside = [view.live] * 2, [None] * 2
+            past = [view.live] * 2
         length, angle, pressure, force = UNITS[system]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
 
@@ -134,12 +133,10 @@ class Plots:
 
         time = of("time", "s")[0]
         marked = spikes(time, view.marks)
-        # Without a second machine its line lies below that of the first: a gap has no scale.
-        lives = [second or live for second, live in zip(beside, past, strict=True)] + past
-        poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
-        responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
+        poses = view.plant.pose_of(np.array([live.qpos for live in past]))
+        response = units.from_si(unit, poses[:, index])
         drawn = {
-            _MOTION.format(dof, unit): (of("demand", unit)[index], *responses),
+            _MOTION.format(dof, unit): (of("demand", unit)[index], response),
             _FORCE.format(force): of("force", force),
             _VALVE: of("valve_command", "%"),
             _PRESSURE.format(pressure): [
