@@ -62,7 +62,7 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
 
 
 def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
-    """Write `response.csv`, with the radius of the 95 % circle, `response.png`, `summary.json`."""
+    """Write `response.csv`, with the radius of the 95 % circle, its figure and `measures.csv`."""
     response, title = measures.response, f"Frequency response in {measures.dof}"
     columns = {
         "frequency_hz": response.frequency,
@@ -72,7 +72,8 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
         "radius_95": response.bound,
     }
     figure = response_figure(title, measures.files[0].stem, response)
-    files = {"response.csv": columns, "response.png": figure, "summary.json": measures.summary()}
+    table = recordings_table(measures)
+    files = {"response.csv": columns, "response.png": figure, "measures.csv": table}
     return look.save_files(files, folder)
 
 

@@ -190,7 +190,7 @@ def save_operation(
     """Write record, host's frames, account and figures of a run.
 
     `record.parquet`, `host.parquet`, `account.csv` and `operation.png`; in real time also
-    `timing.csv` (all percentiles in steps of 0.1) and `timing.png`.
+    `timing.csv` and `timing.png`.
     """
     counts = account(operation, received, datagrams)
     files: dict[str, Any] = {
@@ -201,10 +201,7 @@ def save_operation(
     }
     timing = operation.timing
     if timing is not None:
-        shares = np.linspace(0.0, 100.0, 1001)
-        computing, late = (np.percentile(values, shares) for values in (timing.busy, timing.late))
-        columns = {"percentile": shares, "computing_s": computing, "lateness_s": late}
-        files |= {"timing.csv": columns, "timing.png": timing_figure(timing)}
+        files |= {"timing.csv": timing_table(timing), "timing.png": timing_figure(timing)}
     return look.save_files(files, folder)
 
 

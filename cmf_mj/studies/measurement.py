@@ -7,7 +7,7 @@ degree of freedom; host and DCU are outside. Accelerations are those of the plat
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast, get_args
+from typing import NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,20 +236,8 @@ class RecordingMeasures(NamedTuple):
 
     files: tuple[Path, ...]
     dof: str
-    estimator: str
     response: FrequencyResponse  #: At the lines that are read.
     left_out: int  #: Lines that are not, since they were not excited or do not cohere.
-
-    def summary(self) -> dict[str, Any]:
-        """Files, settings and measures."""
-        return {
-            "files": [str(path) for path in self.files],
-            "dof": self.dof,
-            "estimator": self.estimator,
-            "bandwidths": bandwidths(self.response),
-            "coherence_least": float(self.response.coherence.min()),
-            "lines_left_out": self.left_out,
-        }
 
 
 def measure_recordings(
@@ -277,4 +265,4 @@ def measure_recordings(
     if not read.any():
         raise InputError(f"dof: no line of the demand in {dof} has a coherence of {CLEAR:g}")
     left_out = int(np.count_nonzero(~read))
-    return RecordingMeasures(tuple(files), dof, estimator, response.at(read), left_out)
+    return RecordingMeasures(tuple(files), dof, response.at(read), left_out)

@@ -77,9 +77,7 @@ def test_files_of_a_run_in_real_time(
     with paths[2].open(newline="") as file:
         counts = dict(list(csv.reader(file))[1:])
     assert counts == {n: str(c) for n, c in account(run).items()}
-    table = np.genfromtxt(paths[4], delimiter=",", names=True)
-    assert table.size == 1001
-    assert table["computing_s"][-1] == 900e-6
+    assert "largest,900.0 us" in paths[4].read_text()
     assert set(drawn) == {"operation.png", "timing.png"}
 
 
@@ -165,5 +163,4 @@ def test_cmf_serve_against_cmf_host_accounts_for_every_frame(tmp_path: Path) -> 
     assert (counts["wrong_length"], counts["wrong_magic"]) == (3, 1)
     assert "99.9 % of frames below" in printed
     assert "host_watchdog" in printed
-    timing = np.genfromtxt(out / "timing.csv", delimiter=",", names=True)
-    assert timing.size == 1001 and (np.diff(timing["computing_s"]) >= 0.0).all()
+    assert "99.9 % of frames below" in (out / "timing.csv").read_text()
