@@ -170,7 +170,6 @@ def cue_command(
     cab: options.Cab = "gfd",
     rate: Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")] = 80.0,
     limits: Annotated[Path | None, file(help="TOML changes to the machine's limits")] = None,
-    senses: Annotated[Path | None, file(help="TOML changes to canals, otoliths")] = None,
     evaluations: Annotated[int, Option(min=1, help="tune: settings to try")] = 300,
     workspace: Annotated[float, Option(help="tune: rms of legs over working travel")] = 1.0,
     seed: options.Seed = 5,
@@ -189,7 +188,7 @@ def cue_command(
 
     settings = load_washout(washout)
     bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
-    how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate, "senses": senses}
+    how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
     if flight == "tune":
         from cmf_mj.pilot.judgement import search
 

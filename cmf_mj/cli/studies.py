@@ -104,7 +104,6 @@ def study_command(
 def tune_command(
     name: Annotated[str | None, Option(help="name of the law; default FORM_tuned")] = None,
     form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
-    title: Annotated[str | None, Option(help="its title; default its name")] = None,
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
@@ -124,8 +123,7 @@ def tune_command(
 
     stated, limits = friction_option(friction), Requirements(peak, overshoot / 100.0)
     named = name or f"{form}_tuned"
-    said = title or named.replace("_", " ").capitalize()
-    template = make_template(named, said, cabs, stated)
+    template = make_template(named, named.replace("_", " ").capitalize(), cabs, stated)
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)

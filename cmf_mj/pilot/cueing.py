@@ -24,7 +24,7 @@ from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
-from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
+from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings
 
@@ -131,7 +131,6 @@ def cue(
     *,
     cab: str | Path | Cab | None = None,
     limits: MotionLimits | None = None,
-    senses: Senses | str | None = None,
     rate: float = MOST_RATE,
     lead: float = 0.0,
 ) -> Cue:
@@ -153,7 +152,7 @@ def cue(
         limited,
         excursion(demanded, limits, carried.machine),
         simulator,
-        cueing_error(flown, simulator, senses),
+        cueing_error(flown, simulator),
         carried.machine,
         algorithm.plans,
     )
