@@ -191,6 +191,8 @@ class _Problem(NamedTuple):
             inner = weight * local.T @ local + np.eye(theta.size) / _WIDE**2
             along = weight * local.T @ rest - theta / _WIDE**2
             step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), along)
+            if not step.any():  # at its bound a number moves nothing
+                break
             moved = map(float, theta + step)
             there = self.known.at(dict(zip(numbers, moved, strict=True)))
             damping = max(10.0 * damping, _DAMPED)

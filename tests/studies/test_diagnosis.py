@@ -7,7 +7,14 @@ import pytest
 from guide_files import SHORT, written
 
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.studies.diagnosis import Slopes, diagnose, moved_machine, numbers_of, slopes
+from cmf_mj.studies.diagnosis import (
+    Slopes,
+    _Problem,
+    diagnose,
+    moved_machine,
+    numbers_of,
+    slopes,
+)
 from cmf_mj.studies.guide import bench, head_of, load_guide, run_guide
 from cmf_mj.studies.guide_check import Master, load_master
 
@@ -67,6 +74,15 @@ def test_what_is_not_among_the_numbers_is_none_of_these(
     few = slope._replace(numbers=tuple(slope.numbers[i] for i in kept), slope=slope.slope[:, kept])
     first, *_ = diagnose(master, changed(master, tmp_path / "new", "oil stiffness"), few)
     assert first.numbers == "none of these"
+
+
+def test_a_number_at_its_bound_stays_there(known: tuple[Master, Slopes]) -> None:
+    """Less friction than none is asked for."""
+    friction = [one for one in numbers_of(known[0].bench.plant) if one.name == "friction"]
+    slope = slopes(known[0], numbers=friction)
+    problem = _Problem(slope, -slope.slope[:, 0], np.ones(slope.base.size))
+    with np.errstate(all="raise"):
+        assert problem.fitted((0,)).theta == 0.0
 
 
 def test_a_machine_with_nothing_moved_is_the_machine(known: tuple[Master, Slopes]) -> None:
