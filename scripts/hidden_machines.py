@@ -215,8 +215,7 @@ def score(options: argparse.Namespace) -> None:
         if not (folder / TIME).exists():
             continue
         truth = json.loads((out / f"{name}.truth.json").read_text(encoding="utf-8"))["numbers"]
-        with (folder / RESULT).open(encoding="utf-8", newline="") as file:
-            lines = compared(truth, list(csv.DictReader(file)))
+        lines = compared(truth, _rows(folder))
         said = json.loads((folder / TIME).read_text(encoding="utf-8"))
         table.append((name, *summed(lines), said["gain"], said["phase"], said["seconds"]))
         every += [line | {"machine": name} for line in lines]
@@ -322,23 +321,31 @@ def _off(fitted: Hexapod, truth: Hexapod, box: Box) -> float:
 
 
 def plain(options: argparse.Namespace) -> None:
-    """Fit sweeps of one axis after the other instead, and compare the intervals."""
-    out = Path(options.out)
+    """Fit sweeps of one axis after the other instead; compare the intervals, in OUT/plain.csv."""
+    out, every = Path(options.out), list[dict[str, Any]]()
     for name, folder in _fits(out).items():
         if (folder / TIME).exists():
             shape = name.rstrip("0123456789")
             swept = out / f"{name}.plain"
             if not (swept / FILE).exists():
                 _swept(KINDS[shape], out / name, swept)
-                truth = _again(out / f"{name}.truth.json")
-                how: dict[str, Any] = {"machine": KINDS[shape].machine, "cab": truth.cab}
-                how |= {"hydraulics": truth.oil}
+                made = _again(out / f"{name}.truth.json")
+                how: dict[str, Any] = {"machine": KINDS[shape].machine, "cab": made.cab}
+                how |= {"hydraulics": made.oil}
                 record_campaign(swept, **how, seed=options.seed, jobs=options.jobs)
             _fit(swept, out / f"{name}.plain.fit", options.jobs)
-            wide = _widths(out / f"{name}.plain.fit"), _widths(folder)
-            ratios = [wide[1][number] / wide[0][number] for number in wide[0]]
+            truth = json.loads((out / f"{name}.truth.json").read_text(encoding="utf-8"))["numbers"]
+            wide = [compared(truth, _rows(one)) for one in (out / f"{name}.plain.fit", folder)]
+            ratios = [
+                (b["high"] - b["low"]) / (a["high"] - a["low"]) for a, b in zip(*wide, strict=True)
+            ]
+            every += [
+                a | {"machine": name, "ratio": r} for a, r in zip(wide[0], ratios, strict=True)
+            ]
             mean = float(np.exp(np.mean(np.log(ratios))))
             print(f"{name}: intervals {mean:.3f} of those of plain sweeps, geometric mean")
+    keys = "machine number truth low high holds ratio".split()
+    write_csv(out / "plain.csv", keys, [[line[key] for key in keys] for line in every])
 
 
 def _swept(kind: Kind, planned: Path, folder: Path) -> None:
@@ -365,12 +372,10 @@ def _swept(kind: Kind, planned: Path, folder: Path) -> None:
     write_text(folder / FILE, tomlkit.dumps(head | {"recordings": tables}))
 
 
-def _widths(folder: Path) -> dict[str, float]:
-    """Widths of the intervals of a fit by number."""
+def _rows(folder: Path) -> list[dict[str, str]]:
+    """Numbers of a fit as it wrote them."""
     with (folder / RESULT).open(encoding="utf-8", newline="") as file:
-        return {
-            row["number"]: float(row["high"]) - float(row["low"]) for row in csv.DictReader(file)
-        }
+        return list(csv.DictReader(file))
 
 
 def main() -> None:

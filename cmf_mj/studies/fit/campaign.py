@@ -39,6 +39,7 @@ from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.settings import Name, Settings, beside, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.chain import AnyElectronics, ElectronicsSettings
+from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
@@ -118,6 +119,12 @@ class Campaign(NamedTuple):
     recordings: tuple[Recording, ...]
     evidence: Evidence
 
+    @property
+    def sensors(self) -> SensorSettings | None:
+        """Those of the data sheet; None where they are ideal."""
+        chosen = self.settings.electronics
+        return None if chosen is None else chosen.of(self.plant.machine).sensors
+
     def of(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""
         return tuple(one for one in self.recordings if one.settings.held_back == held_back)
@@ -181,6 +188,9 @@ def load_campaign(folder: str | Path) -> Campaign:
         ]
         known = Unknowns({**unknowns, **settings.held}).on(plant)
         stated = load_evidence(settings.evidence, settings.deviations, law, where, plant, known)
+    for name, one in unknowns.items():
+        if one.path.startswith("electronics.") and settings.electronics is None:
+            raise InputError(f"{path}: unknowns.{name}: {one.path}: electronics are ideal")
     made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings), stated)
     if not (made.of(held_back=False) or any(not one.held_back for one in stated.statements)):
         allowed = "allowed: recordings or evidence, one of them not held back"

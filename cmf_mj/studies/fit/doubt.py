@@ -169,7 +169,7 @@ def predicted(posterior: Posterior) -> list[Prediction]:
     model, machine = Model(posterior.campaign, held_back=True), fitted(posterior)
     found = []
     for one in model.pieces:
-        simulated = one.simulated(machine, model.electronics)
+        simulated = one.simulated(machine, model.electronics(posterior.z))
         measured = {name: value[one.first :] for name, value in one.measured.items()}
         simulated = {name: value[one.first :] for name, value in simulated.items()}
         gain, phase = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)

@@ -2,10 +2,10 @@
 
 The demand of the legs, interpolated by a cubic spline to the control rate (steps are held from row
 to row), is played to the recording's law on the plant with the numbers. Sensors and electronics
-have their lags, ranges and constant errors, but neither noise nor steps, which are what the
-likelihood explains. The machine begins at rest at the first demand, `LEAD` before the recording.
-What moved before is not known, and chambers of cylinders at rest forget it slowly, so that
-`SETTLING` of a recording is left out.
+have their lags, ranges and constant errors, which may be unknowns too, but neither noise nor steps,
+which are what the likelihood explains. The machine begins at rest at the first demand, `LEAD`
+before the recording. What moved before is not known, and chambers of cylinders at rest forget it
+slowly, so that `SETTLING` of a recording is left out.
 
 Where the demand stands still, the legs bear what is carried, and cap and rod pressures weigh it:
 
@@ -186,7 +186,7 @@ class Model:
         self.plant, self.unknowns = campaign.plant, campaign.unknowns
         self.size = len(self.unknowns.numbers())
         self.clocks = 2 * len(campaign.of(held_back)) * campaign.settings.clocks
-        self.electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
+        self._electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
         self.top = min(top or np.inf, campaign.settings.highest)
         chosen = campaign.of(held_back)
         self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
@@ -202,16 +202,24 @@ class Model:
         added = z[self.size : z.size - self.clocks]
         return self.change(plant, added) if added.size else plant
 
+    def electronics(self, z: Array) -> ElectronicsSettings | None:
+        """Sensors, converters and servo electronics with these numbers, without noise and steps."""
+        if self._electronics is None:
+            return None
+        sensors = self.unknowns.apply(self.values(z), self._electronics.sensors)
+        return self._electronics.model_copy(update={"sensors": sensors})
+
     def residuals(self, z: Array) -> Residuals:
         """Measured less simulated below `top`.
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
         plant, found = self.machine(z), dict[tuple[str, str], Array]()
+        electronics = self.electronics(z)
         clocks = _CLOCK * z[z.size - self.clocks :].reshape(-1, 2)
         for number, one in enumerate(self.pieces):
             clock = clocks[number] if self.clocks else (0.0, 0.0)
-            simulated = one.simulated(plant, self.electronics, *clock)
+            simulated = one.simulated(plant, electronics, *clock)
             found |= {(one.name, c): left for c, left in self.compared(one, simulated).items()}
         if (stated := self.evidence.excess(self.values(z), plant)).size:
             found[STATED] = stated[:, None]

@@ -3,6 +3,7 @@
     numbers.csv       each number: value, 90 % interval, unit, whether the recordings show it
     machine.toml      the machine with cab and hydraulic set, numbers of status `identified`
     box.toml          how far its numbers may be off, for `cmf certify`
+    sensors.toml      the sensors, where numbers of theirs were fitted
     samples.parquet   machines that the recordings allow, a row each, a column a number
 
 A machine's file takes the place of the data sheet's in every command.
@@ -21,6 +22,8 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
+from cmf_mj.electronics.sensors import SensorSettings
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
@@ -41,9 +44,12 @@ def paths(posterior: Posterior) -> tuple[str, ...]:
     return tuple(path for *_, path in posterior.campaign.unknowns.numbers())
 
 
-def nominal(plant: Plant, path: str) -> float:
+def nominal(plant: Plant, path: str, sensors: SensorSettings | None = None) -> float:
     """A number of a machine in SI; 1 where only factors on it are known."""
     root, *rest = path.split(".")
+    if root == "electronics":
+        known = getattr(getattr(sensors, rest[0], None), rest[1], None)
+        return known.si if isinstance(known, Quantity) else 0.0
     oil, cab = plant.parameters, plant.cab_parameters
     if path == "hydraulics.stiction":
         size = oil.coulomb_friction.si
@@ -63,8 +69,9 @@ def nominal(plant: Plant, path: str) -> float:
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
     campaign, share = posterior.campaign, stats.norm.cdf(z)
+    sheet = campaign.plant, campaign.sensors
     columns = [
-        one.number(nominal(campaign.plant, path), one.at(share[..., i]))
+        one.number(nominal(sheet[0], path, sheet[1]), one.at(share[..., i]))
         for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
@@ -73,7 +80,8 @@ def physical(posterior: Posterior, z: Array) -> Array:
 _UNITS = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
 _UNITS |= {"supply_pressure": "Pa", "leak_rate": "1/s", "centre_of_mass": "m"}
 _UNITS |= dict.fromkeys(("drive_lag", "valve_lag", "derivative_pole"), "rad/s")
-_UNITS |= {"second_moment": "kg m^2"}
+_UNITS |= {"second_moment": "kg m^2", "bandwidth": "rad/s", "leg_position": "m"}
+_UNITS |= dict.fromkeys(("cap_pressure", "rod_pressure"), "Pa")
 """SI units of numbers by the last or last but one part of their paths; of others 1."""
 
 
@@ -98,6 +106,8 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     columns = dict(zip(paths(posterior), drawn.T, strict=True))
     write_parquet(pa.table(columns), in_folder(where, "samples.parquet"))
     write_text(in_folder(where, "box.toml"), tomlkit.dumps(box(posterior)))
+    if any(path.startswith("electronics.") for path in paths(posterior)):
+        write_text(in_folder(where, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
     return save_machine(posterior, where) if posterior.campaign.plant.cab_parameters else where
 
 
@@ -138,13 +148,30 @@ def fitted(posterior: Posterior) -> Plant:
     return known.apply(known.at(stats.norm.cdf(posterior.z)), posterior.campaign.plant)
 
 
+def _sensors(posterior: Posterior) -> dict[str, Any]:
+    """The file of the sensors with the fitted numbers."""
+    campaign, said = posterior.campaign, _source(posterior)
+    known = {name: one.model_copy(update=said) for name, one in campaign.unknowns.items()}
+    fit_ = Unknowns(known).on(campaign.plant)
+    assert campaign.sensors is not None
+    made = fit_.apply(fit_.at(stats.norm.cdf(posterior.z)), campaign.sensors, CAB)
+    return {"base": "ideal", CAB: made.model_dump(mode="json", exclude_none=True, exclude={"name"})}
+
+
+def _source(posterior: Posterior) -> dict[str, Any]:
+    """Status and source of what was fitted."""
+    made = (f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False))
+    return {"status": "identified", "source": f"fitted to recordings {', '.join(made)}"}
+
+
 def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
     """The file's numbers that were fitted, with status and source."""
-    made = (f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False))
-    said = {"status": "identified", "source": f"fitted to recordings {', '.join(made)}"}
+    said = _source(posterior)
     bodies = {"hydraulics": table["hydraulics"], "platform": table["platform"]}
     for path in paths(posterior):
         root, *rest = path.split(".")
+        if root == "electronics":
+            continue
         at: Any = bodies.get(root, table["cabs"][CAB])
         for part in rest[: None if root == "hydraulics" else 1]:
             at = at.get(_FIELDS.get(part, part), {})

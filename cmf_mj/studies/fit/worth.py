@@ -111,7 +111,7 @@ def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
     fitter = Fitter(alone, "whole", jobs)
     plant = fitter.model.machine(posterior.z)
     one = piece(planned, posterior.campaign.plant)
-    made = one._replace(measured=one.simulated(plant, fitter.model.electronics))
+    made = one._replace(measured=one.simulated(plant, fitter.model.electronics(posterior.z)))
     fitter.model.pieces = (made,)
     here = fitter.model.residuals(posterior.z)
     slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))

@@ -1,6 +1,7 @@
 """A machine is found from its recordings, and what they cannot tell is said."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import tomlkit
 
 import cmf_mj
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import read_toml
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.studies.certificate_family import load_box
@@ -41,13 +45,13 @@ def motion(dof: int, seed: int) -> np.ndarray:
     return poses
 
 
-def campaign(folder: Path, plant: cmf_mj.Plant) -> Path:
+def campaign(folder: Path, plant: cmf_mj.Plant, electronics: Any = "noisy") -> Path:
     """Record a plant in three motions, the last one held back."""
     folder.mkdir()
     recordings = {}
     for number, dof in enumerate((0, 2, 4)):
         record = cmf_mj.simulate(
-            plant, "original", motion(dof, number), electronics="noisy", record_every=16
+            plant, "original", motion(dof, number), electronics=electronics, record_every=16
         )
         keep = ("leg_reference", "leg_position", "cap_pressure", "rod_pressure")
         cmf_mj.Record(
@@ -145,6 +149,34 @@ def test_effects_that_help_widen_the_numbers(found: tuple[Posterior, Path]) -> N
     )
     moved = wide.samples(4000) - posterior.samples(4000)
     np.testing.assert_allclose(moved.mean(axis=0), 0.5 * shift, atol=0.02)
+
+
+def test_the_lag_and_the_gain_of_sensors_are_found(tmp_path: Path) -> None:
+    """Positions behind a corner of 40 Hz, 4 ms, not 500 Hz; one that reads 1 % too much."""
+    place = {"path": "electronics.leg_position.bandwidth", "low": 0.04, "high": 1.0, "unit": "1"}
+    gain = {"path": "electronics.leg_position.gain_errors.2", "effect": "offset", "deviation": 3.0}
+    known = {"lag": place | {"distribution": "loguniform"}, "gain": gain}
+    known = {name: one | {"source": "test"} for name, one in known.items()}
+    unknowns = Unknowns({name: Unknown(**one) for name, one in known.items()})  # type: ignore[arg-type]
+    truth = {"lag": 0.08, "gain": 0.01}
+    sensors = unknowns.apply(truth, ElectronicsSettings().of(cmf_mj.load_machine("lab")).sensors)
+    made = campaign(tmp_path / "made", cmf_mj.Hexapod(machine="lab"), {"sensors": sensors})
+    table = read_toml(made / FILE) | {"unknowns": known}
+    (made / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
+    posterior = fit(made, tmp_path / "out")
+    corner, error = results.physical(posterior, posterior.z)
+    assert corner / (2.0 * np.pi) == pytest.approx(40.0, rel=0.02)
+    assert error == pytest.approx(0.01, abs=2e-4)
+    low, high = results.physical(posterior, posterior.bounds(0.99))
+    assert np.all((low < [80.0 * np.pi, 0.01]) & (high > [80.0 * np.pi, 0.01]))
+    results.save(posterior, tmp_path / "out")
+    read = load_sensors(tmp_path / "out" / "sensors.toml").leg_position
+    assert read.bandwidth.si == pytest.approx(corner)
+    assert read.bandwidth.status == "identified"
+    assert [one.value for one in read.gain_errors] == pytest.approx([0, error, 0, 0, 0, 0])
+    (made / FILE).write_text(tomlkit.dumps(table | {"electronics": "ideal"}), encoding="utf-8")
+    with pytest.raises(InputError, match=r"unknowns\.lag: .*electronics are ideal"):
+        load_campaign(made)
 
 
 @pytest.mark.slow
