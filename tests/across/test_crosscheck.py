@@ -138,6 +138,7 @@ def peak(history: np.ndarray, near: float) -> float:
     return float(frequency[inside])
 
 
+@pytest.mark.slow
 def test_a_floor_adds_the_modes_of_two_masses_on_two_springs() -> None:
     # T = (m + M) w'^2 / 2 + S w' h' + M_h h'^2 / 2,  U = k w^2 / 2 + K_h h^2 / 2.
     floor = Spring(stiffness=3.2e7, mass=2000.0)
@@ -173,6 +174,7 @@ def test_a_floor_here_moves_pressures_as_there() -> None:
         assert np.std(ours[1][name] - theirs[1][..., channel]) < 0.02 * moved
 
 
+@pytest.mark.slow
 def test_mounts_are_springs_in_series_with_the_oil() -> None:
     # Of a leg with mounts k, u the way of the barrel m, s that of the piston: T = M (u + s)'^2 / 2
     # + m u'^2 / 2, U = k u^2 / 2 + K s^2 / 2, in heave the sum of six such legs.

@@ -26,6 +26,7 @@ def gains(folder: Path, machine: Plant) -> list[Effect]:
     return tried(fitter.look(there, np.full(there.size, 0.03)), fitter)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "on"),
     [
