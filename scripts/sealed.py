@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import Hexapod, simulate
 from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.measures import are_stable
 from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.periodic import fit_sines
@@ -45,6 +46,7 @@ from cmf_mj.report_2014.posterior.weighing import (
     load_effects,
     machines_of,
     run_effects,
+    settings_of,
 )
 from cmf_mj.signals import stepped_sines
 from cmf_mj.studies.fit.sampling import (
@@ -155,7 +157,7 @@ def plan() -> list[Sine]:
 def draw(study: Path, out: Path) -> Path:
     """Machines of all plants with at most one effect, in proportion to weight and evidence."""
     bank = run_effects(load_effects("effects"), study)
-    settings, shares = bank.settings, bank.shares()
+    settings, shares = settings_of(bank.study), bank.shares()
     pooled = np.concatenate([share * bank.weights(plant) for plant, share in shares.items()])
     chosen = resampled(pooled, settled()["machines"], settled()["seed"])
     rows, known = [], len(settings.unknowns)
@@ -207,7 +209,7 @@ def by_prior(name: str, count: int) -> list[Drawn]:
         law = bound(known.apply(values, load_law(sheet.law)), plant)
         one = Drawn(Linear(plant), law, present, 1.0)
         part = effects.changed(effects.Part.of(one.linear), present, _QUIET)
-        if are_stable(np.linalg.eigvals(effects.close(part, law)[0]).astype(complex)):
+        if are_stable(closed_loop(law, part.held).poles()):
             found.append(one)
     return found
 
@@ -230,8 +232,9 @@ def describing(one: Drawn, sines: Sequence[Sine]) -> Complex:
     z = np.exp(2j * np.pi * lines * one.law.frame)[:, None, None]
     legs = np.empty((len(speeds), len(sines), 6), dtype=complex)
     for k, speed in enumerate(speeds):
-        a, b, c = effects.close(effects.changed(part, one.effects, speed), one.law)
-        answers = c @ np.linalg.solve(z * np.eye(len(a)) - a, (b @ jacobian).astype(complex))
+        loop = closed_loop(one.law, effects.changed(part, one.effects, speed).held)
+        inside = z * np.eye(loop.nstates) - loop.A
+        answers = loop.C @ np.linalg.solve(inside, (loop.B @ jacobian).astype(complex))
         legs[k] = answers[where, :, axes]
     runs = [(sine.test, sine.axis, sine.run) for sine in sines]
     _, of = np.unique([" ".join(map(str, run)) for run in runs], return_inverse=True)

@@ -79,7 +79,6 @@ def test_the_effect_that_explains_a_number_has_the_evidence() -> None:
     first, second = tables.weighed(bank)
     assert (first.plant, second.plant) == ("lap", NONE)
     assert first.evidence > 1.0 > first.error
-    assert first.share is not None and second.share is not None
     assert first.share + second.share == pytest.approx(1.0)
     assert first.share == pytest.approx(1.0 / (1.0 + np.exp(-first.evidence)))
     idle = tables.weighed(linear_bank(0.0))

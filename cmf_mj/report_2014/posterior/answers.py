@@ -40,7 +40,7 @@ def interval(span: Array, form: str = ".2f") -> str:
 
 def percent(share: float, digits: int = 0) -> str:
     """A share as per cent, without rounding to certainty."""
-    text = f"{100.0 * share:.{digits}f} %"
+    text = number(100.0 * share, f".{digits}f %")
     if share < 1.0 and text == "100 %":
         return "over 99 %"
     return "under 1 %" if share > 0.0 and text == "0 %" else text
@@ -180,10 +180,16 @@ def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
     return normalised(np.sum([column(results.machines, "log_ratio"), *stated], axis=0))
 
 
-def _both(results: Results, values: Array, times: int = 1) -> list[Array]:
-    """Quantiles under prior and posterior of values that each machine has `times`."""
-    every = weights(results, ()), weights(results)
-    return [weighted_quantiles(values, np.repeat(each, times), LEVELS) for each in every]
+def _both(results: Results, values: Array) -> list[Array]:
+    """Quantiles under prior and posterior of the values of all machines."""
+    return [weighted_quantiles(values, weights(results, each), LEVELS) for each in ((), GROUPS)]
+
+
+def predicted(made: Array, deviation: float, weights: Array) -> Array:
+    """Quantiles at `LEVELS` of what machines make of a number, read with its deviation."""
+    errors = deviation * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
+    read = (made[:, None] + errors).ravel()
+    return weighted_quantiles(read, np.repeat(weights, _ERRORS), LEVELS)
 
 
 def stability(results: Results) -> Result[Stability]:
@@ -270,9 +276,8 @@ def checks(results: Results) -> Result[EvidenceCheck]:
         for o in observations()[:-1]
     ]
     last = observations()[-1]
-    errors = last.deviation * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
-    read = (column(results.machines, last.name)[:, None] + errors).ravel()
-    both = _both(results, read, _ERRORS)
+    made = column(results.machines, last.name)
+    both = [predicted(made, last.deviation, weights(results, each)) for each in ((), GROUPS)]
     held_out = EvidenceCheck(last.name, last.value, last.deviation, *both)
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
     return Result([*rows, held_out], [*fields_of(EvidenceCheck), inside])

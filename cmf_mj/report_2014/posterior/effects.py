@@ -23,24 +23,29 @@ from moving, and whatever the supply does, do not enter: closed valves pass noth
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import NamedTuple
+from functools import cached_property
 
 import control
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.linear import Linear, loop_damping
-from cmf_mj.analysis.linear.loop import dcl_state_space, labels
+from cmf_mj.analysis.linear.loop import at_frames, closed_loop, labels
 from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.measures import NO_OVERSHOOT, are_stable, damping_from_overshoot
 from cmf_mj.analysis.modes import bound
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.report_2014.posterior.evidence import FLOWN, HELD_OUT, ROWS, fit_features
+from cmf_mj.report_2014.posterior.evidence import (
+    FIELDS,
+    FLOWN,
+    HELD_OUT,
+    ROWS,
+    fit_features,
+    shipped,
+)
 from cmf_mj.studies.engine import Row
 from cmf_mj.studies.fit.evidence import LINES
 
@@ -61,39 +66,43 @@ _INSTANT = 1e-5  # shortest lag [s]
 class Part:
     """A linear plant that effects change: leg by leg within a kind of state or output."""
 
+    linear: Linear  #: Without effects; their states stand behind its own.
     a: Array  #: (n, n).
     b: Array  #: From commands, (n, 6).
     c: Array  #: To `FEEDBACK`, (30, n).
-    states: tuple[str, ...]
-    areas: tuple[float, float]  #: Of cap and rod [m^2].
-    full_speed: float  #: k [m/s].
 
     @classmethod
     def of(cls, linear: Linear) -> "Part":
         """The plant of a linearised machine."""
-        system, cylinder = linear.system, linear.plant.hydraulics.cylinder[0]
-        a, b, c = (np.asarray(m) for m in (system.A, system.B, system.C))
-        order = [system.output_labels.index(name) for name in labels(FEEDBACK, _LEGS)]
-        areas = float(cylinder.cap_area), float(cylinder.rod_area)
-        full = float(linear.plant.parameters.leg_speed.si)
-        return cls(a, b, c[order], tuple(system.state_labels), areas, full)
+        a, b, c = (np.asarray(m) for m in (linear.system.A, linear.system.B, linear.system.C))
+        order = [linear.system.output_labels.index(name) for name in labels(FEEDBACK, _LEGS)]
+        return cls(linear, a, b, c[order])
+
+    @property
+    def areas(self) -> Array:
+        """A_cap and -A_rod [m^2]."""
+        cylinder = self.linear.plant.hydraulics.cylinder[0]
+        return np.array([float(cylinder.cap_area), -float(cylinder.rod_area)])
+
+    @property
+    def full_speed(self) -> float:
+        """Of the legs, k [m/s]."""
+        return float(self.linear.plant.parameters.leg_speed.si)
 
     @cached_property
-    def held(self) -> Array:
-        """From states and commands to the states a frame later, (n, n + 6)."""
-        size = self.a.shape[0]
-        rows = np.block([[self.a, self.b], [np.zeros((_LEGS, size + _LEGS))]])
-        return np.asarray(expm(FRAME * rows)[:size])
+    def held(self) -> control.StateSpace:
+        """In frames, see `at_frames`."""
+        names = {"inputs": labels(("command",), _LEGS), "outputs": labels(FEEDBACK, _LEGS)}
+        return at_frames(control.ss(self.a, self.b, self.c, 0.0, **names), FRAME)
 
     def at(self, kind: str) -> list[int]:
         """States of a kind, leg by leg."""
-        return [self.states.index(name) for name in labels((kind,), _LEGS)]
+        return [self.linear.system.state_labels.index(name) for name in labels((kind,), _LEGS)]
 
-    def scaled(self, kinds: tuple[str, ...], factor: float) -> "Part":
+    def scaled(self, kind: str, factor: float) -> "Part":
         """With the derivatives of some states times a factor."""
         a = self.a.copy()
-        for kind in kinds:
-            a[self.at(kind)] *= factor
+        a[self.at(kind)] *= factor
         return replace(self, a=a)
 
 
@@ -138,7 +147,7 @@ def _behind(part: Part, kinds: tuple[str, ...], time: float) -> Part:
 
 def _in_series(part: Part, share: float) -> Part:
     a, c = part.a.copy(), part.c.copy()
-    areas = np.array([part.areas[0], -part.areas[1]])
+    areas = part.areas
     kinds = [part.at(kind) for kind in ("leg_velocity", "cap_pressure", "rod_pressure")]
     for leg, (speed, *chambers) in enumerate(zip(*kinds, strict=True)):
         gain = a[chambers, speed]
@@ -161,8 +170,8 @@ EFFECTS: Mapping[str, _Change] = {
     "velocity_filter": lambda part, time, v: _behind(part, ("leg_velocity",), time),
     "pressure_filter": lambda part, time, v: _behind(part, FEEDBACK[3:], time),
     "compliance": lambda part, share, v: _in_series(part, max(share, 1e-6)),
-    "soft_cap": lambda part, more, v: part.scaled(("cap_pressure",), 1.0 / (1.0 + more)),
-    "measured_mass": lambda part, mass, v: part.scaled(("leg_velocity",), 1.0 / mass),
+    "soft_cap": lambda part, more, v: part.scaled("cap_pressure", 1.0 / (1.0 + more)),
+    "measured_mass": lambda part, mass, v: part.scaled("leg_velocity", 1.0 / mass),
     "reading_delay": lambda part, time, v: part,
 }
 """What `effect.NAME` of an unknown does, in SI; what any other path does its plant shows."""
@@ -178,52 +187,17 @@ def changed(part: Part, effects: Mapping[str, float], speed: float) -> Part:
     return part
 
 
-def _matrices(law: Law) -> tuple[Array, ...]:
-    system = dcl_state_space(law, _LEGS)
-    return tuple(np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+def read(part: Part, law: Law, delay: float = 0.0) -> Row:
+    """What a sweep and a step in heave show under a law, the demand read so much earlier [s].
 
-
-@lru_cache(maxsize=16)
-def _dcl(law: str) -> tuple[Array, ...]:
-    return _matrices(load_law(law))
-
-
-def close(part: Part, law: str | Law) -> tuple[Array, Array, Array]:
-    """A, B and C of the legs' loop with a law, in frames, as `linear.loop.closed_loop`."""
-    ak, bk, ck, dk = _dcl(law) if isinstance(law, str) else _matrices(law)
-    size, order = part.a.shape[0], ak.shape[0]
-    none = np.zeros((_LEGS, _LEGS))
-    a = np.block(
-        [
-            [part.held, np.zeros((size, order))],
-            [dk[:, _LEGS:] @ part.c, none, ck],
-            [bk[:, _LEGS:] @ part.c, np.zeros((order, _LEGS)), ak],
-        ]
-    )
-    b = np.vstack([np.zeros((size, _LEGS)), dk[:, :_LEGS], bk[:, :_LEGS]])
-    return a, b, np.hstack([part.c[:_LEGS], np.zeros((_LEGS, _LEGS + order))])
-
-
-def _poles(part: Part, law: str) -> NDArray[np.complex128]:
-    return np.asarray(np.linalg.eigvals(close(part, law)[0]), dtype=np.complex128)
-
-
-class Reading(NamedTuple):
-    """What a sweep and a step in heave show of a loop; NaN of one that is unstable."""
-
-    phase_bandwidth_hz: float
-    gain_bandwidth_hz: float
-    damping_ratio: float
-
-
-def read(part: Part, law: str, jacobian: Array, delay: float = 0.0) -> Reading:
-    """Of a plant under a law, the demand read so much earlier [s]: all from the loop's poles."""
-    a, b, c = close(part, law)
-    poles, right = np.linalg.eig(a)
+    `FIELDS` by name, all from the loop's poles; NaN of one that is unstable.
+    """
+    loop, jacobian = closed_loop(law, part.held), part.linear.jacobian
+    poles, right = np.linalg.eig(loop.A)
     if not are_stable(poles):
-        return Reading(*[float("nan")] * 3)
-    entry = np.linalg.solve(right, (b @ jacobian[:, _HEAVE]).astype(complex))
-    residue = (np.linalg.inv(jacobian)[_HEAVE] @ c @ right) * entry
+        return dict.fromkeys(FIELDS, float("nan"))
+    entry = np.linalg.solve(right, (loop.B @ jacobian[:, _HEAVE]).astype(complex))
+    residue = (np.linalg.inv(jacobian)[_HEAVE] @ loop.C @ right) * entry
     z = np.exp(2j * np.pi * FRAME * LINES)
     response = (residue / (z[:, None] - poles)).sum(axis=1)
     widths = line_bandwidths(LINES, response * np.exp(-2j * np.pi * delay * LINES))
@@ -231,7 +205,7 @@ def read(part: Part, law: str, jacobian: Array, delay: float = 0.0) -> Reading:
     moved = (1.0 - poles ** _TIMES[:, None]) @ each
     over = float(moved.real.max() / each.sum().real - 1.0)
     zeta = damping_from_overshoot(over if over >= NO_OVERSHOOT else 0.0)
-    return Reading(widths.phase_hz, widths.gain_hz, zeta)
+    return dict(zip(FIELDS, (widths.phase_hz, widths.gain_hz, zeta), strict=True))
 
 
 def shown(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
@@ -240,38 +214,33 @@ def shown(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
     `machines` are its linear plants by cab, the first the one that was measured.
     """
     first, *others = machines.values()
-    jacobian, moving, row = first.jacobian, bool(_BY_SPEED & effects.keys()), Row()
+    moving, row = bool(_BY_SPEED & effects.keys()), Row()
     still = changed(Part.of(first), effects, SPEEDS["fits"])
 
     def at(speed: float) -> Part:
         return changed(Part.of(first), effects, speed) if moving else still
 
-    for law in (*(law for _, law in ROWS), HELD_OUT):
-        sweep = read(at(SPEEDS[law]), law, jacobian, effects.get("reading_delay", 0.0))
-        step = read(at(_STEP * SPEEDS[law]), law, jacobian) if moving else sweep
-        row |= {f"{law}_{name}": value for name, value in sweep._asdict().items()}
-        row[f"{law}_damping_ratio"] = step.damping_ratio
+    for name in (*(law for _, law in ROWS), HELD_OUT):
+        law = shipped(name)
+        sweep = read(at(SPEEDS[name]), law, effects.get("reading_delay", 0.0))
+        step = read(at(_STEP * SPEEDS[name]), law) if moving else sweep
+        sweep["damping_ratio"] = step["damping_ratio"]
+        row |= {f"{name}_{field}": value for field, value in sweep.items()}
+    jacobian = first.jacobian
     heave = np.linalg.inv(jacobian)[[_HEAVE]] @ still.c[_LEGS : 2 * _LEGS]
     row |= fit_features(control.ss(still.a, still.b @ jacobian[:, [_HEAVE]], heave, 0.0))
+    flights = (closed_loop(shipped(FLOWN), carried(one, effects)) for one in (*others[::-1], first))
+    return row | {"flown": all(are_stable(one.poles()) for one in flights)}
+
+
+def carried(linear: Linear, effects: Mapping[str, float]) -> control.StateSpace:
+    """A machine with effects as it flies, in frames."""
     flown = {name: value for name, value in effects.items() if name not in NOT_FLOWN}
-    own = still if not moving and flown == effects else None
-    parts = ((one, None) for one in others[::-1])
-    return row | {
-        "flown": all(
-            are_stable(_poles(part or carried(one, flown), FLOWN))
-            for one, part in (*parts, (first, own))
-        )
-    }
-
-
-def carried(linear: Linear, effects: Mapping[str, float]) -> Part:
-    """A machine with effects as it flies."""
-    return changed(Part.of(linear), effects, SPEEDS[FLOWN])
+    return changed(Part.of(linear), flown, SPEEDS[FLOWN]).held
 
 
 def damping(linear: Linear, effects: Mapping[str, float], law: Law) -> dict[str, float]:
     """Damping ratios of a machine with effects under a law, see `loop_damping`."""
-    flown = {name: value for name, value in effects.items() if name not in NOT_FLOWN}
-    a, b, c = close(carried(linear, flown), bound(law, linear.plant))
-    jacobian = linear.jacobian
-    return loop_damping(control.ss(a, b @ jacobian, np.linalg.inv(jacobian) @ c, 0.0, law.frame))
+    loop = closed_loop(bound(law, linear.plant), carried(linear, effects))
+    b, c = loop.B @ linear.jacobian, np.linalg.inv(linear.jacobian) @ loop.C
+    return loop_damping(control.ss(loop.A, b, c, 0.0, law.frame))

@@ -26,6 +26,7 @@ from scipy import stats
 
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.published import published_results
+from cmf_mj.control.law import load_law
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
@@ -39,6 +40,9 @@ Array = NDArray[np.float64]
 ROWS = (("2-4", "original"), ("2-6", "velocity"))
 """Tables of the hardware rows, and their laws."""
 
+shipped = lru_cache(load_law)
+"""Laws by name, each read once."""
+
 HELD_OUT = "velocity_integral"
 """Law of the hardware's result that is predicted and never used."""
 
@@ -51,7 +55,7 @@ PRESSURES = (1300.0, 1800.0, 2300.0, 3000.0)
 REPORTED_G, _READING = 3.0, 0.1
 """The oscillation's acceleration [g], and the relative error of reading it off a figure."""
 
-_FIELDS = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
+FIELDS = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
 _LINES = np.array([1.0, 3.0, 5.0])
 _PAIR_HZ = (4.0, 25.0)
 """Where the leg's pair of poles is looked for."""
@@ -79,7 +83,7 @@ class Observation(NamedTuple):
 def scatter() -> Array:
     """Standard deviations of Table 4-1: ln -90 deg, ln -3 dB and damping ratio."""
     table = np.array(
-        [[getattr(row, f) for f in _FIELDS] for row in published_results() if row.table == "4-1"]
+        [[getattr(row, f) for f in FIELDS] for row in published_results() if row.table == "4-1"]
     )
     return np.array([*np.log(table[:, :2]).std(axis=0, ddof=1), table[:, 2].std(ddof=1)])
 
@@ -122,7 +126,7 @@ def observations() -> tuple[Observation, ...]:
     """All numbers that are stated; last the one held out, the damping ratio with the integral."""
     printed = {(row.table, row.law): row for row in published_results() if row.of == "hardware"}
     found = []
-    for (table, law), (field, s) in product(ROWS, zip(_FIELDS, scatter().tolist(), strict=True)):
+    for (table, law), (field, s) in product(ROWS, zip(FIELDS, scatter().tolist(), strict=True)):
         value, log = getattr(printed[table, law], field), field != "damping_ratio"
         found.append(Observation(f"{law}_{field}", "rows", value, s, log))
     fits = [fit_features(control.ss(hardware_velocity(n).to_si())) for n in HARDWARE_MODELS]

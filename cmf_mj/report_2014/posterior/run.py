@@ -15,7 +15,7 @@ simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -293,9 +293,6 @@ def _drawn(task: Task) -> list[Row]:
     return [{**task.values, **effects.shown(machines, {})}, *_dampings(machines, task.laws)]
 
 
-_shipped = lru_cache(load_law)
-
-
 def _dampings(machines: Mapping[str, Linear], laws: Sequence[Law]) -> list[Row]:
     return [
         {"cab": cab, "law": law.name, **machine.damping(law)}
@@ -329,7 +326,7 @@ def acceleration_law(gain: float, corner: float) -> Law:
 
     The filter has one pole at `corner` [Hz], 0 for none: z = e^(-2 pi corner T).
     """
-    law = _shipped("acceleration")
+    law = evidence.shipped("acceleration")
     pole = float(np.exp(-2.0 * np.pi * corner * FRAME)) if corner > 0.0 else 0.0
     return law.model_copy(
         update={

@@ -16,19 +16,14 @@ from cmf_mj.report_2014.posterior.answers import (
     chance,
     interval,
     percent,
+    predicted,
     probability_text,
 )
 from cmf_mj.report_2014.posterior.evidence import observations, printed_numbers
-from cmf_mj.report_2014.posterior.weighing import AVERAGE, NONE, TEMPER, Bank
+from cmf_mj.report_2014.posterior.weighing import AVERAGE, NONE, TEMPER, Bank, settings_of
 from cmf_mj.studies.fit.sampling import effective_size, normalised, quantiles, weighted_quantiles
 
 Array = NDArray[np.float64]
-
-_ERRORS = 41  # of reading, that a prediction is spread over
-
-
-def _share(value: float | None) -> str:
-    return "-" if value is None else percent(value)
 
 
 class Weighed(NamedTuple):
@@ -37,7 +32,7 @@ class Weighed(NamedTuple):
     plant: str
     evidence: Annotated[float, Field(title="ln Z over none", form="+.2f")]
     error: Annotated[float, Field(title="+-", form=".2f")]  #: Standard error of the sampling.
-    share: Annotated[float | None, Field(form=_share)]
+    share: Annotated[float, Field(form=percent)]
     """Of the plants with no effect or one."""
     size: Annotated[float, Field(title="effective machines", form=".0f")]
     value: Annotated[Array, Field(title="effect", form=partial(interval, form=".3g"))]
@@ -63,7 +58,7 @@ def weighed(bank: Bank) -> Result[Weighed]:
                 plant,
                 bank.log_evidence(plant) - none,
                 float(np.sqrt(((weights - alone) ** 2).sum())),
-                shares.get(plant),
+                shares.get(plant, np.nan),
                 effective_size(weights),
                 weighted_quantiles(values, weights, LEVELS),
                 near,
@@ -91,7 +86,6 @@ def left_out(bank: Bank) -> Result[LeftOut]:
     shares, stated, rows = bank.shares(), observations(), list[LeftOut]()
     best = max(bank.shown, key=bank.log_evidence)
     sources = [one.name.split("_")[0] if one.group == "rows" else one.group for one in stated]
-    errors = stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
     for plant in (NONE, best, AVERAGE):
         mixed = shares if plant == AVERAGE else {plant: 1.0}
         for k, one in enumerate(stated):
@@ -106,8 +100,7 @@ def left_out(bank: Bank) -> Result[LeftOut]:
                     float(known @ stats.norm.cdf((y - made) / one.deviation) / known.sum())
                 )
                 if out == [k]:
-                    each = (made[:, None] + one.deviation * errors).ravel()
-                    span = weighted_quantiles(each, np.repeat(known, _ERRORS), LEVELS)
+                    span = predicted(made, one.deviation, known)
             span = np.exp(span) if one.relative else span
             rows.append(LeftOut(plant, one.name, one.value, span, *ranks))
     return Result(rows, fields_of(LeftOut))
@@ -126,7 +119,7 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
         weights[~np.isfinite(bank.shown[plant]).all(axis=1)] = -np.inf
         chances, found = normalised(weights), dict.fromkeys(bank.alone, 0)
         ranks, gains, much = list[int](), list[float](), list[bool]()
-        for _ in range(bank.settings.made_up):
+        for _ in range(settings_of(bank.study).made_up):
             machine = int(generator.choice(chances.size, p=chances))
             report = bank.shown[plant][machine] + s * generator.normal(size=s.size)
             ratio = bank.ratio.copy()

@@ -79,6 +79,11 @@ class EffectSettings(PosteriorSettings):
         """Effects that are not skipped."""
         return {name: one for name, one in self.effects.items() if name not in self.skipped}
 
+    @property
+    def reading(self) -> dict[str, str]:
+        """Which of `READINGS` an effect is."""
+        return {name: _kind(one) for name, one in self.used.items() if _kind(one) in READINGS}
+
 
 def load_effects(source: Any, **how: Any) -> PosteriorStudy:
     """Load a study of effects, as `load_posterior`."""
@@ -87,7 +92,7 @@ def load_effects(source: Any, **how: Any) -> PosteriorStudy:
     if draws < 2 * (size + 1):
         least = f"at least {2 * (size + 1)}, as numbers are regressed on {size} unknowns"
         raise InputError(f"draws: {draws} is refused; allowed: {least}")
-    for name, one in _settings(study).effects.items():
+    for name, one in settings_of(study).effects.items():
         if one.shape() or one.low is None:
             raise InputError(f"effects.{name}: allowed: one number between bounds, low and high")
         if kind := _kind(one):
@@ -95,7 +100,8 @@ def load_effects(source: Any, **how: Any) -> PosteriorStudy:
     return study
 
 
-def _settings(study: PosteriorStudy) -> EffectSettings:
+def settings_of(study: PosteriorStudy) -> EffectSettings:
+    """What a study of effects runs."""
     return cast("EffectSettings", study.settings)
 
 
@@ -110,7 +116,7 @@ def _parts(plant: str) -> list[str]:
 
 def effects_of(task: Task, plant: str) -> dict[str, float]:
     """Effects that change a linear plant, by name in SI."""
-    every = _settings(task.study).effects
+    every = settings_of(task.study).effects
     kinds = {name: _kind(every[name]) for name in _parts(plant)}
     return {
         kind: float(every[name].number(1.0, task.values[name]))
@@ -121,7 +127,7 @@ def effects_of(task: Task, plant: str) -> dict[str, float]:
 
 def machines_of(task: Task, plant: str) -> dict[str, Linear]:
     """The machine by cab with effects that are numbers of it."""
-    settings = _settings(task.study)
+    settings = settings_of(task.study)
     own = {name: settings.effects[name] for name in _parts(plant)}
     own = {name: one for name, one in own.items() if not _kind(one)}
     known = settings.model_copy(update={"unknowns": {**settings.unknowns, **own}})
@@ -130,7 +136,7 @@ def machines_of(task: Task, plant: str) -> dict[str, Linear]:
 
 def _bank(task: Task) -> list[Row]:
     """What a machine with the effects of each plant shows."""
-    every, plain, rows = _settings(task.study).effects, machines_of(task, NONE), []
+    every, plain, rows = settings_of(task.study).effects, machines_of(task, NONE), []
     for plant in task.about.split(";"):
         own = any(not _kind(every[name]) for name in _parts(plant))
         machines = machines_of(task, plant) if own else plain
@@ -154,7 +160,7 @@ def _readings(task: Task) -> list[Row]:
     linear, found = effects.shown({cab.name: Linear(Hexapod(cab, oil))}, {}), Row()
     for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
         measures = run_case(make_case(law, "heave", "hexapod", cab, oil, quick=True)).measures
-        found |= {f"{law}_{name}": getattr(measures, name) for name in effects.Reading._fields}
+        found |= {f"{law}_{name}": getattr(measures, name) for name in evidence.FIELDS}
     read = {"rows": [found], "fits": [evidence.fit_features(one) for one in arx_models(cab, oil)]}
     return [
         {"name": one.name, "reading": _OF[one.group]}
@@ -200,11 +206,6 @@ class Bank:
     verdicts: list[Row]  #: Damping ratios of machines by plant, cab and law.
 
     @property
-    def settings(self) -> EffectSettings:
-        """Of the study."""
-        return _settings(self.study)
-
-    @property
     def alone(self) -> list[str]:
         """The plant without effects and those with one."""
         return [plant for plant in self.shown if "+" not in plant]
@@ -238,7 +239,7 @@ class Bank:
 
     def effect(self, name: str) -> Array:
         """Values of an effect in the unit of the study, (n,)."""
-        used = _settings(self.study).used
+        used = settings_of(self.study).used
         column = len(self.study.settings.unknowns) + list(used).index(name)
         return used[name].at(sampling.quantiles(self.points[:, column]))
 
@@ -276,60 +277,52 @@ def run_effects(
     study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> Bank:
     """Run what is left of a study of effects; `workers` as for `Workers`."""
-    settings, how = _settings(study), Workers(**workers)
+    settings, how = settings_of(study), Workers(**workers)
     count, used = settings.rounds * settings.draws, settings.used
-    reading = {name: one for name, one in used.items() if _kind(one) in READINGS}
+    reading = settings.reading
     plain = [NONE, *(name for name in used if name not in reading)]
     every = 2 * count + settings.kept * (1 + len(used)) + len(evidence.PRESSURES) + bool(reading)
     journal = Journal(Path(folder), study.identity())
     ask = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
     force = np.array(asked_force(ask))
     moved = ask("readings", [({},)])[0] if reading else []
-    machines, rows, known = list[Row](), dict[str, list[Row]](), list[float]()
+    machines, rows = list[Row](), dict[str, list[Row]]()
+
+    def bank(points: Array, ratio: Array, pairs: Iterable[str] = ()) -> Bank:
+        supply = np.array([machine["supply_pressure"] for machine in machines])
+        three_g = evidence.oscillation_likelihood(supply, force)
+        return Bank(study, points, ratio, three_g, *_made(study, rows, machines, moved, pairs), [])
 
     def likelihoods(_: int, points: Array) -> Array:
         first = len(machines)
         shares = effect_points(settings, first, len(points))
         for z, share in zip(sampling.quantiles(points), shares, strict=True):
-            drawn = {
-                name: float(one.at(u)) for (name, one), u in zip(used.items(), share, strict=True)
-            }
-            machines.append(study.values(z) | drawn)
-        new = machines[first:]
-        known.extend(
-            evidence.oscillation_likelihood(np.array([m["supply_pressure"] for m in new]), force)
-        )
-        answers = ask("bank", [(m, first + i, ";".join(plain)) for i, m in enumerate(new)])
-        for row in (row for answer in answers for row in answer):
-            rows.setdefault(row["plant"], []).append(row)
-        made = _made(study, rows, machines, moved)
-        part = Bank(study, points, np.zeros(len(machines)), np.array(known), *made, [])
+            effect = zip(used.items(), share, strict=True)
+            machines.append(study.values(z) | {name: float(one.at(u)) for (name, one), u in effect})
+        asked = enumerate(machines[first:], first)
+        for answer in ask("bank", [(m, i, ";".join(plain)) for i, m in asked]):
+            for row in answer:
+                rows.setdefault(row["plant"], []).append(row)
+        part = bank(points, np.zeros(len(machines)))
         total = [part.log_likelihood(plant)[first:] for plant in part.shown]
         return np.asarray(logsumexp(total, axis=0))
 
-    def guess(points: Array, ratio: Array) -> tuple[Array, Array]:
-        made = _made(study, rows, machines, moved)
-        return Bank(study, points, ratio, np.array(known), *made, []).guess()
-
     how_many = len(settings.unknowns), settings.draws, settings.rounds, settings.seed
-    drawn = sampling.importance(likelihoods, *how_many, guess)
-    shares = effect_points(settings, 0, count)
-    points = np.hstack([drawn.points, stats.norm.ppf(shares)])
-    made = _made(study, rows, machines, moved)
-    bank = Bank(study, points, drawn.ratio, np.array(known), *made, [])
-    best = sorted(bank.alone[1:], key=lambda one: -bank.log_evidence(one))[: settings.pairs]
+    drawn = sampling.importance(likelihoods, *how_many, lambda *at: bank(*at).guess())
+    points = np.hstack([drawn.points, stats.norm.ppf(effect_points(settings, 0, count))])
+    alone = bank(points, drawn.ratio)
+    best = sorted(alone.alone[1:], key=lambda one: -alone.log_evidence(one))[: settings.pairs]
     pairs = ["+".join(two) for two in combinations([n for n in used if n in best], 2)]
     asked = [p for p in pairs if not set(_parts(p)) & reading.keys()]
-    most = np.max([bank.weights(plant) for plant in bank.alone], axis=0)
+    most = np.max([alone.weights(plant) for plant in alone.alone], axis=0)
     worth = np.flatnonzero((most > _LIGHT) & bool(asked)).tolist()
     ask.every += len(worth) - count
     answers = ask("bank", [(machines[i], i, ";".join(asked)) for i in worth])
     said = dict(zip(worth, answers, strict=True))
     for k, pair in enumerate(asked):
         rows[pair] = [said[i][k] if i in said else _NOTHING for i in range(count)]
-    made = _made(study, rows, machines, moved, pairs)
-    bank = Bank(study, points, drawn.ratio, np.array(known), *made, [])
-    return replace(bank, verdicts=_asked_verdicts(bank, ask, machines))
+    whole = bank(points, drawn.ratio, pairs)
+    return replace(whole, verdicts=_asked_verdicts(whole, ask, machines))
 
 
 def effect_points(settings: EffectSettings, first: int, count: int) -> Array:
@@ -351,8 +344,7 @@ def _made(
     pairs: Iterable[str] = (),
 ) -> tuple[dict[str, Array], dict[str, NDArray[np.bool_]]]:
     """Numbers as counted of all plants, those that only read otherwise too, and what can fly."""
-    used, stated = _settings(study).used, evidence.observations()
-    reading = {name: _kind(one) for name, one in used.items() if _kind(one) in READINGS}
+    reading, stated = settings_of(study).reading, evidence.observations()
     shown, flown = dict[str, Array](), dict[str, NDArray[np.bool_]]()
     for plant in dict.fromkeys((*rows, *reading, *pairs)):
         shifted = [name for name in _parts(plant) if name in reading]
@@ -368,7 +360,7 @@ def _made(
 
 def _asked_verdicts(bank: Bank, ask: Asker, machines: list[Row]) -> list[Row]:
     """Damping ratios of machines drawn from each plant's posterior without `flown`."""
-    settings, chosen = _settings(bank.study), list[tuple[str, int, int]]()
+    settings, chosen = settings_of(bank.study), list[tuple[str, int, int]]()
     for plant in bank.alone:
         weights = bank.weights(plant, kinds=("three_g",))
         drawn = sampling.resampled(weights, settings.kept, settings.seed)
