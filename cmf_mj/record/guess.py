@@ -20,23 +20,25 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.columns import CHANNELS, POSES
 from cmf_mj.record.sources import Source, even_clock, read_source
 
+_LENGTHS = "x l s pos position length len ext extension stroke leg act cyl weg hub"
 _CHANNELS = (
     ("demand_pose", "pose"),
     ("platform_pose", "pose"),
-    ("valve_command", "valve vlv servo sv spool u current"),
+    ("valve_command", "valve vlv ventil servo sv spool u current ma"),
     ("compensator_output", "cmp compensator controller"),
     ("leg_velocity", "vel velocity speed v xdot dx"),
     ("leg_acceleration", "acc acceleration accel a xddot ddx"),
     ("rod_pressure", "rod prod annulus ann pb pr ps"),
     ("cap_pressure", "cap pcap head bore pa pc pk"),
-    ("cap_pressure", "p prs pressure press"),
-    ("rod_pressure", "p prs pressure press"),
-    ("leg_reference", "x l s pos position length len ext extension stroke leg act cyl"),
-    ("leg_position", "x l s pos position length len ext extension stroke leg act cyl feedback fdk"),
+    ("cap_pressure", "p prs pressure press druck"),
+    ("rod_pressure", "p prs pressure press druck"),
+    ("leg_reference", f"{_LENGTHS} soll"),
+    ("leg_position", f"{_LENGTHS} feedback fdk ist"),
 )
 """Words of names by channel; an earlier entry is preferred."""
 
-_DEMAND = {*"ref reference cmd dmd demand demanded dem set setpoint sp target desired xd".split()}
+_DEMAND = {*"ref reference cmd dmd demand demanded dem set setpoint sp".split()}
+_DEMAND |= {*"target desired xd soll".split()}
 """Words of what is asked for, which these channels have and those that are measured have not."""
 _ASKED, _EITHER = ("demand_pose", "leg_reference"), ("valve_command", "compensator_output")
 
@@ -59,7 +61,7 @@ _Name = tuple[set[str], str]  #: Words of a name, and its unit, empty where none
 def _apart(source: Source, name: str) -> _Name:
     bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
     plain = re.sub(r"[\[(][^\])]*[\])]", "", name)
-    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[%°]+", plain)
+    words = re.findall(r"mA\b|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[%°]+", plain)
     words = [word.lower() for word in words]
     unit = _unit(source.units.get(name) or (bracket[1] if bracket else ""))
     for size in (2, 1):  # mm_s, mm
@@ -133,7 +135,9 @@ def guess_columns(path: str | Path) -> str:
         channels[channel] = {"columns": columns, "unit": unit if len({*unit}) > 1 else unit[0]}
         left = [name for name in left if name not in taken]
 
-    for pattern, labels in list(_sixes(left)):
+    sixes = list(_sixes(left))
+    alike = {pattern.replace("{leg}", one) for pattern, labels in sixes for one in labels}
+    for pattern, labels in sixes:
         taken = [pattern.replace("{leg}", label) for label in labels]
         channel = _channel(*names[taken[0]], [*channels]) if {*taken} <= {*left} else None
         if channel is not None:
@@ -141,7 +145,7 @@ def guess_columns(path: str | Path) -> str:
             take(channel, pattern if labels == legs else taken, taken)
     for channel, asked in zip(POSES, (True, False), strict=True):
         found: dict[str, str] = {}
-        for name in left:
+        for name in (one for one in left if one not in alike):
             words, _ = names[name]
             for dof, known in zip(DOFS, _AXES, strict=True):
                 if words & {*known.split()} and bool(words & _DEMAND) == asked:

@@ -98,6 +98,12 @@ def test_uneven_time_is_refused_with_its_place_or_resampled(tmp_path: Path) -> N
     record = read_mapped(file, mapped(time={"column": "t", "resample": 500.0}), LAB)
     due = np.interp(record.time, time, LEGS[:, 2])
     np.testing.assert_allclose(record["leg_position"][:, 2], due, atol=1e-15)
+    with pytest.raises(InputError, match=r"time: 0\.25 samples a second by unit 's' is refused"):
+        read_mapped(
+            written(tmp_path, ".parquet", columns(time=1e3 * TIME)),
+            mapped(time={"column": "t", "resample": 500.0}),
+            LAB,
+        )
     time = TIME + 0.5 * (np.arange(200) >= 100)  # rows are lost: no line is drawn across
     file = written(tmp_path, ".parquet", columns(time=time))
     record = read_mapped(file, mapped(time={"column": "t", "resample": 500.0}), LAB)
@@ -179,6 +185,8 @@ def test_guess_reads_names_units_and_labels(tmp_path: Path) -> None:
         ("xref{} [m]", "leg_reference", "m"),
         ("valve_cmd_{}_pct", "valve_command", "%"),
         ("ActPos{} [mm]", "leg_position", "mm"),
+        ("Z{}_Ventil_mA", "valve_command", "%"),
+        ("Z{}_Soll_mm", "leg_reference", "mm"),
     ],
 )
 def test_guess_of_a_channel(name: str, channel: str, unit: str, tmp_path: Path) -> None:
@@ -205,6 +213,12 @@ def test_pose_of_joined_words_and_a_rate_that_is_guessed(tmp_path: Path) -> None
     assert [name for name, *_ in made.columns("demand_pose")] == axes
     assert made.time.rate is not None
     assert "time: no column was recognised: the rate [Hz] below is a guess" in text
+
+
+def test_numbers_of_legs_are_no_axes(tmp_path: Path) -> None:
+    names = [f"Z{k}_foo_mm" for k in range(1, 7)] + ["x_mm", "y_mm", "roll", "pitch", "yaw"]
+    made, _ = guessed([*names, *(f"v{k}" for k in range(1, 7))], tmp_path)
+    assert [*made.channels] == ["leg_velocity"]
 
 
 def test_record_from_arrays_in_units_of_the_field() -> None:
