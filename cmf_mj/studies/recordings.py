@@ -3,7 +3,7 @@
 missing     channels and legs that were not recorded, and what cannot be known without them
 gaps        samples without a number
 range       leg positions beyond the stroke, pressures beyond the supply
-clipping    a sensor that stays at its largest or smallest value while the machine goes on
+clipping    a sensor that stays at its largest or smallest value, or anywhere, while others go on
 legs        positions against the demand's, which are those of its pose by the kinematics (Eq C.6)
 velocity    against the slope of the positions: signs, units, time base
 valves      commands against velocities: positive extends
@@ -150,7 +150,7 @@ def _gaps(subject: _Subject) -> Iterator[Finding]:
             said = (
                 f"{f'leg {k + 1}, ' * (values.ndim > 1)}{int(empty.sum())} samples without a "
                 f"number in {len(spans)} gaps, the longest from {record.time[first]:.4g} to "
-                f"{record.time[end - 1]:.4g} s"
+                f"{record.time[end - 1]:.4g} s; `bridge` in the map fills short ones"
             )
             yield Finding("gaps", "fault", channel, (end - first) / record.rate, "s", said)
     filled = record.metadata.get("recording", {}).get("bridged", {})
@@ -183,16 +183,20 @@ def _range(subject: _Subject) -> Iterator[Finding]:
 
 
 def _clipping(subject: _Subject) -> Iterator[Finding]:
-    for channel, _, unit in subject.known(MEASURED):
+    for channel, values, unit in subject.known((*MEASURED, "valve_command")):
         for k, column in enumerate(subject.whole(channel).T):
+            if stuck := pairs.stuck(values, k, subject.record.rate):
+                at, end = subject.record.time[[stuck[0], stuck[1] - 1]]
+                said = f"leg {k + 1} stands still from {at:.4g} to {end:.4g} s, others move: frozen"
+                yield Finding("clipping", "fault", channel, end - at, "s", said)
             moved = np.abs(np.diff(column))
             moved = moved[moved > 1e-12 * np.abs(column).max()]
             if moved.size and (clip := pairs.clipped(column, float(moved.min()))):
                 said = f"leg {k + 1} stays at {clip[0]:.4g} {unit} for {clip[1]} samples: clipped"
                 empty = channel in PRESSURES and clip[0] < 1e-3 * subject.supply
-                yield Finding(
-                    "clipping", "loss" if empty else "fault", channel, clip[0], unit, said
-                )
+                usable = empty or channel == "valve_command"  # which a law may bound
+                status: Status = "loss" if usable else "fault"
+                yield Finding("clipping", status, channel, clip[0], unit, said)
 
 
 def _motion(subject: _Subject) -> Iterator[Finding]:
@@ -204,6 +208,9 @@ def _motion(subject: _Subject) -> Iterator[Finding]:
     demands = [name for name, *_ in subject.known(_ASKED_FOR)]
     if not demands:
         said = "no demand and no pose to compare with"
+        yield Finding("legs", "unseen", "leg_position", nan, "", said)
+    elif not {*POSES} & {*demands}:
+        said = "no pose was recorded: a unit that is wrong in all lengths alike would not show"
         yield Finding("legs", "unseen", "leg_position", nan, "", said)
     floor = 2e-3 * subject.machine.half_stroke
     compared = [("leg_position", name) for name in demands] + [("leg_reference", "demand_pose")]
@@ -245,7 +252,7 @@ def _timing(
     subject: _Subject, expected: Array, demand: str, found: pairs.Agreement
 ) -> Iterator[Finding]:
     if np.isfinite(found.delay) and found.left < _FOLLOWS:
-        early = -1.5 / subject.rate - 2e-3
+        early = -0.5 / subject.rate - 2e-3
         wrong = demand != "platform_pose" and not early <= found.delay <= _SLOWEST
         said = f"behind {demand}" + ": the clocks of the two are apart" * wrong
         status: Status = "fault" if wrong else "fine"
@@ -302,7 +309,7 @@ def _force(subject: _Subject) -> Iterator[Finding]:
     if fits is not None and np.isfinite(fits.gain):
         yield from _judged("force", "pressures", "weight and inertia", fits, {})
     else:
-        said = "inertia does not show, so that a slip of all channels alike would not either"
+        said = "inertia does not show, so that legs exchanged in all pressures would not either"
         yield Finding("force", "unseen", "pressures", np.nan, "", said)
 
 

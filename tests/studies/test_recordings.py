@@ -88,6 +88,11 @@ def clipped(values: Array) -> Array:
     return np.minimum(values, most)
 
 
+def frozen(values: Array) -> Array:
+    at = np.arange(len(values))[:, None]
+    return np.where((np.arange(6) == 1) & (at > 4000), values[4000], values)
+
+
 def half_missing(values: Array) -> Array:
     return np.where(np.arange(6) < 3, values, np.nan)
 
@@ -135,6 +140,8 @@ SLIPS: dict[str, tuple[dict[str, Any], str]] = {
     "clock early": ({"demand_pose": later(0.2)}, "the clocks of the two are apart"),
     "clock late": ({"demand_pose": later(-0.6)}, "the clocks of the two are apart"),
     "clipped": ({"leg_position": clipped}, "leg 3 stays at"),
+    "valve clipped": ({"valve_command": clipped}, "valve_command: leg 3 stays at"),
+    "frozen": ({"leg_position": frozen}, "leg 2 stands still from"),
     "gap": ({"leg_position": with_gap}, "30 samples without a number in 1 gaps, the longest from"),
 }
 
@@ -169,6 +176,13 @@ def test_two_laws_in_one_file_are_found(name: str) -> None:
         time = np.arange(2 * own.time.size) / own.rate
         joined = Record(time, channels, own.units, own.metadata)
         assert word in verdict(check_recording(joined, machine))
+
+
+def test_legs_alone_do_not_show_a_unit_that_all_lengths_share() -> None:
+    machine = load_machine("lab")
+    for demand, count in (("leg_reference", 1), ("demand_pose", 0)):
+        found = check_recording(made("lab", demand), machine)
+        assert sum("no pose was recorded" in one.said for one in found) == count
 
 
 def test_delay_is_that_of_the_shift() -> None:
