@@ -324,7 +324,7 @@ def _check_linear(plant: Plant, *, refuse_friction: bool) -> None:
             (
                 "coulomb_friction",
                 friction.coulomb_friction if refuse_friction else 0.0,
-                f"0, or a friction that is stated: {CONTACTS}",
+                f"0, or a friction that is stated (--friction): {CONTACTS}",
             ),
         ):
             if value > 0.0:

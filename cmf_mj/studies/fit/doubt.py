@@ -11,6 +11,7 @@ correlation is below
 
 **Held back.** Recordings the fit never saw: ratio of measured to simulated leg positions over
 frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and phase in deg.
+Of two clocks the offset that is best is taken out.
 
 **Stated.** Numbers of `evidence` beside those of the fitted machine, fitted or held back.
 
@@ -169,10 +170,16 @@ def predicted(posterior: Posterior) -> list[Prediction]:
     model, machine = Model(posterior.campaign, held_back=True), fitted(posterior)
     found = []
     for one in model.pieces:
-        simulated = one.simulated(machine, model.electronics(posterior.z))
+        sensors = model.electronics(posterior.z)
+        simulated = one.simulated(machine, sensors)
+        if posterior.campaign.settings.clocks:  # nor has the fit seen how far these are apart
+            apart = _ratio(one.measured["leg_position"], simulated["leg_position"], one.rate)
+            simulated = one.simulated(machine, sensors, late=_late(*apart))
         measured = {name: value[one.first :] for name, value in one.measured.items()}
         simulated = {name: value[one.first :] for name, value in simulated.items()}
-        gain, phase = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)
+        _, ratio = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)
+        both = 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+        gain, phase = (float(part[np.abs(part).argmax()]) for part in both)
         shares = [
             np.std(measured[c] - value - (measured[c] - value).mean(axis=0)) / np.std(measured[c])
             for c, value in simulated.items()
@@ -182,17 +189,20 @@ def predicted(posterior: Posterior) -> list[Prediction]:
     return found
 
 
-def _ratio(measured: Array, simulated: Array, rate: float) -> tuple[float, float]:
-    """Worst gain [dB] and phase [deg] of measured over simulated histories up to `TO`."""
+def _ratio(measured: Array, simulated: Array, rate: float) -> tuple[Array, NDArray[np.complex128]]:
+    """Frequencies [Hz] up to `TO`, and measured over simulated histories at them."""
     length = min(int(4.0 * rate), measured.shape[0])
     how: dict[str, Any] = {"fs": rate, "nperseg": length, "axis": 0}
     frequency, cross = signal.csd(simulated, measured, **how)
     power = signal.welch(simulated, **how)[1].sum(axis=1)
     chosen = (frequency > 0.0) & (frequency <= TO)
     chosen &= power > _POWER * power[chosen].max()
-    ratio = cross.sum(axis=1)[chosen] / power[chosen]
-    gain, phase = 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
-    return float(gain[np.argmax(np.abs(gain))]), float(phase[np.argmax(np.abs(phase))])
+    return frequency[chosen], cross.sum(axis=1)[chosen] / power[chosen]
+
+
+def _late(frequency: Array, ratio: NDArray[np.complex128]) -> float:
+    """Offset of the clocks [s] that a phase in proportion to frequency shows."""
+    return float(frequency @ np.angle(ratio) / (2.0 * np.pi * frequency @ frequency))
 
 
 def _share(value: float) -> str:

@@ -196,6 +196,16 @@ def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
     assert right < 0.5 * wrong < 0.005, (right, wrong)
 
 
+def test_offset_of_two_clocks_is_found_in_what_was_held_back() -> None:
+    """White noise 7 ms apart; with it taken out no phase is left."""
+    rate, late, lines = 256.0, 0.007, np.fft.rfftfreq(5120, 1.0 / 256.0)
+    simulated = np.random.default_rng(1).normal(size=(5120, 2))
+    turned = np.fft.rfft(simulated, axis=0) * np.exp(2j * np.pi * lines * late)[:, None]
+    measured = np.fft.irfft(turned, 5120, axis=0)
+    found = doubt._late(*doubt._ratio(measured, simulated, rate))
+    assert found == pytest.approx(late, abs=3e-4)
+
+
 def test_what_is_wrong_with_a_campaign_is_named(tmp_path: Path) -> None:
     said = {"file": "a.parquet", "kind": "hold", "held_back": True}
     table = {"machine": "lab", "recordings": {"a": said}}
