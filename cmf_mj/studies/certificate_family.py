@@ -74,6 +74,7 @@ SIZE = sum(count for _, count in KINDS.values())
 WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
 
 LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
+LEAST = 0.05  #: Share of a number that is left of it at least.
 
 
 class Box(Settings):
@@ -98,9 +99,13 @@ class Box(Settings):
         return self
 
     def changes(self, points: Array) -> dict[str, Array]:
-        """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count)."""
+        """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count).
+
+        Beyond a wide unit box a number keeps `LEAST` of itself.
+        """
         parts = Unknowns(self.unknowns).split(points)
-        return {name: self.unknowns[name].half * part for name, part in parts.items()}
+        sizes = {name: self.unknowns[name].half * part for name, part in parts.items()}
+        return {name: np.maximum(size, LEAST - 1.0) for name, size in sizes.items()}
 
     def values(self, changes: Mapping[str, Array]) -> dict[str, Any]:
         """Values of the unknowns in a machine with changes (1, count), in axes of the cab."""

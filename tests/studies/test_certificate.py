@@ -136,6 +136,16 @@ def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
     assert peak_bound(family.within(0.02 * family.widths(BOX, 1.0)), 0.0, 1.0) == 1.0
 
 
+def test_wide_box_leaves_a_share_of_each_number() -> None:
+    """Of a fit that cannot tell two lags apart, replayed at 1.5 times the largest scale."""
+    lag = BOX.unknowns["drive_lag"].model_copy(update={"deviation": 60.0})
+    wide = BOX.model_copy(update={"unknowns": {**BOX.unknowns, "drive_lag": lag}})
+    changes = wide.changes(-1.95 * np.ones((1, SIZE)))
+    assert changes["drive_lag"].min() == pytest.approx(-0.95)
+    usual = BOX.changes(-1.95 * np.ones((1, SIZE)))
+    assert usual["drive_lag"].min() == pytest.approx(-1.95 * 0.15)
+
+
 def test_refused_boxes(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
     text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate.toml").read_text()
