@@ -110,19 +110,20 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
 
 
 def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
-    """As `command`, for commands that draw: they take the format of their figures."""
+    """As `command`, for commands that draw: they take format and size of their figures."""
 
     def decorated(function: Callable[..., None]) -> Callable[..., None]:
-        def drawn(figure_format: str | None, **named: Any) -> None:
+        def drawn(figure_format: str | None, figure_size: str | None, **named: Any) -> None:
             from cmf_mj.show.look import printed
 
-            with printed(figure_format):
+            with printed(figure_format, figure_size):
                 function(**named)
 
         own, kind = signature(function, eval_str=True), Parameter.KEYWORD_ONLY
-        extra = Parameter("figure_format", kind, default=None, annotation=FigureFormat)
+        more = {"figure_format": FigureFormat, "figure_size": FigureSize}
+        extra = (Parameter(name, kind, default=None, annotation=one) for name, one in more.items())
         update_wrapper(drawn, function)
-        vars(drawn)["__signature__"] = own.replace(parameters=[*own.parameters.values(), extra])
+        vars(drawn)["__signature__"] = own.replace(parameters=[*own.parameters.values(), *extra])
         return drawn
 
     return lambda name: lambda function: command(name)(decorated(function))
@@ -189,6 +190,7 @@ Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics 
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
 FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORMATS)]
+FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]

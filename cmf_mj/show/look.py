@@ -12,6 +12,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.published import Published
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
@@ -49,17 +50,36 @@ STYLE: dict[str, Any] = {
 
 FORMATS = ("png", "svg", "pdf")  #: Of the files of figures.
 
-_LEAST = 9.0 * 72.0 / 1280.0
-"""Height of the smallest text: 9 px of a picture of 1280 px across [points an inch]."""
-_PRINT: ContextVar[str | None] = ContextVar("print", default=None)
-"""Format of all figures that are written, if not as each is made."""
+_PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
+"""Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""
+_LEAST, _LEAST_PRINTED, _DPI = 9.0 * 72.0 / 1280.0, 6.0, 200
+"""Height of the smallest text: 9 px of 1280 px across [points an inch]; of a figure with a size
+[points], with its dots an inch."""
+_PRINT: ContextVar[tuple[str | None, str | None]] = ContextVar("print", default=(None, None))
+"""Format and size of all figures that are written, if not as each is made."""
+
+
+def _inches(size: str | None, width: float, height: float) -> tuple[float, float]:
+    """Width and height of a figure that is made `width` by `height`."""
+    if size in (None, "page"):
+        fits = min(_PAGE[0] / width, _PAGE[1] / height) if size else 1.0
+        return fits * width, fits * height
+    try:
+        wide, high = _SLIDE if size == "slide" else map(float, str(size).lower().split("x"))
+    except ValueError:
+        wide = high = np.nan
+    if not (2.0 <= wide <= 60.0 and 2.0 <= high <= 60.0):
+        allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
+        raise InputError(f"figure_size: {size!r} is refused; allowed: {allowed}")
+    return wide, high
 
 
 @contextmanager
-def printed(form: str | None) -> Iterator[None]:
-    """Write all figures in a format, png, svg or pdf."""
+def printed(form: str | None = None, size: str | None = None) -> Iterator[None]:
+    """Write all figures in a format, png, svg or pdf, and in a size as `--figure-size` takes it."""
     check_name("figure_format", form or "png", FORMATS)
-    before = _PRINT.set(form)
+    _inches(size, *_PAGE)
+    before = _PRINT.set((form, size))
     try:
         yield
     finally:
@@ -215,28 +235,33 @@ def _numbers(axes: Axes) -> list[Text]:
     return texts + [t for axis in both for t in axis.get_ticklabels(which="both")]
 
 
-def _legible(figure: Figure) -> None:
-    """Bring the text of a figure to what can be read."""
-    least = _LEAST * figure.get_figwidth()
+def _fit(figure: Figure, size: str | None) -> None:
+    """Bring a figure to the size that is asked for, and its text to what can be read."""
+    own = figure.get_size_inches()
+    figure.set_size_inches(_inches(size, *own))
+    scale = float(np.sqrt(np.prod(figure.get_size_inches() / own)))
+    least = max(_LEAST * figure.get_figwidth(), _LEAST_PRINTED if size else 0.0)
     for text in figure.findobj(Text):
-        text.set_fontsize(max(float(text.get_fontsize()), least))
+        text.set_fontsize(max(scale * float(text.get_fontsize()), least))
     for title in figure.texts:
         title.set_wrap(True)
+    for line in figure.findobj(Line2D):
+        line.set_linewidth(scale * line.get_linewidth())
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         for label in axis.get_ticklabels()[:1]:  # those that are yet to be made are like it
             axis.set_tick_params(which="both", labelsize=label.get_fontsize())
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure by the ending of the name, which `printed` changes, and release its memory.
+    """Write a figure by the ending of the name and release its memory; `printed` changes both.
 
     The file appears when it is complete, and the same figure gives the same bits: no date, no names
     of programs. Folders are made.
     """
-    form = _PRINT.get()
+    form, size = _PRINT.get()
     path = path if form is None else path.with_suffix(f".{form}")
-    kind = path.suffix[1:]
-    _legible(figure)
+    kind, dpi = path.suffix[1:], dpi if size is None else _DPI
+    _fit(figure, size)
     numbers = {id(text) for axes in figure.axes for text in _numbers(axes)}
     for text in figure.findobj(Text):
         text.set_parse_math(id(text) in numbers)  # a title with $ signs is no formula

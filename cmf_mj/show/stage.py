@@ -22,7 +22,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import whole_file
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
@@ -160,16 +160,22 @@ class Reel(NamedTuple):
     traces: Panels = ()  #: Under the picture.
 
 
+UNITS = {"US": ("in", "deg", "psi", "lbf"), "metric": ("mm", "deg", "bar", "kN")}
+"""Units of lengths, angles, pressures and forces, by their system."""
+
+
 def busiest_leg(*records: Record) -> int:
     """The leg, from 0, whose cap pressure moves most."""
     return int(np.max([np.ptp(one["cap_pressure"], axis=0) for one in records], axis=0).argmax())
 
 
-def traces_of(record: Record, leg: int | None = None) -> Panels:
+def traces_of(record: Record, system: str = "US", leg: int | None = None) -> Panels:
     """A degree of freedom of a record, and pressures of a leg, the busiest by default.
 
-    It is the one whose demand moves most, lengths against 1 in and angles against 1 deg.
+    It is the one whose demand moves most, lengths against 1 in and angles against 1 deg. The system
+    is one of `UNITS`.
     """
+    length, angle, pressure, _ = UNITS[system]
     scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
     dof = int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())
     leg = busiest_leg(record) if leg is None else leg
@@ -180,21 +186,21 @@ def traces_of(record: Record, leg: int | None = None) -> Panels:
         values = record[channel].reshape(record.time.size, -1)[:, column]
         return Curve(name, record.time, values / units.factor(unit), colour, width=width)
 
-    title, column, unit = f"leg {leg + 1}", leg, "in"
+    title, column, unit = f"leg {leg + 1}", leg, length
     channels = ("leg_reference", "leg_extension")
     if "platform_pose" in record.channels:
-        title, column, unit = DOFS[dof], dof, dof_unit(dof)
+        title, column, unit = DOFS[dof], dof, by_kind(dof, length, angle)
         channels = ("demand_pose", "platform_pose")
     motion = (
         line("demand", channels[0], column, unit, GREY, 2.2),
         line("response", channels[1], column, unit, BLUE, 1.2),
     )
     pressures = (
-        line("cap", "cap_pressure", leg, "psi", ORANGE),
-        line("rod", "rod_pressure", leg, "psi", GREEN),
-        line("supply", "supply_pressure", 0, "psi", DARK),
+        line("cap", "cap_pressure", leg, pressure, ORANGE),
+        line("rod", "rod_pressure", leg, pressure, GREEN),
+        line("supply", "supply_pressure", 0, pressure, DARK),
     )
-    below = Panel(f"leg {leg + 1} [psi]", pressures, from_zero=True)
+    below = Panel(f"leg {leg + 1} [{pressure}]", pressures, from_zero=True)
     return Panel(f"{title} [{unit}]", motion), below
 
 

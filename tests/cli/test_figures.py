@@ -1,5 +1,6 @@
 """Figures of commands: every command that draws takes their format and their size."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +55,13 @@ def options_of(words: str) -> dict[str, Any]:
     return {option.name: option for option in commands()[tuple(words.split())].params}
 
 
-def test_every_command_that_draws_takes_a_format() -> None:
+def test_every_command_that_draws_takes_format_and_size() -> None:
     assert set(FIGURES) | OTHERS | ELSEWHERE | {"machine show"} == set(LINES)
     for words in LINES:
-        assert ("figure_format" in options_of(words)) == (words in {*FIGURES, *ELSEWHERE}), words
+        named = {name for name in options_of(words) if name.startswith("figure_")}
+        assert named == (
+            {"figure_format", "figure_size"} if words in {*FIGURES, *ELSEWHERE} else set()
+        ), words
 
 
 @pytest.mark.parametrize(
@@ -66,11 +70,14 @@ def test_every_command_that_draws_takes_a_format() -> None:
 def test_a_command_writes_its_figures_as_asked(
     words: str, tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
-    cmf(*line_of(words, tmp_path), "--figure-format", "svg")
+    """SVG counts points, 72 an inch."""
+    cmf(*line_of(words, tmp_path), "--figure-format", "svg", "--figure-size", "7x6")
     written = [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
     assert {path.stem for path in written} == set(FIGURES[words].split())
     assert set(drawn) == {path.name for path in written}
-    assert all(path.suffix == ".svg" and "<svg " in path.read_text() for path in written)
+    for path in written:
+        size = re.search(r'<svg [^>]*width="(\w+)pt" height="(\w+)pt"', path.read_text())
+        assert path.suffix == ".svg" and size and size.groups() == ("504", "432"), path
 
 
 @pytest.mark.slow
@@ -78,6 +85,12 @@ def test_a_command_writes_its_figures_as_asked(
 def test_other_commands_draw_nothing(words: str, tmp_path: Path) -> None:
     cmf(*line_of(words, tmp_path))
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".svg", ".pdf")]
+
+
+@pytest.mark.parametrize("size", ["a4", "6.5", "6x", "1.9x4", "4x61", "nanx4", "6x4x2", "-6x4", ""])
+def test_a_size_that_is_none_is_refused(size: str, tmp_path: Path) -> None:
+    said = cmf("report", "linear", "--figure-size", size, "--out", tmp_path / "out", code=2)
+    assert "figure_size" in said and repr(size) in said and "page, slide or WIDTHxHEIGHT" in said
 
 
 def test_a_format_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -21,8 +21,9 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.look import Curve, Panel
 from cmf_mj.show.player import writer
-from cmf_mj.show.stage import FilmStage
+from cmf_mj.show.stage import FilmStage, Reel
 
 ROOT = Path(__file__).resolve().parents[2]
 LAWS = "velocity", "position_error_rate"
@@ -107,6 +108,30 @@ def test_the_sites_pages_are_what_the_command_writes_today(shown: Path, path: Pa
     written, today = (runs.sub("", one.read_text(encoding="utf-8")) for one in (shown, path))
     assert written == today
     assert shown.stat().st_size < writer.MOST_BYTES
+
+
+def test_a_step_is_said_in_words(tmp_path: Path) -> None:
+    """Of a swing in closed form: 3 Hz, each half of the last, twice the step at first."""
+    time = np.linspace(0.0, 5.0, 5001)
+    late = np.maximum(time - 0.5, 0.0)
+    swing = 1.0 - 0.5 ** (3.0 * late) * np.cos(6.0 * np.pi * late)
+    curves = (
+        Curve("demand", time, np.where(time < 0.5, 0.0, -2.0), "k"),
+        Curve("response", time, np.where(time < 0.5, 0.0, -2.0 * swing), "k"),
+    )
+    panel = Panel("surge [in]", curves)
+    model = hexapod_model("gfd")
+    qpos = np.tile(mujoco.MjData(model).qpos, (time.size, 1))
+    reels = [Reel(model, time, qpos, "a step", [panel])]
+    text = writer.write_page(reels, (0.0, 5.0), tmp_path / "x.html", 1, 1.0, "overview").read_text(
+        encoding="utf-8"
+    )
+    top = swing.max()
+    assert (
+        f"response goes to {top:.2f} of the step, ends at 1.00, swings 3.0 times a second" in text
+    )
+    assert "each swing 50% of the last" in text
+    assert f"<td>{-2 * top:.2f} at 0.66 s</td><td>0.00 at 0.00 s</td>" in text
 
 
 # In Chromium, with WebGL in software

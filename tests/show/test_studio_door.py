@@ -119,6 +119,22 @@ def test_beyond_loopback_the_token_is_asked_for_by_address_or_cookie() -> None:
     assert Door("127.0.0.1").token is Door("localhost").token is Door("::1").token is None
 
 
+def test_an_address_names_a_ready_scenario_and_no_file(studio: Studio) -> None:
+    wait(lambda: not studio.pages)
+    with urllib.request.urlopen(f"{studio.url}/?scenario=push", timeout=30.0) as reply:
+        assert reply.url == f"{studio.url}/?websocket=ws{studio.url[4:]}/?scenario=push"
+        assert b"<html" in reply.read(2000)
+    with connected(f"{studio.url}/?scenario=push") as tab:
+        send(tab, CAMERA)
+        wait(lambda: studio.pages)
+        assert studio.pages[0].live.scenario().result().title == "A push on the platform"
+    for name in ("surge_single_legs", "../push", "/etc/passwd", "a.toml"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"{studio.url}/?scenario={name}", timeout=30.0)
+        assert refused.value.code == 404
+        assert f"scenario: {name!r} is unknown; allowed: studio, ".encode() in refused.value.read()
+
+
 def test_the_page_answers_itself_and_refuses_other_sites(studio: Studio) -> None:
     with urllib.request.urlopen(studio.url, timeout=30.0) as reply:
         assert b"<html" in reply.read(2000)

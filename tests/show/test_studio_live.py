@@ -1,5 +1,6 @@
 """The studio without a browser: real time in parts, what the controls mean, sessions."""
 
+import re
 import subprocess
 import sys
 import threading
@@ -21,13 +22,17 @@ from typer.testing import CliRunner
 
 from cmf_mj import InputError, RunError
 from cmf_mj.cli.common import app
+from cmf_mj.control.law import law_names
 from cmf_mj.control.protection import Fault
-from cmf_mj.core.settings import parsed_toml
+from cmf_mj.core.settings import parsed_toml, read_toml
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.scenario import scenario_of, scenario_toml
 from cmf_mj.facility.settings import Change, change_of
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.studio import desk
+from cmf_mj.plant.events import KINDS
+from cmf_mj.show.stage import UNITS
+from cmf_mj.show.studio import controls, desk
+from cmf_mj.show.studio.desk import session_page
 from cmf_mj.show.studio.live import (
     KEPT_ROWS,
     LARGEST,
@@ -37,8 +42,9 @@ from cmf_mj.show.studio.live import (
     LiveSession,
     View,
     marks_of,
+    words,
 )
-from cmf_mj.show.studio.plots import UNITS, Plots, lamp, spikes
+from cmf_mj.show.studio.plots import Plots, lamp, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
@@ -220,6 +226,29 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     np.testing.assert_allclose(np.diff(times), 1.0 / PLOT_RATE, rtol=1e-9)
 
 
+def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
+    """With the first one's law its numbers are the first one's; with another they are not."""
+    session = screen.session(heave())
+    for beside, same in (("velocity", True), ("force", False)):
+        session.begin(heave(), beside).result()
+        session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
+        screen.wait_for_time(0.5)
+        session.pause(True)
+        session.scenario().result()
+        pairs = [(a, b) for a, b in zip(session._past, session._beside_past, strict=True) if b]
+        assert len(pairs) == len(session._past) > 0.4 * PLOT_RATE
+        assert np.array_equal(pairs[-1][0].qpos, pairs[-1][1].qpos) == same
+        session.pause(False)
+        screen.views.clear()
+    session.apply(change_of({"law": "position_error_rate"})).result()
+    screen.wait_for_time(session._past[-1].time + 0.1)
+    assert session._beside is not None and session._beside.look().law == "force"
+    with pytest.raises(InputError, match="nobody"):
+        session.begin(heave(), "nobody").result()
+    session.close()
+    assert not screen.errors
+
+
 def test_all_that_happens_is_marked() -> None:
     scenario = heave(
         duration=10.0,
@@ -267,8 +296,86 @@ def test_every_ready_scenario_goes_on_in_a_session(name: str, screen: Screen) ->
     assert session._run.look().time == 0.125
 
 
-def test_plots_draw_numbers_alone(screen: Screen) -> None:
-    """A gap would have no scale."""
+LESSONS = read_toml(Path(controls.__file__).with_name("lessons.toml"))
+
+
+@pytest.mark.parametrize(
+    ("prompt", "change", "top"),
+    [
+        (0, {}, 2.0),
+        (1, {"law": "velocity"}, 1.5),
+        (2, {"law": "velocity", "dof": "heave"}, 1.14),
+        (3, {"law": "modal_plan"}, 1.0),
+    ],
+)
+def test_what_the_lesson_on_surge_says_is_seen(
+    prompt: int, change: dict[str, str], top: float
+) -> None:
+    law, dof = change.get("law", "position_error_rate"), change.get("dof", "surge")
+    step = desk.signal_table("step", dof, 1.0)
+    record = scenario_of({"law": law, "signal": step, "duration": 4.0}, "test").record()
+    response = record["platform_pose"][:, DOFS.index(dof)] / 0.0254
+    assert response.max() == pytest.approx(top, abs=0.05)
+    peaks = record.time[1:-1][(np.diff(response)[:-1] > 0) & (np.diff(response)[1:] <= 0)]
+    swings = peaks[peaks > 1.1]
+    answer = LESSONS["surge_ring"][prompt]["answer"]
+    if dof == "surge" and law != "modal_plan":
+        assert 1.0 / np.diff(swings)[:4].mean() == pytest.approx(3.0, abs=0.2)
+    else:
+        assert (response[record.time > 1.6] < 1.03).all()
+    if prompt == 0:
+        assert "twice the step, three times a second" in answer
+    if prompt in (1, 2):
+        assert {1: "to about 1.5 times the step, but as fast", 2: "overshoot of 14 %"}[
+            prompt
+        ] in answer
+
+
+def test_what_the_lesson_on_the_pump_says_is_seen() -> None:
+    record = desk.ready_scenarios()["pump_failure"].record()
+    tripped = record.metadata["fault"]["time"]
+    pressure = record["supply_pressure"].ravel()[record.time.searchsorted(tripped)]
+    assert tripped - 4.0 == pytest.approx(6.0, abs=0.3)
+    assert pressure == pytest.approx(1000 * 6894.76, rel=0.02)
+    assert "Near 1000 psi (70 bar), about six seconds" in LESSONS["pump_failure"][1]["answer"]
+
+
+def test_lessons_are_of_ready_scenarios_and_wait_for_what_can_happen() -> None:
+    happens = {"", "signal", "tripped", *(f"law {name}" for name in law_names("all"))}
+    happens |= {words(kind, None) for kind in KINDS}
+    for name, prompts in LESSONS.items():
+        assert name in desk.ready_scenarios()
+        assert all(set(prompt) == {"ask", "until", "answer"} for prompt in prompts)
+        assert {prompt["until"] for prompt in prompts} <= happens
+        for link in re.findall(r"\?scenario=(\w+)", str(prompts)):
+            assert link in desk.ready_scenarios()
+
+
+def test_a_prompt_is_never_beyond_the_last_however_often_the_button_is_pressed() -> None:
+    pressed: list[Callable[[object], None]] = []
+    followers: list[Callable[[Run], None]] = []
+
+    def add(*_: object, **given: object) -> SimpleNamespace:
+        return SimpleNamespace(**given, on_click=pressed.append, on_update=lambda _: None)
+
+    def add_dropdown(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(options=(), value="", on_update=lambda _: None)
+
+    gui = SimpleNamespace(add_markdown=add, add_button=add, add_dropdown=add_dropdown)
+    live = SimpleNamespace(marks=lambda: SimpleNamespace(result=lambda: ()))
+    studio = SimpleNamespace(client=SimpleNamespace(gui=gui), live=live, follow=followers.append)
+    show = controls.scenario_controls(cast(Any, studio))
+    view = cast(Any, SimpleNamespace(marks=(), live=SimpleNamespace(time=0.0)))
+    for name in ("surge_ring", "pump_failure", "push"):
+        followers[0](desk.ready_scenarios()[name])
+        for _ in range(9):
+            pressed[0](None)
+            show(view)
+
+
+@pytest.mark.parametrize("beside", ["", "force"])
+def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
+    """A gap would have no scale. The second line is the first one's without a second law."""
     drawn: list[SimpleNamespace] = []
 
     def add_uplot(*_: object, **given: object) -> SimpleNamespace:
@@ -277,15 +384,16 @@ def test_plots_draw_numbers_alone(screen: Screen) -> None:
 
     plots = Plots(cast(Any, SimpleNamespace(gui=SimpleNamespace(add_uplot=add_uplot))))
     session = LiveSession(heave(), screen.show, screen.tell)
+    session.begin(heave(), beside)
     session.start()
     screen.wait_for_time(0.5)
     session.pause(True)
     session.scenario().result()
-    waiting = screen.views[-1]._replace(past=[])
+    waiting = screen.views[-1]._replace(past=[], beside=[])
     plots.show(waiting, 10.0, "heave", "US", 2)  # nothing is left of a run before
     assert all(len(line) == 2 for plot in drawn if plot.visible for line in plot.data)
-    for system in UNITS:
-        plots.show(screen.views[-1], 10.0, "heave", system, 2)
+    for dof, system in zip(("heave", ""), UNITS, strict=True):  # nothing else moves
+        plots.show(screen.views[-1], 10.0, dof, system, 2)
     session.close()
     of = {plot.title: plot for plot in drawn}
     for shown, hidden, factor in (
@@ -296,8 +404,26 @@ def test_plots_draw_numbers_alone(screen: Screen) -> None:
         np.testing.assert_allclose(of[shown].data[1], factor * of[hidden].data[1], rtol=1e-6)
     lines = [line for plot in drawn for line in plot.data]
     assert len(lines) > 20 and np.isfinite(np.concatenate(lines)).all()
-    _, demand, response, *_ = next(plot.data for plot in drawn if "heave [in]" in plot.title)
+    _, demand, second, response, *_ = next(
+        plot.data for plot in drawn if "heave [in]" in plot.title
+    )
     assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
+    assert np.array_equal(second, response) == (not beside)
+
+
+def test_page_of_a_session_begins_where_the_record_does_and_says_what_happened(
+    tmp_path: Path,
+) -> None:
+    """Of a long session only the end is kept."""
+    session = SignalSession(heave(), keep=0.25)
+    session.run(256)
+    session.apply(Change(law="force"))
+    session.run(768)
+    record, marks = session.record(), marks_of(session.done(), None)
+    text = session_page(record, tmp_path / "x.html", marks, "metric").read_text("utf-8")
+    assert "<title>velocity, 0.1 s: law force</title>" in text
+    assert "heave [mm]: response" in text and "[bar]: supply" in text
+    assert f"from {record.time[0]:g} to" in text and record.time[0] == 0.25
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

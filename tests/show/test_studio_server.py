@@ -17,9 +17,12 @@ import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
+from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.facility.scenario import load_scenario
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.plant.events import KINDS
-from cmf_mj.show.studio import desk, live
+from cmf_mj.show.studio import controls, desk, live
 from cmf_mj.show.studio.server import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
@@ -253,6 +256,12 @@ def test_exported_session_runs_again_bit_for_bit(tab: Tab, tmp_path: Path) -> No
         tab.press("export scenario")
     path = tmp_path / "session.toml"
     download.value.save_as(path)
+    with tab.page.expect_download() as download:
+        tab.press("save page")
+    download.value.save_as(tmp_path / "session.html")
+    title = re.search(r"<title>(.*)</title>", (tmp_path / "session.html").read_text("utf-8"))
+    assert title is not None
+    assert re.fullmatch(r"velocity, [\d.]+ s: law position_error_rate, [\d.]+ s: push", title[1])
     record = tab.behind.live.record().result()
     again = load_scenario(path).record()
     assert again.time.size == record.time.size > 128
@@ -270,6 +279,38 @@ def test_units_change_what_is_shown_and_not_the_demand(tab: Tab) -> None:
     beside = "xpath=following::input[not(@type='hidden')][1]"  # viser gives it no label
     assert tab.page.get_by_text("amplitude [mm]").locator(beside).input_value() == "50.8"
     assert tab.behind.live.scenario().result().change == begun.change == ()
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_a_drive_goes_through_a_washout_that_is_exchanged_as_it_goes(
+    tab: Tab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controls, "CUED", tmp_path)
+
+    def sent() -> list[str]:
+        changes = tab.behind.live.scenario().result().change
+        return [Path(getattr(one.signal[0], "file", "")).name for one in changes if one.signal]
+
+    tab.choose("flight", "slalom")
+    tab.wait(lambda: sent() == ["slalom-simona-cmf-gfd.csv"])
+    tab.choose("washout", "optimal")
+    tab.wait(lambda: len(sent()) == 2)
+    begun = tab.time()
+    tab.wait(lambda: tab.time() > begun + 8.0)
+    for said in ("host frames slalom, optimal", "platform, sway"):
+        tab.page.get_by_text(said).first.wait_for()
+    cued = cue(load_flight("slalom").motion, "optimal").stream
+    files = [read_stream(tmp_path / name) for name in sent()]
+    np.testing.assert_array_equal(files[1].values, cued.values)
+    assert np.abs(files[0].values - cued.values).max() > 0.01
+    assert abs(float(tab.behind._scene.platform_position[1])) > 0.01
+    tab.choose("signal", "step")  # takes over, and the page says so
+    tab.page.get_by_text("signal step in heave").first.wait_for()
+    tab.page.get_by_text("platform, heave").first.wait_for()
+    tab.choose("flight", "slalom")  # flies again
+    tab.wait(lambda: sent()[-1] == "slalom-optimal-cmf-gfd.csv" and len(sent()) == 4)
+    tab.choose("flight", "none")
+    tab.wait(lambda: tab.behind.live.scenario().result().change[-1].signal == ())
 
 
 def test_another_cab_can_be_chosen_and_reset(tab: Tab) -> None:
@@ -305,6 +346,30 @@ def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
     (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
     assert signal.kind == "noise" and signal.band == (0.05, 0.8)
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_a_lesson_answers_what_was_done_and_leads_to_the_next(tab: Tab) -> None:
+    tab.page.get_by_label("scenario", exact=True).first.click()
+    tab.page.get_by_role("option", name="Surge step, position error rate feedback").click()
+    tab.status("Lesson, 1 of 4")
+    tab.wait(lambda: tab.behind.live.paused)  # until the prompt is read
+    assert tab.page.get_by_text("twice the step").count() == 0 and tab.time() < 0.01
+    tab.press("go on")
+    tab.page.get_by_text("twice the step").wait_for()
+    tab.press("next prompt")
+    tab.status("Lesson, 2 of 4")
+    tab.choose("law", "modal_plan")  # not what is asked for
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 4.0)
+    onward = tab.page.get_by_role("button", name="next prompt")
+    assert onward.count() == 0
+    tab.choose("law", "velocity")
+    onward.wait_for()
+    tab.press("reset")  # a new run has no such event, but the prompt was answered
+    tab.wait(lambda: tab.time() < since)
+    tab.status("Lesson, 2 of 4")
+    assert onward.count() == 1
 
 
 _REACHED = """() => [

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
+from cmf_mj.show.look import Panel
 from cmf_mj.show.stage import Panels, Reel, limits_of
 
 SAMPLES_A_SECOND = 128.0  #: Of time on the page at real speed, at most; it draws lines between.
@@ -149,6 +150,24 @@ def digits_of(range_: float) -> int:
     return 0 if range_ > 100.0 else max(2 - math.floor(math.log10(max(range_, 1e-9))), 2)
 
 
+def _said(panel: Panel, span: tuple[float, float]) -> str:
+    """How far a response goes after a step, where it ends and how it swings; else nothing."""
+    demand, *rest = panel.curves
+    inside = (demand.x >= span[0]) & (demand.x <= span[1])
+    if demand.name != "demand" or np.unique(demand.y[inside]).size != 2:
+        return ""
+    x, (begun, *_, asked) = demand.x[inside], demand.y[inside]
+    y = (rest[0].y[inside] - begun) / (asked - begun)
+    off, inner = y - y[-1], y[1:-1]
+    tops = 1 + np.flatnonzero((inner > y[:-2]) & (inner >= y[2:]) & (off[1:-1] > 0.02))
+    text = f"{panel.y_title}: {rest[0].name} goes to {y.max():.2f} of the step, ends at {y[-1]:.2f}"
+    if (swings := tops.size - 1) > 0:
+        left = (off[tops[-1]] / off[tops[0]]) ** (1 / swings)
+        text += f", swings {swings / (x[tops[-1]] - x[tops[0]]):.1f} times a second"
+        text += f", each swing {left:.0%} of the last"
+    return f'<tr><td colspan="5">{html.escape(text)}.'
+
+
 def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
     """Each curve in a row: where it begins and ends, its lowest and highest value and when."""
     rows = []
@@ -156,6 +175,7 @@ def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
         rows.append(f'<tr><th colspan="5" scope="rowgroup">{html.escape(reel.title)}</th></tr>')
         for panel in reel.traces:
             digits = digits_of(np.ptp(limits_of([panel], span)))
+            rows.append(_said(panel, span))
             for curve in panel.curves:
                 inside = (curve.x >= span[0]) & (curve.x <= span[1])
                 x, y = curve.x[inside], curve.y[inside]

@@ -2,6 +2,7 @@
 
 import math
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -10,13 +11,21 @@ import viser
 
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
+from cmf_mj.core.settings import read_toml
+from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_toml
 from cmf_mj.facility.settings import Change, Push, change_of
+from cmf_mj.facility.signal import HostFile
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight, names
+from cmf_mj.pilot.washout_settings import WASHOUTS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters import HYDRAULICS, hydraulics_of
+from cmf_mj.record.record import Record
+from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import (
     DIRECTIONS,
     LARGEST_PUSH,
@@ -27,12 +36,13 @@ from cmf_mj.show.studio.desk import (
     law_of,
     pick,
     ready_scenarios,
+    session_page,
     signal_settings,
     signal_table,
     weight,
 )
 from cmf_mj.show.studio.live import View
-from cmf_mj.show.studio.plots import UNITS, lamp
+from cmf_mj.show.studio.plots import lamp
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -43,17 +53,60 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
+NONE = "none"  #: Choice of no second law, and of no flight.
 
-def scenario_controls(desk: Desk) -> None:
-    """The ready scenarios by title."""
-    ready = {run.title: run for run in ready_scenarios().values()}
-    chosen = desk.client.gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
+_cueing = threading.Lock()  #: One flight is made at a time, of all tabs.
+
+CUED = Path("out/studio")  #: Folder of the frames of flights, which exported scenarios name.
+
+_WATCHED = 3.0  #: Time from what a prompt asks for to its answer [s].
+
+_FADE = 3.0  #: Time in which a flight takes over [s]: it begins at neutral.
+
+
+def scenario_controls(desk: Desk) -> Callable[[View], None]:
+    """The ready scenarios by title; of some, prompts, answered once one has seen what follows."""
+    gui, ready = desk.client.gui, {run.title: run for run in ready_scenarios().values()}
+    chosen = gui.add_dropdown("scenario", tuple(ready), hint="begins it from rest")
+    text, onward = gui.add_markdown("", visible=False), gui.add_button("next prompt", visible=False)
+    lessons = read_toml(Path(__file__).with_name("lessons.toml"))
+    of = {ready_scenarios()[name].title: prompts for name, prompts in lessons.items()}
+    prompts: list[dict[str, str]] = []
+    at, since = 0, 0  # prompt, and number of marks when it was shown
+    answered = set[int]()  # prompts, whatever runs begin after
 
     def follow(scenario: Run) -> None:
+        nonlocal prompts, at, since
         pick(chosen, ready.setdefault(scenario.title, scenario).title)
+        now = of.get(scenario.title, [])
+        if prompts is not now or at + 1 == len(now):  # the last begins the first again
+            at, prompts = 0, now  # in this order: the session's thread reads both
+            answered.clear()
+            desk.wait = bool(now)
+        since = 0
 
+    def show(view: View) -> None:
+        said, done = "", False
+        if prompts:
+            ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
+            seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
+            if any(until in mark.text for mark in seen) if until else view.live.time > _WATCHED:
+                answered.add(at)
+            done = at in answered
+            then = f"**Answer:** {answer}" if done else "*Answered some seconds after you did it.*"
+            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask}\n\n{then}"
+        text.content, text.visible = said, bool(said)
+        onward.visible = done and at + 1 < len(prompts)
+
+    def go_on(_: Any) -> None:
+        nonlocal at, since
+        at = min(at + 1, max(len(prompts) - 1, 0))  # a button may be pressed twice
+        since = len(desk.live.marks().result())
+
+    onward.on_click(go_on)
     by_hand(lambda _: desk.begin(ready[chosen.value]), chosen)
     desk.follow(follow)
+    return show
 
 
 def run_controls(desk: Desk) -> Callable[[View], None]:
@@ -116,6 +169,7 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
         chosen = {name: handle.value for name, handle in settings.items()}
         table = signal_table(kind.value, dof.value, size(), **chosen)
         desk.apply(change_of({"signal": table}, "signal"))
+        desk.land()
 
     def limit(chosen: float) -> None:
         """Show an amplitude [in or deg] and its limit in the units of the page."""
@@ -171,15 +225,74 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     return lambda: (dof.value, system.value)
 
 
+def cueing_controls(desk: Desk) -> Callable[[], bool]:
+    """A flight through a washout as the demand, exchanged as it goes; says whether there is one."""
+    gui = desk.client.gui
+    flown = gui.add_dropdown("flight", (NONE, *names()), hint="of aircraft or car; from its start")
+    washout = gui.add_dropdown("washout", WASHOUTS, hint="makes motion of it within the limits")
+    sent = (NONE, "")
+
+    def send(handle: Any) -> None:
+        """Let a flight take over, unless another choice has been made meanwhile."""
+        nonlocal sent
+        with _cueing:
+            chosen = flown.value, washout.value
+            if chosen == sent or (flown.value == NONE and handle is washout):
+                return
+            signals = frames(*chosen)
+            if signals is not None and chosen == (flown.value, washout.value):
+                sent = chosen
+                desk.apply(change_of({"signal": signals, "fade": _FADE}, "signal"))
+
+    def frames(flight: str, by: str) -> list[dict[str, str]] | None:
+        """Signals of a file of host frames, none to rest; None where they are refused."""
+        if flight == NONE:
+            return []
+        expect = "is being computed: some ten seconds, the first time half a minute"
+        note = desk.client.add_notification(f"{flight}, {by}", expect, loading=True)
+        try:
+            cued = cue(load_flight(flight).motion, by, cab=desk.carried)
+            name = f"{flight}-{by}-{desk.carried.machine.name}-{desk.carried.name}.csv"
+            file = write_stream(cued.stream, CUED.resolve() / name)
+            return [{"kind": "host", "file": str(file)}]
+        except (ValueError, OSError) as error:
+            desk.tell(error)
+            return None
+        finally:
+            note.remove()
+
+    def land() -> None:
+        nonlocal sent
+        flown.value, sent = NONE, (NONE, "")
+
+    def follow(scenario: Run) -> None:
+        if not any(isinstance(signal, HostFile) for signal in scenario.signal):
+            land()
+
+    desk.land = land
+    by_hand(send, flown, washout)
+    desk.follow(follow)
+    return lambda: flown.value != NONE
+
+
 def law_controls(desk: Desk) -> None:
-    """The law."""
-    chosen = desk.client.gui.add_dropdown(
-        "law",
-        law_names("all"),
-        initial_value="velocity",
-        hint="takes over while the machine moves",
+    """The law, and that of a second machine."""
+    gui, laws = desk.client.gui, law_names("all")
+    chosen = gui.add_dropdown(
+        "law", laws, initial_value="velocity", hint="takes over while the machine moves"
     )
+    second = gui.add_dropdown(
+        "second law",
+        (NONE, *laws),
+        hint="a second machine with this law does the same, drawn beside; begins a new run",
+    )
+
+    def compare(_: Any) -> None:
+        desk.beside = "" if second.value == NONE else second.value
+        desk.again()
+
     by_hand(lambda _: desk.apply(Change(law=chosen.value)), chosen)
+    by_hand(compare, second)
     desk.follow(lambda scenario: pick(chosen, law_of(scenario)))
 
 
@@ -245,8 +358,8 @@ def disturbance_controls(desk: Desk) -> None:
     desk.follow(lambda _: setattr(on, "value", False))  # a new run begins without a push
 
 
-def file_controls(desk: Desk) -> None:
-    """The session as a scenario, and its record."""
+def file_controls(desk: Desk, shown: Callable[[], tuple[str, str]]) -> None:
+    """The session as a scenario, its record, and a page that plays it in the units shown."""
     client, gui = desk.client, desk.client.gui
     export = gui.add_button(
         "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
@@ -254,18 +367,30 @@ def file_controls(desk: Desk) -> None:
     save = gui.add_button(
         "save record", icon="download", hint="the last ten minutes at 128 Hz, as Parquet"
     )
+    page = gui.add_button("save page", icon="download", hint="the session as a page that plays it")
 
     @export.on_click
     def _(_: Any) -> None:
-        text = scenario_toml(desk.live.scenario().result())
+        done = desk.live.scenario().result()
+        signals = [*done.signal, *(one for change in done.change for one in change.signal or ())]
+        for file in {one.file for one in signals if isinstance(one, HostFile)}:
+            client.add_notification(
+                "Send it along and mend its `file`", file, auto_close_seconds=30.0
+            )
+        text = scenario_toml(done)
         client.send_file_download("session.toml", text.encode("utf-8"), save_immediately=True)
 
-    @save.on_click
-    def _(_: Any) -> None:
+    def keep(name: str, write: Callable[[Record, Path], Path]) -> None:
         try:
             record = desk.live.record().result()
             with tempfile.TemporaryDirectory() as folder:
-                content = record.save(Path(folder) / "session.parquet").read_bytes()
-            client.send_file_download("session.parquet", content, save_immediately=True)
+                content = write(record, Path(folder) / name).read_bytes()
+            client.send_file_download(name, content, save_immediately=True)
         except ValueError as error:
             desk.tell(error)
+
+    def played(record: Record, path: Path) -> Path:
+        return session_page(record, path, desk.live.marks().result(), shown()[1])
+
+    save.on_click(lambda _: keep("session.parquet", Record.save))
+    page.on_click(lambda _: keep("session.html", played))

@@ -3,9 +3,10 @@
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import cache
+from pathlib import Path
 from typing import Any, get_args
 
 import viser
@@ -24,7 +25,10 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.show.studio.live import LiveSession, View
+from cmf_mj.record.record import Record
+from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.show.stage import traces_of
+from cmf_mj.show.studio.live import LiveSession, Mark, View
 from cmf_mj.signals.signal import SingleSignal
 
 SIGNALS: dict[str, type[SingleSignal]] = {
@@ -129,7 +133,13 @@ class Desk:
         self.client = client
         self.carried = scenario.carried
         """The cab of the run, with its machine."""
+        self.beside = ""
+        """Law of the machine that does the same beside; empty for none."""
+        self.wait = False
+        """Whether the run that begins stands still: its first prompt is to be read."""
         self.live = LiveSession(scenario, show, self.tell)
+        self.land: Callable[[], None] = lambda: None
+        """Say that no flight is flown any more."""
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
@@ -142,6 +152,7 @@ class Desk:
         """Show the first run and set the session going."""
         for follower in self._followers:
             follower(scenario)
+        self.live.pause(self.wait)
         self.live.start()
 
     def apply(self, change: Change) -> None:
@@ -150,17 +161,17 @@ class Desk:
 
     def begin(self, scenario: Run) -> None:
         """Begin again; on a refusal show it and let the run go on."""
-        paused = self.live.paused
+        paused, self.wait = self.live.paused, False
         self.live.pause(True)  # time that a new scene takes is not to be made up for
         try:
-            self.live.begin(scenario).result()
+            self.live.begin(scenario, self.beside).result()
             self.carried = scenario.carried
             for follower in self._followers:
                 follower(scenario)
         except (ValueError, OSError) as error:
             self.tell(error)
         finally:
-            self.live.pause(paused)
+            self.live.pause(paused or self.wait)
 
     def again(self, **settings: Any) -> None:
         """Begin again with the present law and signal and some settings changed."""
@@ -194,6 +205,18 @@ class Desk:
         error = None if done.cancelled() else done.exception()
         if isinstance(error, Exception):
             self.tell(error)
+
+
+def session_page(record: Record, path: Path, marks: Sequence[Mark], system: str) -> Path:
+    """Write a page that plays what a session has kept, in one of `UNITS`.
+
+    Its title is the law it began with and what happened since, but for signals, which its traces
+    show.
+    """
+    said = [f"{one.time:.1f} s: {one.text}" for one in marks if not one.text.startswith("signal")]
+    title = "\n".join([str(record.metadata["law"]), *said])
+    begun = FilmSettings(start=float(record.time[0]))  # of a long session the end is kept
+    return film([record], path, begun, titles=[title], traces=[traces_of(record, system)])
 
 
 def by_hand(action: Callable[[Any], None], *handles: Any) -> None:

@@ -10,7 +10,7 @@ import logging
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
@@ -47,8 +47,9 @@ _starting = threading.Lock()
 class Door:
     """Refuses requests of a studio that listens at an address."""
 
-    def __init__(self, host: str) -> None:
-        """Make a token if other machines can reach the address."""
+    def __init__(self, host: str, scenarios: Collection[str] = ()) -> None:
+        """Make a token if other machines can reach the address; tabs may ask for scenarios."""
+        self._scenarios = scenarios
         self._local = _is_local(host)
         self.token = None if self._local else secrets.token_urlsafe(24)
         """What a request must know, or None."""
@@ -66,6 +67,9 @@ class Door:
             return HTTPStatus.FORBIDDEN, f"origin: {origins} is refused; allowed: {page}"
         if self.token is not None and not self._knows(path, headers):
             return HTTPStatus.FORBIDDEN, "token: is missing or wrong; use the address as printed"
+        if (name := scenario_in(path)) and name not in self._scenarios:
+            text = f"scenario: {name!r} is unknown; allowed: {', '.join(self._scenarios)}"
+            return HTTPStatus.NOT_FOUND, text
         if tabs >= MOST_TABS and ("Upgrade" in headers or urlsplit(path).path == "/"):
             text = f"tabs: {tabs} are open; allowed: {MOST_TABS} at the same time; close one"
             return HTTPStatus.SERVICE_UNAVAILABLE, text
@@ -116,6 +120,10 @@ class Door:
         if refused is not None:
             status, text = refused
             answer: Response | None = connection.respond(status, f"cmf studio: {text}\n")
+        elif (name := scenario_in(request.path)) and "Upgrade" not in request.headers:
+            answer = connection.respond(HTTPStatus.FOUND, "")
+            server = f"ws://{request.headers['Host']}/"  # viser's page takes its address alone
+            answer.headers["Location"] = f"/?websocket={server}?scenario={name}"
         else:
             answer = inner(connection, request)
         if answer is None:
@@ -148,6 +156,11 @@ class Door:
                 continue
         token = (self.token or "").encode()
         return any([secrets.compare_digest(one.encode(), token) for one in given])
+
+
+def scenario_in(path: str) -> str:
+    """Name of the scenario that an address asks for; empty for none."""
+    return parse_qs(urlsplit(path).query).get("scenario", [""])[0]
 
 
 def _connection(closed: Callable[[Any], None]) -> type[websocket.ServerConnection]:

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple, TypeVar
 
@@ -23,6 +24,7 @@ from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.facility.session import Live
 from cmf_mj.facility.settings import Change
+from cmf_mj.facility.signal import HostFile
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import SingleSignal
@@ -133,7 +135,9 @@ def _texts(change: Change) -> list[str]:
     texts = [] if change.law is None else [f"law {change.law}"]
     texts += ["gain"] if change.gains else []
     for signal in () if change.signal is None else change.signal or (None,):
-        if isinstance(signal, SingleSignal):
+        if isinstance(signal, HostFile):
+            texts.append("host frames " + Path(signal.file).stem.replace("-", ", "))
+        elif isinstance(signal, SingleSignal):
             texts.append(f"signal {signal.kind.replace('_', ' ')} in {signal.dof}")
         else:
             texts.append("signal " + ("rest" if signal is None else signal.kind))
@@ -147,6 +151,7 @@ class View(NamedTuple):
 
     live: Live  #: The run as it stands.
     past: Collection[Live]  #: The states of the last `LONGEST` seconds, oldest first.
+    beside: Collection[Live | None]  #: Those of the second law at the same times, where it runs.
     marks: tuple[Mark, ...]  #: What has happened, in order of time.
     plant: Hexapod  #: The machine; its MuJoCo data is that of the run.
     pace: SessionPace  #: How the session keeps up.
@@ -161,7 +166,7 @@ class View(NamedTuple):
 
 
 class LiveSession:
-    """One run at a time, in real time."""
+    """One run at a time, in real time; beside it, if asked for, the same run with a second law."""
 
     def __init__(
         self,
@@ -178,8 +183,11 @@ class LiveSession:
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._closed = threading.Event()
         self._clock = Clock(time.monotonic())
-        self._past: deque[Live] = deque(maxlen=round(LONGEST * PLOT_RATE))
+        kept = round(LONGEST * PLOT_RATE)
+        self._past: deque[Live] = deque(maxlen=kept)
+        self._beside_past: deque[Live | None] = deque(maxlen=kept)
         self._run = _open_run(scenario)
+        self._beside: SignalSession | None = None
         self._end = ""
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
@@ -193,19 +201,35 @@ class LiveSession:
         if wait and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
-    def begin(self, scenario: Run) -> "Future[None]":
-        """Begin again with another scenario; the run goes on if it is refused."""
+    def begin(self, scenario: Run, beside: str = "") -> "Future[None]":
+        """Begin again with another scenario; the run goes on if it is refused.
+
+        With a law `beside`, a second plant does all that the first does, but with this law to the
+        end. Only the first is exported and recorded.
+        """
 
         def build() -> None:
-            self._run, self._end = _open_run(scenario), ""
+            run, second = _open_run(scenario), None
+            if beside:
+                changes = tuple(map(_without_law, scenario.change))
+                same = {"law": beside, "gains": {}, "change": changes}
+                second = _open_run(scenario.model_copy(update=same))
+            self._run, self._beside, self._end = run, second, ""
             self._past.clear()
+            self._beside_past.clear()
             self._clock.restart(time.monotonic())
 
         return self._ask(build)
 
     def apply(self, change: Change) -> "Future[None]":
         """Let something change from the next control frame on."""
-        return self._ask(lambda: self._run.apply(change))
+
+        def act() -> None:
+            self._run.apply(change)
+            if self._beside is not None:
+                self._beside.apply(_without_law(change))
+
+        return self._ask(act)
 
     @property
     def paused(self) -> bool:
@@ -227,6 +251,10 @@ class LiveSession:
     def record(self) -> "Future[Record]":
         """What the session has kept of its signals."""
         return self._ask(lambda: self._run.record())
+
+    def marks(self) -> "Future[tuple[Mark, ...]]":
+        """What has happened so far."""
+        return self._ask(lambda: marks_of(self._run.done(), self._run.fault))
 
     def _ask(self, action: Callable[[], Answer]) -> "Future[Answer]":
         future: Future[Answer] = Future()
@@ -288,7 +316,8 @@ class LiveSession:
         marks = marks_of(run.done(), live.fault)
         if self._end:
             marks += (Mark(live.time, "the run ended", True),)
-        self._show(View(live, self._past, marks, plant, clock.pace, clock.paused, self._end))
+        pasts = self._past, self._beside_past
+        self._show(View(live, *pasts, marks, plant, clock.pace, clock.paused, self._end))
         return due
 
     def _advance(self, frames: int) -> None:
@@ -298,8 +327,27 @@ class LiveSession:
             frame = self._run.frame
             part = min(_PART - frame % _PART, end - frame)
             self._run.run(part)
+            second = self._second(part)
             if self._run.frame % _PART == 0:
                 self._past.append(self._run.look())
+                self._beside_past.append(second)
+
+    def _second(self, frames: int) -> Live | None:
+        """Run control frames of the second law; its end is not that of the first."""
+        if self._beside is None:
+            return None
+        try:
+            self._beside.run(frames)
+        except CmfError as error:
+            self._beside = None
+            self._tell(error)
+            return None
+        return self._beside.look()
+
+
+def _without_law(change: Change) -> Change:
+    """The same change to the run beside, which keeps its law."""
+    return change.model_copy(update={"law": None, "gains": {}})
 
 
 def _open_run(scenario: Run) -> SignalSession:

@@ -16,11 +16,9 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.look import BLUE, GREEN, ORANGE
+from cmf_mj.show.stage import UNITS
 from cmf_mj.show.studio.desk import LARGEST_PUSH, weight
 from cmf_mj.show.studio.live import PLOT_RATE, Mark, View, words
-
-UNITS = {"US": ("in", "deg", "psi", "lbf"), "metric": ("mm", "deg", "bar", "kN")}
-"""Units of lengths, angles, pressures and forces, by their system."""
 
 _DARK, _PALE, RED, _GOOD, _FAILED = "#222222", "#8a9099", "#d62728", "#2f9e44", "#f08c00"
 
@@ -103,7 +101,7 @@ class Plots:
         # Mirrored legs have one colour and the left ones are dashed: both show where they agree.
         mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
-        both = [("demand", _DARK, True), ("response", BLUE, False)]
+        both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
         sides = [("cap", BLUE, False), ("rod", ORANGE, False)]
         manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
         # One for each title: a plot whose title changes loses its time axis in the browser.
@@ -118,12 +116,18 @@ class Plots:
         self._plots = {title: _add_plot(client, title, *how) for title, how in drawn.items()}
 
     def show(self, view: View, seconds: float, dof: str, system: str, leg: int) -> None:
-        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0."""
+        """Draw the last seconds in `UNITS`: a degree of freedom, pressures of a leg from 0.
+
+        Without one the translation that moves most.
+        """
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
+        beside: list[Live | None] = list(view.beside)[-rows:]
         if len(past) < 2:  # a run that begins, or waits
-            past = [view.live] * 2
+            past, beside = [view.live] * 2, [None] * 2
         length, angle, pressure, force = UNITS[system]
+        if not dof:
+            dof = DOFS[int(np.ptp([live.demand[:3] for live in past], axis=0).argmax())]
         index, unit = DOFS.index(dof), by_kind(dof, length, angle)
 
         def of(name: str, in_unit: str) -> list[NDArray[np.float64]]:
@@ -133,10 +137,12 @@ class Plots:
 
         time = of("time", "s")[0]
         marked = spikes(time, view.marks)
-        poses = view.plant.pose_of(np.array([live.qpos for live in past]))
-        response = units.from_si(unit, poses[:, index])
+        # Without a second machine its line lies below that of the first: a gap has no scale.
+        lives = [second or live for second, live in zip(beside, past, strict=True)] + past
+        poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
+        responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
         drawn = {
-            _MOTION.format(dof, unit): (of("demand", unit)[index], response),
+            _MOTION.format(dof, unit): (of("demand", unit)[index], *responses),
             _FORCE.format(force): of("force", force),
             _VALVE: of("valve_command", "%"),
             _PRESSURE.format(pressure): [

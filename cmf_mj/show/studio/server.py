@@ -13,7 +13,7 @@ from cmf_mj.facility.run import Run, SignalSession
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import controls
 from cmf_mj.show.studio.desk import Desk, check_commands, ready_scenarios
-from cmf_mj.show.studio.door import Door
+from cmf_mj.show.studio.door import Door, scenario_in
 from cmf_mj.show.studio.live import View
 from cmf_mj.show.studio.plots import MachineScene, Plots, widen_camera
 
@@ -49,10 +49,12 @@ class Page:
 
     def _controls(self) -> None:
         gui, desk = self.desk.client.gui, self.desk
-        controls.scenario_controls(desk)
+        self._prompt = controls.scenario_controls(desk)
         self._status = controls.run_controls(desk)
         with gui.add_folder("Signal"):
             self._shown = controls.signal_controls(desk)
+        with gui.add_folder("Flight"):
+            self._flying = controls.cueing_controls(desk)
         with gui.add_folder("Law"):
             controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
@@ -60,7 +62,7 @@ class Page:
         with gui.add_folder("Machine"):
             controls.machine_controls(desk)
         with gui.add_folder("Session"):
-            controls.file_controls(desk)
+            controls.file_controls(desk, self._shown)
         gui.main_panel.dock_right()
 
     def _panel(self) -> None:
@@ -87,10 +89,12 @@ class Page:
         if self._turn % _PLOTS_EVERY == 0:
             leg = int(self._leg.value) - 1
             dof, system = self._shown()
-            dof = self._dof.value if self._dof.value in DOFS else dof
+            moves = "" if self._flying() else dof
+            dof = self._dof.value if self._dof.value in DOFS else moves
             self._plots.show(view, float(self._window.value), dof, system, leg)
         if self._turn % _STATUS_EVERY == 0:
             self._status(view)
+            self._prompt(view)
 
     def _show_cab(self, scenario: Run) -> None:
         with self._lock:
@@ -120,7 +124,7 @@ class Studio:
         self._lock, self._building = threading.Lock(), threading.Lock()
         self._stopped = False
         self._pages: dict[int, Page] = {}
-        self._door = Door(host)
+        self._door = Door(host, ready_scenarios())
         with self._door.guards():
             self._server = viser.ViserServer(
                 host=host, port=port, label="cmf studio", verbose=False
@@ -164,7 +168,7 @@ class Studio:
             if self._gone(client):
                 return
             with suppress(TabClosed):
-                page = Page(client, self._scenario, lambda: self._gone(client))
+                page = Page(client, self._asked(client), lambda: self._gone(client))
                 with self._lock:
                     if not self._gone(client):
                         self._pages[client.client_id] = page
@@ -172,6 +176,12 @@ class Studio:
                 page.live.close()
                 del page
         _give_back()
+
+    def _asked(self, client: viser.ClientHandle) -> Run:
+        """The scenario that a tab's address names, or else that of the studio."""
+        open_now = self._server._websock_server._live_connections
+        request = open_now[client.client_id].request if client.client_id in open_now else None
+        return ready_scenarios().get(scenario_in(request.path if request else ""), self._scenario)
 
     def _gone(self, client: viser.ClientHandle) -> bool:
         return self._stopped or client.client_id not in self._server.get_clients()
