@@ -250,10 +250,8 @@ def stuck(values: Array, leg: int, rate: float) -> tuple[int, int] | None:
     """Longest run of one value of a leg, in histories (N, 6), in which most other legs move."""
     still = runs(np.append(np.diff(values[:, leg]) == 0.0, False))
     first, end = max(still, key=lambda run: run[1] - run[0], default=(0, 0))
-    if end - first < max(0.5 * rate, 20) or end - first > 0.98 * len(values):
-        return None
     others = np.delete(values, leg, axis=1)[:, np.delete(there(values), leg)]
-    if others.shape[1] < 2:
+    if not max(0.5 * rate, 20) <= end - first < 0.98 * len(values) or others.shape[1] < 2:
         return None
     moved = np.nanstd(others[first : end + 1], axis=0) / (np.nanstd(others, axis=0) + 1e-300)
     return (first, end + 1) if np.median(moved) > 0.3 else None

@@ -185,7 +185,8 @@ def _range(subject: _Subject) -> Iterator[Finding]:
 def _clipping(subject: _Subject) -> Iterator[Finding]:
     for channel, values, unit in subject.known((*MEASURED, "valve_command")):
         for k, column in enumerate(subject.whole(channel).T):
-            if stuck := pairs.stuck(values, k, subject.record.rate):
+            stuck = pairs.stuck(values, k, subject.record.rate)
+            if stuck and channel.startswith("leg_"):  # valves and pressures have limits
                 at, end = subject.record.time[[stuck[0], stuck[1] - 1]]
                 said = f"leg {k + 1} stands still from {at:.4g} to {end:.4g} s, others move: frozen"
                 yield Finding("clipping", "fault", channel, end - at, "s", said)
