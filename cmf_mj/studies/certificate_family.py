@@ -101,11 +101,12 @@ class Box(Settings):
     def changes(self, points: Array) -> dict[str, Array]:
         """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count).
 
-        Beyond a wide unit box a number keeps `LEAST` of itself.
+        Beyond a wide unit box a factor keeps `LEAST` of its number.
         """
         parts = Unknowns(self.unknowns).split(points)
         sizes = {name: self.unknowns[name].half * part for name, part in parts.items()}
-        return {name: np.maximum(size, LEAST - 1.0) for name, size in sizes.items()}
+        place = {"cab_place": sizes["cab_place"]}
+        return {name: np.maximum(size, LEAST - 1.0) for name, size in sizes.items()} | place
 
     def values(self, changes: Mapping[str, Array]) -> dict[str, Any]:
         """Values of the unknowns in a machine with changes (1, count), in axes of the cab."""

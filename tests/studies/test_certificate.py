@@ -142,6 +142,7 @@ def test_wide_box_leaves_a_share_of_each_number() -> None:
     wide = BOX.model_copy(update={"unknowns": {**BOX.unknowns, "drive_lag": lag}})
     changes = wide.changes(-1.95 * np.ones((1, SIZE)))
     assert changes["drive_lag"].min() == pytest.approx(-0.95)
+    assert changes["cab_place"].min() == pytest.approx(-1.95 * BOX.unknowns["cab_place"].half)
     usual = BOX.changes(-1.95 * np.ones((1, SIZE)))
     assert usual["drive_lag"].min() == pytest.approx(-1.95 * 0.15)
 
