@@ -249,9 +249,9 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
             raise InputError(f"time: {when.column}: row {row} has none; allowed: a time")
     elif when.rate is not None:
         stamps = stamps / when.rate
-    time, usual = stamps, 1.0 / float(np.median(np.diff(stamps)) or np.inf)
-    if 0.0 < usual < _SLOWEST:
-        by = f"{usual:.3g} samples a second by unit {when.unit!r}"
+    time, spacing = stamps, np.median(np.diff(stamps)) if stamps.size > 1 else 0.0
+    if spacing * _SLOWEST > 1.0:
+        by = f"{1.0 / spacing:.3g} samples a second by unit {when.unit!r}"
         raise InputError(f"time: {by} is refused; allowed: at least {_SLOWEST:g}")
     if rate is None:
         time, rate = even_clock(stamps)
