@@ -39,6 +39,8 @@ REPEATABLE = "repeatability [g]"
 """Measure of every test: largest linear acceleration off the master's mean history."""
 SIGNATURE = "signature [deviations]"  #: The largest difference of a test's signature.
 SOUGHT = 0.05  #: Change that repetitions shall find where no other is `sought`, of a measure.
+SOUGHT_IN = {"[dB]": 0.5, "[deg]": 1.0, "[%]": 1.0, "[g]": 0.01}
+"""Likewise of measures in these units, which may be next to nothing."""
 SIGNATURE_SOUGHT = 10.0  #: Likewise of a signature [deviations].
 MOST = 1000  #: Repetitions that are stated; beyond they are infinitely many.
 ALIKE = 0.05  #: How far a recorded demand may be off the plan's, over its range.
@@ -312,7 +314,8 @@ def _measure(
     edge = float(stats.t.isf(level / 2.0, n - 1))
     off = (after - before) / (spread * np.sqrt(1.0 / n + 1.0 / m))
     seen = spread * smallest(n, m, level, n - 1.0, power)
-    sought = SOUGHT * abs(before) if np.isnan(sought) else sought
+    if np.isnan(sought):
+        sought = SOUGHT_IN.get(measure.rpartition(" ")[2], SOUGHT * abs(before))
     takes = enough(sought / spread, level, 1.0, power) if spread else none
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
         off, edge, seen, sought, takes, after = none, none, none, none, none, float(now.max())

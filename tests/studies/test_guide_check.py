@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
+from cmf_mj.studies import guide_check
 from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
 from cmf_mj.studies.guide_check import (
     SIGNATURE,
@@ -99,12 +100,20 @@ def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Pat
     assert stats.binom.sf(alarms, 400, level) > 1e-3
 
 
+def test_a_share_is_sought_of_what_has_a_size_of_its_own() -> None:
+    """5 % of 8 Hz; half a decibel of a peak, which may be next to nothing."""
+    old, now = np.array([7.9, 8.1, 8.0]), np.array([8.0, 8.0])
+    for name, sought in (("surge -90 deg [Hz]", 0.4), ("surge peak [dB]", 0.5)):
+        row = guide_check._measure("test", name, old, now, 1e-3, float("nan"))
+        assert row.sought == pytest.approx(sought)
+
+
 def test_nothing_has_changed(folder: Path) -> None:
     rows = compare(load_master(folder / "master"), load_master(folder / "new"))
     assert {row.verdict for row in rows} == {"as before"}
     named = {row.measure: row for row in rows}
     assert np.isnan(named.pop("repeatability [g]").repetitions)
-    assert named["heave peak [dB]"].sought == 0.05 * abs(named["heave peak [dB]"].master)
+    assert named["heave peak [dB]"].sought == 0.5
     assert named["surge peak [dB]"].sought == 0.2
     assert named[SIGNATURE].sought == 1e4
     for row in named.values():  # three of each were recorded
