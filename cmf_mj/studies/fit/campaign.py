@@ -190,7 +190,8 @@ def load_campaign(folder: str | Path) -> Campaign:
         stated = load_evidence(settings.evidence, settings.deviations, law, where, plant, known)
     for name, one in unknowns.items():
         if one.path.startswith("electronics.") and settings.electronics is None:
-            raise InputError(f"{path}: unknowns.{name}: {one.path}: electronics are ideal")
+            said = "electronics are ideal; allowed: a set that has it, such as noisy"
+            raise InputError(f"{path}: unknowns.{name}: {one.path}: {said}")
     made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings), stated)
     if not (made.of(held_back=False) or any(not one.held_back for one in stated.statements)):
         allowed = "allowed: recordings or evidence, one of them not held back"

@@ -45,7 +45,7 @@ def paths(posterior: Posterior) -> tuple[str, ...]:
 
 
 def nominal(plant: Plant, path: str, sensors: SensorSettings | None = None) -> float:
-    """A number of a machine in SI; 1 where only factors on it are known."""
+    """A number of a machine or its sensors in SI, of gain errors 0; 1 where it is a factor."""
     root, *rest = path.split(".")
     if root == "electronics":
         known = getattr(getattr(sensors, rest[0], None), rest[1], None)
@@ -69,9 +69,9 @@ def nominal(plant: Plant, path: str, sensors: SensorSettings | None = None) -> f
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
     campaign, share = posterior.campaign, stats.norm.cdf(z)
-    sheet = campaign.plant, campaign.sensors
+    plant, sensors = campaign.plant, campaign.sensors
     columns = [
-        one.number(nominal(sheet[0], path, sheet[1]), one.at(share[..., i]))
+        one.number(nominal(plant, path, sensors), one.at(share[..., i]))
         for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
