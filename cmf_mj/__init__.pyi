@@ -36,4 +36,3 @@ from .record.record import Record as Record
 from .signals.signal import Command as Command
 from .studies.comparison import compare as compare
 from .studies.fit.engine import fit as fit
-from .studies.many import simulate_many as simulate_many

@@ -171,10 +171,14 @@ def main() -> None:
         apex.append(env.info["apex"])
     tell("by themselves", np.array(apex))
     _, valves = jump(hops(None), policy, 0)
-    how = {"unknowns": UNKNOWNS, "seed": 2, "command_delay": 1, "record_every": 16}
-    tables = np.broadcast_to(valves, (200, *valves.shape))
-    runs = cmf_mj.simulate_many(hopper(), None, tables, channels=["generalised_position"], **how)
-    tell("by the nominal commands", runs["generalised_position"][:, :, 0].max(axis=1))
+    known = UNKNOWNS.on(hopper())
+
+    def alone(machine: int) -> float:
+        drawn = known.apply(known.streams(2, machine), hopper())
+        record = cmf_mj.drive(drawn, valves, command_delay=1, record_every=16)
+        return float(record["generalised_position"][:, 0].max())
+
+    tell("by the nominal commands", np.array(on_threads(alone, range(200))))
 
 
 def tell(how: str, apex: Array) -> None:

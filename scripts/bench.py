@@ -11,18 +11,15 @@ that of one in the same time, by the clock on the wall. --start adds what a user
 open-loop run of `tests/crosscheck` in Exudyn over ours: with steps of one frame in both, and
 with steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
 frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
---many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall
-and what the process grew by meanwhile. --flight adds the seconds flown per second of one processor,
-washout, whole facility, record and comparison of what is felt included, and that time over as many
-bare steps. --study adds the cost of a linear case of the `mismatch` study, and the processor time
-of one process over that of two.
+--flight adds the seconds flown per second of one processor, washout, whole facility, record and
+comparison of what is felt included, and that time over as many bare steps. --study adds the cost of
+a linear case of the `mismatch` study, and the processor time of one process over that of two.
 --exports adds the CPU time of a first FMU with nothing kept, and that of others over it.
 """
 
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -40,7 +37,7 @@ from joblib import Parallel, delayed, parallel_config
 from numba import njit
 from threadpoolctl import threadpool_limits
 
-from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate, simulate_many
+from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate
 from cmf_mj.core.files import write_json, write_text
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME, RATE
@@ -142,23 +139,6 @@ def against_exudyn(repeat: int) -> dict[str, float]:
     }
 
 
-def ten_thousand() -> dict[str, float]:
-    """Seconds by the clock for 10 000 heave cases of a second, and growth in memory [MiB]."""
-    time_axis = np.arange(RATE) / RATE
-    shape = np.sin(2.0 * np.pi * time_axis)
-    plant, amplitudes = Hexapod(), np.linspace(0.001, 0.02, 10_000)
-    grown, seconds = [], 0.0
-    for part in np.split(amplitudes, 10):
-        poses = np.zeros((part.size, RATE, 6))
-        poses[:, :, 2] = part[:, None] * shape
-        begin = time.perf_counter()
-        runs = simulate_many(plant, "velocity", poses, record_every=64)
-        seconds += time.perf_counter() - begin
-        assert not any(runs.left)
-        grown.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
-    return {"many_s": round(seconds, 1), "many_growth_mib": round(grown[-1] - grown[0], 1)}
-
-
 def flying(repeat: int, bare: Callable[[int], float]) -> dict[str, float]:
     """A flight of twenty seconds from aircraft to cab, and that over bare steps."""
     motion = load_flight("engine_failure").motion
@@ -244,8 +224,6 @@ def table(result: dict[str, Any]) -> Table:
         "help_s": "`cmf --help` [s]",
         "first_compare_s": "first `cmf compare --laws velocity --dofs heave`, nothing compiled [s]",
         "second_compare_s": "the same again [s]",
-        "many_s": "10 000 one-second heave cases, `simulate_many`, two cores [s]",
-        "many_growth_mib": "memory that the last 9000 of them took [MiB]",
         "flight_real_time_factor": "seconds flown with the pilot per second of one processor",
         "flight": "a flight's time over as many bare steps of the headless model",
         "study_case_s": "a linear case of the `mismatch` study, processor time [s]",
@@ -274,7 +252,6 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=15)
     parser.add_argument("--start", action="store_true", help="also import, help, first comparison")
     parser.add_argument("--exudyn", action="store_true", help="also against Exudyn")
-    parser.add_argument("--many", action="store_true", help="also ten thousand short cases")
     parser.add_argument("--flight", action="store_true", help="also a flight")
     parser.add_argument("--study", action="store_true", help="also a study in two processes")
     parser.add_argument("--exports", action="store_true", help="also exports")
@@ -325,8 +302,6 @@ def main() -> None:
     }
     if options.start:
         result |= starting(dict(os.environ))
-    if options.many:
-        result |= ten_thousand()
     if options.flight:
         with native.untimed():
             result |= flying(3, lambda count: bare_seconds(headless, load, count))

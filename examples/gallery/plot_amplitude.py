@@ -8,6 +8,7 @@ amplitude on at which the law asks for more.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from joblib import Parallel, delayed
 
 import cmf_mj
 
@@ -15,15 +16,21 @@ FREQUENCY, SECONDS, RATE = 3.0, 3.0, 2048
 time = np.arange(round(SECONDS * RATE)) / RATE
 sine = np.sin(2 * np.pi * FREQUENCY * time)
 amplitudes = np.geomspace(0.0005, 0.06, 40)
-plant = cmf_mj.Hexapod(cab="gfd")
 last = time >= SECONDS - 2 / FREQUENCY
 figure, axis = plt.subplots(layout="constrained")
+basis = np.exp(-2j * np.pi * FREQUENCY * time[last])
+
+
+def heave_of(law: str, amplitude: float) -> np.ndarray:
+    """Heave of a plant of its own in the last two periods."""
+    pose = np.zeros((time.size, 6))
+    pose[:, 2] = amplitude * sine * np.minimum(time, 1.0)
+    return cmf_mj.simulate(cmf_mj.Hexapod(cab="gfd"), law, pose)["platform_pose"][last, 2]
+
+
+many = Parallel(n_jobs=-1, backend="threading")
 for law in ("velocity", "position_error_rate"):
-    poses = np.zeros((amplitudes.size, time.size, 6))
-    poses[:, :, 2] = amplitudes[:, None] * sine * np.minimum(time, 1.0)
-    runs = cmf_mj.simulate_many(plant, law, poses, channels=["platform_pose"])
-    heave = runs["platform_pose"][:, last, 2]
-    basis = np.exp(-2j * np.pi * FREQUENCY * time[last])
+    heave = np.array(many(delayed(heave_of)(law, amplitude) for amplitude in amplitudes))
     gain = np.abs(heave @ basis) * 2 / last.sum() / amplitudes
     axis.loglog(1000 * amplitudes, gain, ".-", label=law)
 axis.set(

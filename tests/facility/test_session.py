@@ -5,6 +5,7 @@ import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,9 +19,9 @@ from cmf_mj import (
     attach_hydraulics,
     load_cab,
     simulate,
-    simulate_many,
 )
 from cmf_mj.core.units import FRAME
+from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import Run
@@ -68,11 +69,26 @@ def test_a_law_of_a_machine_goes_by_its_name_on_it(name: str) -> None:
     record = simulate(plant, law, np.zeros((8, 6)))
     assert record.metadata["law"] == Run(machine=name, law=law).begun_law().name == law
     assert replay(record, law).law == law
-    runs = simulate_many(plant, law, np.zeros((2, 8, 6)))
-    assert runs.left == ("", "") and Linear(plant).loop(law).ninputs == 6
+    assert Linear(plant).loop(law).ninputs == 6
     assert make_case(law, cab=load_cab(machine=name)).law.name == law
     with pytest.raises(InputError, match=f"law: '{law}' is not one of original"):
         simulate(Hexapod(), law, np.zeros((8, 6)))
+
+
+def test_electronics_go_by_name() -> None:
+    still, chosen = np.zeros((64, 6)), ("noisy", ElectronicsSettings(), "ideal", None)
+    named, made, ideal, none = (
+        simulate(SingleLegs(), "velocity", still, electronics=one)["leg_position"] for one in chosen
+    )
+    np.testing.assert_array_equal(named, made)
+    np.testing.assert_array_equal(ideal, none)
+    assert (named != ideal).any()
+    with pytest.raises(InputError, match="electronics: 'loud' is not one of ideal, noisy"):
+        simulate(SingleLegs(), "velocity", still, electronics="loud")
+    short: dict[str, Any] = {"legs": True, "command": still[:, : len(CYLINDERS)]}
+    assert simulate(excavator(), "velocity", electronics="inertial", **short).time.size == 64
+    with pytest.raises(InputError, match="gravity along the legs needs .* 'inertial'"):
+        simulate(excavator(), "velocity", electronics="noisy", **short)
 
 
 @pytest.mark.parametrize("plant", [Hexapod, SingleLegs, excavator])

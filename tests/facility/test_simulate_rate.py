@@ -23,7 +23,6 @@ from cmf_mj.signals.single import step
 from cmf_mj.studies.capacity import capacity
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.identification import identify
-from cmf_mj.studies.many import simulate_many
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
 
@@ -73,16 +72,6 @@ def test_a_record_knows_its_rate() -> None:
     assert record.time.size == 7500 and record.time[-1] == pytest.approx(7499 / 5000)
     assert record.metadata["law_parameters"]["rate"] == 5000
     assert record.signal.rate == 5000
-
-
-def test_many_runs_are_those_of_single_ones() -> None:
-    poses = np.zeros((2, 300, 6))
-    poses[:, 100:, 2] = np.array([[0.002], [0.004]])
-    plant = Hexapod(machine=machine(1000))
-    runs = simulate_many(plant, "velocity", poses)
-    single = simulate(plant, "velocity", Command.from_pose(poses[1], 1000))
-    assert runs.time.tobytes() == single.time.tobytes()
-    assert runs["leg_extension"][1].tobytes() == single["leg_extension"].tobytes()
 
 
 def test_poses_of_another_rate_are_refused() -> None:
