@@ -5,7 +5,7 @@ or with noisy electronics are `cmf compare --dofs roll,pitch,yaw` and `cmf compa
 search with other limits is `cmf tune --peak 1 --overshoot 10`.
 """
 
-from parts import ablate, accept, confirm, fly, in_c, linear, run_one, stiffness
+from parts import ablate, accept, averaged, confirm, fly, in_c, linear, run_one, stiffness
 
 if __name__ == "__main__":
-    run_one(__doc__, confirm, linear, accept, fly, ablate, stiffness, in_c)
+    run_one(__doc__, confirm, linear, accept, fly, ablate, stiffness, averaged, in_c)
