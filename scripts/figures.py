@@ -239,7 +239,7 @@ def rotation(options: argparse.Namespace) -> None:
         drawn = axis.contourf(GAINS, HEIGHTS, damping, levels, **shades)
         some = [-0.08, -0.04, 0.04, 0.08]
         lines = axis.contour(GAINS, HEIGHTS, damping, some, colors=DARK, linewidths=0.6)
-        axis.clabel(lines, fmt="%g", fontsize=8)
+        axis.clabel(lines, fmt=lambda level: f"{level:+.2f}", fontsize=8)
         axis.contour(GAINS, HEIGHTS, damping, [0.0], colors="k", linewidths=2.0)
         zero = float(GAINS[np.argmax(damping[-5] < 0.0)])
         axis.text(zero - 0.006, HEIGHTS[-3], "stable", ha="right", va="center")
@@ -248,7 +248,7 @@ def rotation(options: argparse.Namespace) -> None:
         for gain, name in ((0.01, "as printed"), (-0.08, "as advised")):
             axis.plot(gain, shipped, "o", color="k")
             axis.annotate(name, (gain, shipped), (6.0, 6.0), textcoords="offset points")
-        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_major_formatter("{x:.2f}")
         axis.yaxis.set_major_locator(MultipleLocator(0.25))
         axis.set(title=f"{cab.upper()}, the {said} cab", xlabel="gain of acceleration [%/(in/s²)]")
     axes[0].set_ylabel("cab's centre of mass above the gimbals [m]")

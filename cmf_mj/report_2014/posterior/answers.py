@@ -4,7 +4,7 @@ Every statement is made under the prior, under all evidence, and with each group
 out: what survives them all does not depend on one reading of the report.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
@@ -24,6 +24,8 @@ LEVELS = np.array([0.05, 0.5, 0.95])
 
 REFERENCE = "position_error_rate"
 """The law that acceleration feedback is added to."""
+
+_FEWEST = 5  # machines that have an interval
 
 _ERRORS = 41
 """Errors of reading that a prediction is spread over."""
@@ -68,15 +70,20 @@ def _span(title: str | None = None, form: str = ".2f", name: str = "") -> Field:
     return Field(name, title, partial(interval, form=form))
 
 
+def _without(form: Callable[[Array], str]) -> Iterator[Field]:
+    """What holds with each group of evidence left out."""
+    for group, title in EVIDENCE.items():
+        yield Field(f"without_{group}", f"without {title}", form, of=f"without.{group}")
+
+
 class Stability(NamedTuple):
     """How often a law is unstable with a cab."""
 
     law: str
     cab: str
-    prior: float  #: Probability before any evidence.
-    posterior: float  #: Probability under all evidence.
-    sampled: Array  #: The same, between the ends of the 90 % interval of the sampling.
-    without: dict[str, float]  #: Probability with each of `GROUPS` left out.
+    prior: Array  #: Probability before any evidence, and 90 % interval of the sampling.
+    posterior: Array  #: Likewise under all evidence.
+    without: dict[str, Array]  #: Likewise with each of `GROUPS` left out.
     simulated: int  #: Machines found unstable by simulation.
     machines: int  #: Machines simulated.
     agreeing: int  #: Of these, the ones with the verdict of the linear loop.
@@ -84,15 +91,12 @@ class Stability(NamedTuple):
 
 STABILITY = (
     *map(Field, ("law", "cab")),
-    Field("prior", form=percent),
-    Field("sampled", "all evidence", form=probability_text),
-    *(
-        Field(f"without_{group}", f"without {title}", percent, of=f"without.{group}")
-        for group, title in EVIDENCE.items()
-    ),
+    Field("prior", form=probability_text),
+    Field("posterior", "all evidence", form=probability_text),
+    *_without(probability_text),
     Field("", "simulated", of=lambda row: f"{row.simulated} of {row.machines}"),
     Field("", "same verdict", of=lambda row: f"{row.agreeing} of {row.machines}"),
-    *(Field(name, printed=False) for name in ("posterior", "simulated", "machines", "agreeing")),
+    *(Field(name, printed=False) for name in ("simulated", "machines", "agreeing")),
 )
 
 
@@ -101,10 +105,20 @@ class DampingChange(NamedTuple):
 
     law: str
     cab: str
-    prior: Annotated[Array, _span(form="+.3f")]  #: At `LEVELS`, before any evidence.
-    posterior: Annotated[Array, _span("all evidence", "+.3f")]  #: At `LEVELS`.
-    same_sign: Annotated[Array, Field(form=probability_text)]
+    prior: Array  #: At `LEVELS`, before any evidence.
+    posterior: Array  #: At `LEVELS`, under all evidence.
+    same_sign: Array
     """Probability, under all evidence, that it has the sign of its median, with its interval."""
+    without: dict[str, Array]  #: At `LEVELS`, with each of `GROUPS` left out.
+
+
+CHANGES = (
+    *map(Field, ("law", "cab")),
+    _span(form="+.3f", name="prior"),
+    _span("all evidence", "+.3f", "posterior"),
+    Field("same_sign", form=probability_text),
+    *_without(partial(interval, form="+.3f")),
+)
 
 
 class Span(NamedTuple):
@@ -113,8 +127,8 @@ class Span(NamedTuple):
     cab: str
     law: str
     dof: str
-    stable: Annotated[float, Field(form=percent)]
-    """Share of the machines; the others have no measures."""
+    stable: Annotated[Array, Field(form=probability_text)]
+    """Share of the machines, and its interval; the others have no measures."""
     phase_bandwidth_hz: Annotated[Array, _span("-90 deg [Hz]")]
     gain_bandwidth_hz: Annotated[Array, _span("-3 dB [Hz]")]
     peak_gain_db: Annotated[Array, _span("peak [dB]", ".1f")]
@@ -141,8 +155,8 @@ class GainStep(NamedTuple):
 
     gain: Annotated[float, Field(title="gain [%/(in/s²)]", form="g")]
     corner: Annotated[float, Field(title="filter", form=filter_name)]  #: [Hz], 0 for no filter.
-    stable: Annotated[float, Field(title="stable with every cab", form=percent)]
-    """Share of the machines on which it is stable with every cab."""
+    stable: Annotated[Array, Field(title="stable with every cab", form=probability_text)]
+    """Share of the machines on which it is stable with every cab, and its interval."""
     damping: Annotated[Array, _span("least damping ratio", ".3f")]
     """Least damping ratio of any cab, at `LEVELS`."""
 
@@ -192,18 +206,26 @@ def predicted(made: Array, deviation: float, weights: Array) -> Array:
     return weighted_quantiles(read, np.repeat(weights, _ERRORS), LEVELS)
 
 
+def _reduced(results: Results) -> dict[str, Array]:
+    """Weights with each group of evidence left out."""
+    return {g: weights(results, [one for one in GROUPS if one != g]) for g in GROUPS}
+
+
+def _chance(event: Array, weights: Array) -> Array:
+    """Probability of an event, and its interval."""
+    return chance(float(weights @ event) / weights.sum(), effective_size(weights))
+
+
 def stability(results: Results) -> Result[Stability]:
     """How often each law is unstable with each cab."""
-    every, prior, rows = weights(results), weights(results, ()), []
-    without = {g: weights(results, [one for one in GROUPS if one != g]) for g in GROUPS}
+    every, without, rows = weights(results), _reduced(results), []
     for (law, cab), machines in groups(results.damping, "law", "cab"):
         unstable, run = 1.0 - column(machines, "stable"), where(results.simulated, law=law, cab=cab)
-        share, simulated = float(every @ unstable), 1.0 - column(run, "stable")
+        simulated = 1.0 - column(run, "stable")
         rows.append(
             Stability(
-                *(law, cab, float(prior @ unstable), share),
-                chance(share, effective_size(every)),
-                {group: float(some @ unstable) for group, some in without.items()},
+                *(law, cab, _chance(unstable, weights(results, ())), _chance(unstable, every)),
+                {group: _chance(unstable, some) for group, some in without.items()},
                 *(int(simulated.sum()), run.num_rows),
                 int((simulated == unstable[run["machine"].to_numpy()]).sum()),
             )
@@ -215,17 +237,17 @@ def stability(results: Results) -> Result[Stability]:
 
 def changes(results: Results) -> Result[DampingChange]:
     """What each law changes in the pair's damping against `REFERENCE`."""
-    every, rows = weights(results), []
+    every, without, rows = weights(results), _reduced(results), []
     pairs = {at: column(machines, "pair") for at, machines in groups(results.damping, "law", "cab")}
     for (law, cab), damping in pairs.items():
         if law == REFERENCE or (REFERENCE, cab) not in pairs:
             continue
         change = damping - pairs[REFERENCE, cab]
         prior, posterior = _both(results, change)
-        same = float(every @ (np.sign(change) == np.sign(posterior[1])))
-        sampled = chance(same, effective_size(every))
-        rows.append(DampingChange(law, cab, prior, posterior, sampled))
-    return Result(rows, fields_of(DampingChange))
+        same = _chance(np.sign(change) == np.sign(posterior[1]), every)
+        rest = {group: weighted_quantiles(change, w, LEVELS) for group, w in without.items()}
+        rows.append(DampingChange(law, cab, prior, posterior, same, rest))
+    return Result(rows, CHANGES)
 
 
 def spans(results: Results) -> Result[Span]:
@@ -233,11 +255,12 @@ def spans(results: Results) -> Result[Span]:
     rows = []
     for (law, cab, dof), machines in groups(results.measures, "law", "cab", "dof"):
         count, stable = column(machines, "count"), column(machines, "stable")
+        some = count * stable if stable.sum() >= _FEWEST else np.zeros_like(count)
         quantiles = {
-            name: weighted_quantiles(column(machines, name), count * stable, LEVELS)
+            name: weighted_quantiles(column(machines, name), some, LEVELS)
             for name in Span._fields[4:]
         }
-        rows.append(Span(cab, law, dof, float(np.average(stable, weights=count)), **quantiles))
+        rows.append(Span(cab, law, dof, _chance(stable, count), **quantiles))
     return Result(rows, fields_of(Span))
 
 
@@ -260,27 +283,23 @@ def gain_steps(results: Results) -> Result[GainStep]:
         machines = rows.group_by("machine", use_threads=False).aggregate(cabs)
         counts, stable = column(machines, "count_min"), column(machines, "stable_all")
         least = weighted_quantiles(column(machines, "least_min"), counts, LEVELS)
-        steps.append(GainStep(gain, corner, float(counts @ stable / counts.sum()), least))
+        steps.append(GainStep(gain, corner, _chance(stable, counts), least))
     return Result(steps, fields_of(GainStep))
 
 
 def checks(results: Results) -> Result[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
-    What is predicted of that one includes the scatter of printed damping ratios.
+    What is predicted includes the error of what is printed.
     """
-    rows = [
-        EvidenceCheck(
-            o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name))
-        )
-        for o in observations()[:-1]
-    ]
-    last = observations()[-1]
-    made = column(results.machines, last.name)
-    both = [predicted(made, last.deviation, weights(results, each)) for each in ((), GROUPS)]
-    held_out = EvidenceCheck(last.name, last.value, last.deviation, *both)
+    rows = []
+    for one in observations():
+        made = one.counted(column(results.machines, one.name))
+        both = [predicted(made, one.deviation, weights(results, each)) for each in ((), GROUPS)]
+        both = [np.exp(span) if one.relative else span for span in both]
+        rows.append(EvidenceCheck(one.name, one.value, one.deviation, *both))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
-    return Result([*rows, held_out], [*fields_of(EvidenceCheck), inside])
+    return Result(rows, [*fields_of(EvidenceCheck), inside])
 
 
 def unknowns(results: Results) -> Result[dict[str, Any]]:

@@ -38,13 +38,17 @@ def tornado_figure(results: Results) -> Figure:
         axis.plot(low, at, "o", color=COLOURS[0], markersize=4, label="low")
         axis.plot(high, at, "s", color=COLOURS[1], markersize=4, label="high")
         axis.axvline(0.0, color=DARK, linewidth=0.9)
+        axis.margins(x=0.12)
         axis.axvline(mine[names[0]].median, color=GREY, linewidth=0.9, linestyle=":")
         axis.set_title(law.replace("_", "\n", 1), fontsize=8)
     axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
     legend(figure)
     cab = results.study.cabs[0].name.upper()
-    axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}")
-    figure.suptitle("Least damping ratio with one unknown at either end of its range", fontsize=10)
+    axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}; unstable left of 0")
+    figure.suptitle(
+        "Least damping ratio with one unknown at 5 and 95 % of its range, model without friction",
+        fontsize=10,
+    )
     return figure
 
 
@@ -64,17 +68,17 @@ def span_figure(results: Results) -> Figure:
     at = np.arange(len(laws))[::-1]
     for dof, line in zip(ROTATIONS, axes, strict=True):
         for (field, title), axis in zip(fields.items(), line, strict=True):
-            for place, law, colour in zip(at, laws, COLOURS * 2, strict=False):
+            for place, law, colour in zip(at, laws, (*COLOURS, GREY, DARK), strict=False):
                 one = every[law, dof]
                 low, middle, high = getattr(one, field)
                 axis.plot([low, high], [place, place], color=colour, linewidth=3, alpha=0.5)
                 axis.plot([middle], [place], "o", color=colour, markersize=5)
             axis.set_xlabel(title if dof == ROTATIONS[-1] else "")
         line[0].set_ylabel(dof)
-        shares = [f"{law}, {100.0 * every[law, dof].stable:.0f} %" for law in laws]
+        shares = [f"{law}, {answers.percent(every[law, dof].stable[1])}" for law in laws]
         line[0].set_yticks(at, shares, fontsize=7)
     figure.suptitle(
-        f"Bandwidth, peak and damping in rotation: median and 90 % of machines, cab {cab.upper()}; "
+        f"Small motion in rotation: median and 90 % of machines, cab {cab.upper()}, no friction; "
         "after each law the share that it leaves stable",
         fontsize=9,
     )
@@ -90,17 +94,25 @@ def gain_figure(results: Results) -> Figure:
         mine = sorted((one for one in steps if one.corner == corner), key=lambda one: one.gain)
         gains = [one.gain for one in mine]
         name = "no filter" if corner == 0.0 else f"filter {corner:.3g} Hz"
-        left.plot(gains, [100.0 * one.stable for one in mine], "o-", color=colour, label=name)
+        low, middle, high = 100.0 * np.array([one.stable for one in mine]).T
+        left.plot(gains, middle, "o-", color=colour, label=name)
+        left.fill_between(gains, low, high, color=colour, alpha=0.2)
         low, middle, high = np.array([one.damping for one in mine]).T
         right.plot(gains, middle, "o-", color=colour, label=name)
         right.fill_between(gains, low, high, color=colour, alpha=0.2)
     right.axhline(0.0, color=DARK, linewidth=0.9)
+    for place, side in ((0.98, "stable"), (0.02, "unstable")):
+        edge = "top" if side == "stable" else "bottom"
+        right.text(0.02, place, side, transform=right.transAxes, va=edge)
     left.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="stable with every cab [%]")
     right.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="least damping ratio of any cab")
     for axis in (left, right):
         axis.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
     legend(figure)
-    figure.suptitle("Stability and damping over the gain of acceleration feedback", fontsize=10)
+    figure.suptitle(
+        "Stability and damping over the gain of acceleration feedback, model without friction",
+        fontsize=10,
+    )
     return figure
 
 
