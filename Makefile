@@ -33,7 +33,6 @@ laws: $(VENV)/ready
 	$(BIN)/cmf compare
 	$(BIN)/cmf compare --laws all --hydraulics report --plants single_legs --dofs heave --out out/report-heave
 	$(BIN)/cmf compare --laws all --hydraulics out/constant.toml --out out/all
-	$(BIN)/cmf compare --laws $(LAWS),model_following,modal_plan --cab ifd --plants hexapod --dofs surge,heave,roll --measures --no-records --out out/measures
 	$(BIN)/python scripts/laws.py confirm --laws $(LAWS),modal_plan --seeds 1 --quick --out out/field_confirm
 	$(BIN)/python scripts/laws.py confirm --seeds 1 --quick --noise --out out/modal_plan
 	$(BIN)/python scripts/laws.py linear

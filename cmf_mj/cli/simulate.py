@@ -37,7 +37,6 @@ _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
     "time [s], surge, sway, heave [m], roll, pitch, yaw [rad]"
 )
-_MEASURES = "stiffness, disturbance rejection and noise, too"
 _SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of sweeps in translation; rotations are 0.2 deg, steps 1 in for every 0.33 in of it"
 
@@ -90,12 +89,10 @@ def compare_command(
     out: options.Out = Path("out/compare"),
     quick: options.Quick = False,
     records: Annotated[bool, Option(help="keep all runs, about 8 MB a case")] = True,
-    measures: Annotated[bool, Option("--measures", help=_MEASURES)] = False,
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
     from cmf_mj.show import comparison as report
-    from cmf_mj.studies.comparison import rated
 
     built = {"plants": plants, "cab": cab, "hydraulics": hydraulics, "quick": quick}
     changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
@@ -105,18 +102,13 @@ def compare_command(
         comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **how)
     dropped = report.drop_comparison(out, comparison, records)
     paths = report.save_comparison(comparison, out)
-    tables, beside = [report.comparison_table(comparison)], ""
-    if measures:
-        found = rated(comparison, jobs)
-        tables.append(found.table)
-        beside = f", {found.save(out / 'measures.md').name}"
     gap = max(result.gimbal_error for result in comparison)
     files = f"comparison.csv, comparison.md, {len(paths) - 2} figures"
     earlier = f"\nremoved first: {dropped} files of an earlier comparison" if dropped else ""
     show(
-        *tables,
+        report.comparison_table(comparison),
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
-        f"written to {out}: {files}{beside}{', records/' if records else ''}{earlier}",
+        f"written to {out}: {files}{', records/' if records else ''}{earlier}",
         unfolded=True,
     )
 

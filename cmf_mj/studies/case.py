@@ -3,12 +3,10 @@
 The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in; `run_case` does
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 
-Beside a case's measures stands -90 deg of small motion (`small_loop`), what compares laws along an
-axis (`qualities`: bandwidth over what limits it, stiffness, rejection of forces, noise), and the
-verdict of a short simulation in which all degrees of freedom step at once (`swing_after_step`).
+Beside a case's measures stand -90 deg of small motion (`small_loop`), and the verdict of a short
+simulation in which all degrees of freedom step at once (`swing_after_step`).
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,13 +27,11 @@ from cmf_mj.analysis.measures import (
     strays,
     sweep_response,
 )
-from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
-from cmf_mj.core.result import Field
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.simulate import simulate
@@ -43,12 +39,11 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
-from cmf_mj.plant.hexapod import PLANTS, Hexapod, make_plant, oil_modes
+from cmf_mj.plant.hexapod import PLANTS, Hexapod, make_plant
 from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.studies.asymptotes import asymptotes
 
 AMPLITUDE = 0.33 * units.INCH  #: Translational amplitude of the report's frequency responses [m].
 
@@ -247,73 +242,6 @@ def small_loop(case: Case) -> control.StateSpace | None:
     except NotLinearError:
         return None
     return linear.loop(case.law, case.dof, command_delay=case.command_delay)
-
-
-class Qualities(NamedTuple):
-    """What compares laws along one axis, at neutral; NaN where unstable or not to be had."""
-
-    law: str
-    dof: str
-    plant: str
-    over_drive_lag: float
-    over_oil_mode: float
-    of_saturation: float
-    static_stiffness: float  #: [N/m, N m/rad]; infinite where a force leaves no motion.
-    dynamic_stiffness: float  #: Least from 0.5 to 5 Hz [N/m, N m/rad].
-    rejection_hz: float  #: Disturbance rejection bandwidth [Hz].
-    rejection_peak_db: float  #: Its peak [dB].
-    valve_noise: float  #: Fraction of full command.
-
-
-_KLBF = "klbf/in or klbf ft/deg; inf: a force leaves no motion"
-
-
-def _in_field_units(name: str) -> Callable[[Qualities], float]:
-    """A stiffness in klbf/in or klbf ft/deg."""
-    pound = 1000.0 * units.POUND_FORCE
-    per = units.INCH / pound, units.DEGREE / units.FOOT / pound
-    return lambda one: float(getattr(one, name)) * by_kind(one.dof, *per)
-
-
-QUALITIES = (
-    Field("over_drive_lag", "-90 over\ndrive lag", ".2f", about="corner of the servo drive's lag"),
-    Field("over_oil_mode", "-90 over\noil mode", ".2f", about="lowest mode, valves shut"),
-    Field("of_saturation", "-90 over\nsaturation", ".2f", about="valve full open or leg stalled"),
-    *(Field(f"{kind}_stiffness", printed=False) for kind in ("static", "dynamic")),
-    Field("", "stiffness\nat rest", ".0f", of=_in_field_units("static_stiffness"), about=_KLBF),
-    Field("", "stiffness\n0.5 to 5 Hz", ".1f", of=_in_field_units("dynamic_stiffness")),
-    Field("rejection_hz", "rejection\nto", ".2f Hz", about="3 dB off the motion with valves shut"),
-    Field("rejection_peak_db", "rejection\npeak", ".1f dB", about="most that the law adds to it"),
-    Field("valve_noise", "noise\nto valve", ".2f %", "%", about="rms of the busiest at rest"),
-)
-"""What compares laws; stiffness and rejection of forces are linearised, electronics are noisy."""
-
-
-def qualities(plant: Plant, law: Law, swept: Sequence[tuple[str, float, float]]) -> list[Qualities]:
-    """Qualities of a law on a plant along axes that were swept.
-
-    `swept` holds of each its name, amplitude [m or rad] and -90 deg bandwidth [Hz], NaN where
-    unstable. What has no linearisation has neither stiffness nor rejection.
-    """
-    held, rate = bound(law, plant), plant.machine.rate
-    stable = not np.isnan([phase for *_, phase in swept]).all()
-    still, noise = np.zeros((3 * rate, 6)), float("nan")
-    if stable:
-        rest = simulate(plant, held, still, electronics=ElectronicsSettings())
-        noise = float(rest["valve_command"][rate:].std(axis=0).max())
-    try:
-        force = Linear(plant).disturbance(held)
-    except NotLinearError:
-        force = np.full((4, 6), np.nan)
-    found = []
-    for dof, amplitude, phase in swept:
-        limits = asymptotes(plant, dof)
-        mode = oil_modes(limits.mass, limits.stiffness)[0][0]
-        over = [units.from_si("Hz", rate) for rate in (limits.corners[0], mode)]
-        shares = (phase / end for end in (*over, limits.saturation(amplitude)))
-        numbers = map(float, (*shares, *force[:, dof_index(dof)], noise))
-        found.append(Qualities(law.name, dof, plant.name, *numbers))
-    return found
 
 
 SMALL = 0.15

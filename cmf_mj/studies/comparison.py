@@ -6,7 +6,6 @@ loop releases the interpreter lock) and their results do not depend on how many 
 """
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,9 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
-    QUALITIES,
     CaseResult,
-    Qualities,
     dof_amplitude,
     make_case,
-    qualities,
     run_case,
 )
 
@@ -106,26 +102,3 @@ def compare(
     folder = Path(records) if records is not None else None
     results = on_threads(lambda case: run_case(case, folder), cases, jobs, progress)
     return Result(results, COMPARISON, digits=6)
-
-
-def rated(results: Sequence[CaseResult], jobs: int | None = None) -> Result[Qualities]:
-    """What compares laws, of the results of `compare`; on `jobs` threads, one a law and plant.
-
-    >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
-    >>> (found,) = cmf_mj.studies.comparison.rated(comparison)
-    >>> round(found.over_drive_lag, 1)  # 2.7 Hz behind a lag of 3 Hz
-    0.9
-    """
-
-    def rate(group: list[CaseResult]) -> list[Qualities]:
-        case = group[0].case
-        swept = [(one.case.dof, one.case.size, one.measures.phase_bandwidth_hz) for one in group]
-        return qualities(case.build(), case.law, swept)
-
-    alike = groupby(results, key=lambda result: (result.case.plant, result.case.law.name))
-    groups = on_threads(rate, [list(group) for _, group in alike], jobs)
-    whose = (Field("law"), Field("dof"), Field("plant", form=lambda name: name.replace("_", " ")))
-    about = "; ".join(f"{one.header}: {one.about}" for one in QUALITIES if one.about)
-    rows = [one for group in groups for one in group]
-    caption = about.replace("\n", " ")
-    return Result(rows, (*whose, *QUALITIES), caption=caption, grouped=True)

@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from cmf_mj import Hexapod, load_hydraulics, load_law
+from cmf_mj import Hexapod, load_hydraulics, load_law, simulate
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core.result import Table
 from cmf_mj.core.threads import on_threads
+from cmf_mj.core.units import RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
-from cmf_mj.studies.case import Case, dof_amplitude, make_case, qualities
+from cmf_mj.studies.case import Case, dof_amplitude, make_case
 from parts.accept import poses
 
 CAB, SEED = "ifd", 1
@@ -107,7 +108,8 @@ def row(name: str, law: Law, dofs: list[str], jobs: int) -> list[float | str]:
     found = on_threads(measured, cases(law, dofs), jobs)
     count = len(dofs)
     neutral, corners = worst(found[:count]), worst(found[count:-1])
-    noise = qualities(linear.plant, law, [(dofs[0], dof_amplitude(dofs[0]), 1.0)])[0].valve_noise
+    rest = simulate(linear.plant, law, np.zeros((3 * RATE, 6)), electronics="noisy")
+    noise = float(rest["valve_command"][RATE:].std(axis=0).max())
     share: float | str = "-"
     if found[0].stable:
         own, flown = (linear.stiffness(one, hertz) for one in (law, "velocity"))

@@ -11,14 +11,14 @@ import pytest
 from followed_commands import record_of
 from scipy import signal
 
-from cmf_mj import Hexapod, InputError, Linear, NoPoseError, Record, load_law, signals
+from cmf_mj import InputError, NoPoseError, Record, signals
 from cmf_mj.analysis.frequency_response import frequency_response, matrix_frequency_response
 from cmf_mj.analysis.measures import Measures, measure_records, step_metrics
 from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.comparison import step_figure
 from cmf_mj.studies import evaluation
-from cmf_mj.studies.case import CaseResult, make_case, qualities, small_loop
+from cmf_mj.studies.case import CaseResult, make_case, small_loop
 
 APART = np.array([-1.014, -1.014, 1.014, -1.014, -1.014, 1.014])
 """Legs within their stops that reach no common platform [m]."""
@@ -79,14 +79,6 @@ def test_multisines_recorded_too_slowly_are_refused() -> None:
 def test_small_motion_of_a_loop_without_delay_is_refused() -> None:
     with pytest.raises(InputError, match="command_delay: 0"):
         small_loop(make_case("velocity", plant="single_legs", command_delay=0))
-
-
-def test_a_refusal_of_the_law_is_no_want_of_a_linearisation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(Linear, "disturbance", refuse)
-    with pytest.raises(InputError, match="law: is refused"):
-        qualities(Hexapod("gfd"), load_law("velocity"), [("heave", 0.01, np.nan)])
 
 
 def test_a_step_with_gaps_is_not_left_out_of_a_figure() -> None:
