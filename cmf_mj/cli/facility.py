@@ -36,9 +36,6 @@ _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone:
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
 BeginOfServe = Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
-KeyFile = Annotated[
-    Path | None, Option(help="file with the session key, 16 to 32 octets, that both ends have")
-]
 FrameRate = Annotated[
     float | None, Option(min=1.0, max=2048.0, help="frames a second; default as stamped")
 ]
@@ -91,7 +88,6 @@ def serve_command(
         int | None,
         Option(min=1, max=65535, help="its only port; default any program of that host"),
     ] = None,
-    key: KeyFile = None,
     protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
@@ -108,7 +104,7 @@ def serve_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.stream import unit_doubts
-    from cmf_mj.facility.host.udp import UdpReceiver, read_key
+    from cmf_mj.facility.host.udp import UdpReceiver
     from cmf_mj.facility.operation import serve
     from cmf_mj.show import operation as report
 
@@ -121,8 +117,6 @@ def serve_command(
     plant, how = cmf_mj.Hexapod(cab, hydraulics), _start(begin or "engaged", noise)
     opened: Any
     if protocol == "moog":
-        if key is not None:
-            raise InputError("key: is nothing to the protocol moog")
         if begin is not None:
             raise InputError(f"begin: {begin!r} is nothing to the protocol moog, which begins off")
         opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
@@ -130,8 +124,7 @@ def serve_command(
     else:
         if lockstep:
             raise InputError("lockstep: is nothing to the protocol cmf")
-        secret = None if key is None else read_key(key)
-        opened = UdpReceiver(port, host=host, host_port=host_port, bind=bind, key=secret)
+        opened = UdpReceiver(port, host=host, host_port=host_port, bind=bind)
     how["attend"] = attend
     with opened as receiver:
         where = "{}:{}".format(*receiver.address)
@@ -189,7 +182,6 @@ def host_command(
     file: StreamFile,
     to: Annotated[str, Option(metavar="ADDRESS:PORT", help="of the receiver")],
     port: Annotated[int, Option(help="UDP port to send from; 0 takes a free one")] = 0,
-    key: KeyFile = None,
     rate: FrameRate = None,
     derivatives: Derivatives = "spline",
     speed: Annotated[float, Option(help="stamped time over real time: 0.9 is a slow host")] = 1.0,
@@ -199,12 +191,12 @@ def host_command(
 ) -> None:
     """Send a file of host frames over UDP in real time, or as an overloaded host would."""
     from cmf_mj.facility.host.stream import HostTiming
-    from cmf_mj.facility.host.udp import parse_target, read_key, send_stream
+    from cmf_mj.facility.host.udp import parse_target, send_stream
 
-    target, secret = parse_target(to), None if key is None else read_key(key)
+    target = parse_target(to)
     stream = _stream(file, derivatives, rate)
     timing = HostTiming(speed, jitter, stutter, loss)
-    sent = send_stream(stream, *target, source_port=port, key=secret, timing=timing)
+    sent = send_stream(stream, *target, source_port=port, timing=timing)
     show(
         f"{sent.frames} frames in {sent.duration:.3f} s, late by "
         f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"

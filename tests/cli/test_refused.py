@@ -72,7 +72,6 @@ REFUSED = {
     "serve --port 70000": "port: 70000 is refused",
     "serve --host-port 70000": "host_port: '70000' is refused",
     "serve --lockstep": "lockstep: is nothing to the protocol cmf",
-    "serve --protocol moog --key secret.txt": "key: is nothing to the protocol moog",
     "serve --protocol moog --begin settled": "begin: 'settled' is nothing to the protocol moog",
     "serve --protocol moog --begin engaged": "begin: 'engaged' is nothing to the protocol moog",
     "serve --bind everywhere": "bind: 'everywhere' is not an IPv4 address",

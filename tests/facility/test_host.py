@@ -1,6 +1,5 @@
 """Host streams, files, datagrams and sockets: what is sent arrives, bit for bit, or is counted."""
 
-import hashlib
 import runpy
 import socket
 import struct
@@ -54,7 +53,6 @@ from cmf_mj.facility.host.udp import (
     UdpReceiver,
     decode_frame,
     encode_frame,
-    read_key,
     send_stream,
 )
 from cmf_mj.facility.operation import account
@@ -453,45 +451,6 @@ def test_other_senders_are_dropped_and_counted() -> None:
             wait_for(receiver, 3)
             assert receiver.received == 1
             assert receiver.refused["wrong_sender"] == 2
-
-
-def test_with_a_session_key_only_its_owner_is_the_host(tmp_path: Path) -> None:
-    """The tag is BLAKE2s of RFC 7693; without the key no form of a datagram helps."""
-    path = tmp_path / "key"
-    path.write_text("0123456789abcdef\n")
-    key = read_key(path)
-    assert key == b"0123456789abcdef"
-    data = encode_frame(frame(), key)
-    assert len(data) == SIZE + 16 and data[4:8] == b"\2\0\xbc\0"
-    assert data[SIZE:] == hashlib.blake2s(data[:SIZE], key=key, digest_size=16).digest()
-    assert np.array_equal(decode_frame(data, key).pose, frame().pose)
-    others = [
-        (encode_frame(frame()), "wrong_length"),
-        (encode_frame(frame(), b"another key 1234"), "wrong_key"),
-        (data[:-1] + bytes([data[-1] ^ 1]), "wrong_key"),
-        (data[:20] + bytes([data[20] ^ 1]) + data[21:], "wrong_key"),
-    ]
-    for octets, reason in others:
-        with pytest.raises(DatagramError, match=reason):
-            decode_frame(octets, key)
-    with pytest.raises(DatagramError, match="wrong_length"):
-        decode_frame(data)
-    with (
-        UdpReceiver(key=key) as receiver,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
-    ):
-        for octets, _ in others:
-            raw.sendto(octets, receiver.address)
-        assert send_stream(wave(8), *receiver.address, key=key).frames == 8
-        wait_for(receiver, len(others) + 8)
-        assert receiver.received == 8
-        assert receiver.refused["wrong_key"] == 3
-    for text, message in (("short", "key: 5 octets; allowed: 16 to 32"), ("x" * 33, "33 octets")):
-        path.write_text(text)
-        with pytest.raises(ValueError, match=message):
-            read_key(path)
-    with pytest.raises(ValueError, match="none: cannot be read"):
-        read_key(tmp_path / "none")
 
 
 def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -> None:

@@ -1,9 +1,8 @@
 """Host frames over UDP: a receiving thread, and a sender that keeps its time.
 
 The receiver binds to the loopback address by default and takes datagrams of one host only, by its
-address and, if they are given, its port and a session key; all others are dropped and counted.
-What comes while the thread is not run waits in the system's buffer, and the system counts what does
-not fit (Linux).
+address and, if it is given, its port; all others are dropped and counted. What comes while the
+thread is not run waits in the system's buffer, and the system counts what does not fit (Linux).
 """
 
 import contextlib
@@ -15,9 +14,6 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
-from hashlib import blake2s
-from hmac import compare_digest
-from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -27,21 +23,16 @@ from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, HostStream, HostTiming
 
 MAGIC = b"CMFH"
-VERSION, KEYED_VERSION = 1, 2
+VERSION = 1
 
 _BODY, _SUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
 
 SIZE = _BODY.size + _SUM.size
 
-TAG = 16  #: Octets that prove the session key.
-
-KEY_SIZES = (16, 32)  #: Least and most octets of a session key.
-
 MOST_SEQUENCE = 2**63 - 1  #: Largest sequence number.
 
 DATAGRAM_REASONS = tuple(
-    f"wrong_{what}"
-    for what in ("sender", "length", "magic", "version", "key", "checksum", "sequence")
+    f"wrong_{what}" for what in ("sender", "length", "magic", "version", "checksum", "sequence")
 )
 """Why a datagram is refused, in the order of the tests."""
 
@@ -55,20 +46,8 @@ class DatagramError(InputError):
         self.reason = reason
 
 
-def read_key(path: str | Path) -> bytes:
-    """A session key from a file: its octets without white space at the ends, 16 to 32 of them."""
-    try:
-        key = Path(path).read_bytes().strip()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    least, most = KEY_SIZES
-    if not least <= len(key) <= most:
-        raise InputError(f"{path}: key: {len(key)} octets; allowed: {least} to {most}")
-    return key
-
-
-def encode_frame(frame: HostFrame, key: bytes | None = None) -> bytes:
-    """The datagram of a frame, with a session key or without."""
+def encode_frame(frame: HostFrame) -> bytes:
+    """The datagram of a frame."""
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
         raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
     motion = []
@@ -77,36 +56,20 @@ def encode_frame(frame: HostFrame, key: bytes | None = None) -> bytes:
         if values.shape != (6,):
             raise InputError(f"{name}: shape is {values.shape}; allowed: (6,)")
         motion += values.tolist()
-    data = _BODY.pack(MAGIC, *_form(key), frame.sequence, frame.time, *motion)
-    data += _SUM.pack(zlib.crc32(data))
-    return data if key is None else data + _tag(data, key)
+    data = _BODY.pack(MAGIC, VERSION, SIZE, frame.sequence, frame.time, *motion)
+    return data + _SUM.pack(zlib.crc32(data))
 
 
-def _form(key: bytes | None) -> tuple[int, int]:
-    """Version and length."""
-    return (VERSION, SIZE) if key is None else (KEYED_VERSION, SIZE + TAG)
-
-
-def _tag(data: bytes, key: bytes) -> bytes:
-    return blake2s(data, key=key, digest_size=TAG).digest()
-
-
-def decode_frame(data: bytes, key: bytes | None = None) -> HostFrame:
-    """The frame of a datagram; its numbers are as sent, be they finite or not.
-
-    With a session key only those made with it are taken.
-    """
-    version, size = _form(key)
-    if len(data) != size:
-        raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {size}")
-    magic, sent, length, sequence, time, *motion = _BODY.unpack_from(data)
-    own = key is None or compare_digest(data[SIZE:], _tag(data[:SIZE], key))
+def decode_frame(data: bytes) -> HostFrame:
+    """The frame of a datagram; its numbers are as sent, be they finite or not."""
+    if len(data) != SIZE:
+        raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {SIZE}")
+    magic, version, length, sequence, time, *motion = _BODY.unpack_from(data)
     whole = _SUM.unpack_from(data, _BODY.size)[0] == zlib.crc32(data[: _BODY.size])
     for right, reason, said in (
         (magic == MAGIC, "wrong_magic", f"{magic!r}; allowed: {MAGIC!r}"),
-        (sent == version, "wrong_version", f"{sent}; allowed: {version}"),
-        (length == size, "wrong_length", f"field says {length}; allowed: {size}"),
-        (own, "wrong_key", "the sender has not the key of this session"),
+        (version == VERSION, "wrong_version", f"{version}; allowed: {VERSION}"),
+        (length == SIZE, "wrong_length", f"field says {length}; allowed: {SIZE}"),
         (whole, "wrong_checksum", "octets were changed on the way"),
         (sequence <= MOST_SEQUENCE, "wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}"),
     ):
@@ -173,18 +136,16 @@ class UdpReceiver(HostPort):
         host_port: int | None = None,
         bind: str = LOOPBACK,
         ring: Ring | None = None,
-        key: bytes | None = None,
     ) -> None:
         """Bind the socket to the IPv4 address `bind` and start the thread.
 
-        Port 0 takes a free one, see `address`. Only datagrams of `host`, of `host_port` if there is
-        one, and made with the session `key` if there is one, are taken. Raises `OSError` for a port
-        that is taken.
+        Port 0 takes a free one, see `address`. Only datagrams of `host`, and of `host_port` if
+        there is one, are taken. Raises `OSError` for a port that is taken.
         """
         super().__init__(port, host, host_port, bind, _LONGEST_WAIT)
         self.ring = ring if ring is not None else make_ring()
         """Frames received, good form only."""
-        self._refused, self._overrun, self._key = dict.fromkeys(DATAGRAM_REASONS, 0), 0, key
+        self._refused, self._overrun = dict.fromkeys(DATAGRAM_REASONS, 0), 0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
         self._thread.start()
@@ -225,11 +186,11 @@ class UdpReceiver(HostPort):
 
     def _take(self) -> None:
         # One octet more than a frame, so that a longer datagram is seen to be longer.
-        data, sender, known = self.receive(SIZE + TAG + 1)
+        data, sender, known = self.receive(SIZE + 1)
         try:
             if not known:
                 raise DatagramError("wrong_sender", f"{sender[0]}:{sender[1]}")
-            put(self.ring, decode_frame(data, self._key))
+            put(self.ring, decode_frame(data))
         except DatagramError as error:
             self._refused[error.reason] += 1
 
@@ -274,21 +235,20 @@ def send_stream(
     port: int,
     *,
     source_port: int = 0,
-    key: bytes | None = None,
     timing: HostTiming = HostTiming(),  # noqa: B008 (immutable)
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> SendReport:
     """Send a stream to one IPv4 address and port in real time, by its time stamps and a timing.
 
-    From `source_port`, 0 for a free one; with the session `key` if there is one. Each deadline is
-    start + time[k] - time[0]: absolute, so that no lateness adds up.
+    From `source_port`, 0 for a free one. Each deadline is start + time[k] - time[0]: absolute, so
+    that no lateness adds up.
     """
     if not 1 <= port <= 65535:
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
     check_address("address", address)
     stream, deadlines = timing.keep(stream)
-    datagrams = [encode_frame(stream.row(index), key) for index in range(stream.time.size)]
+    datagrams = [encode_frame(stream.row(index)) for index in range(stream.time.size)]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.bind(("", source_port))
