@@ -71,7 +71,6 @@ COPIES = {
     **{f"course/{name}.html": f"_static/course/{name}.html" for name in ("exercises", "leg")},
     "course/gains.png": "images/course_gains.png",
     "course/fit.png": "images/course_fit.png",
-    "films/modes_gfd.mp4": "_static/films/modes.mp4",
     "films/valve_hard_over.mp4": "_static/films/valve_hard_over.mp4",
     "fit/report/stated.png": "images/calibration_report.png",
     "fit/hardware/stated.png": "images/calibration_hardware.png",

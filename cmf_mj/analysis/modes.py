@@ -35,7 +35,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.cylinder import stiffness
@@ -187,41 +187,3 @@ def over_envelope(
     )
     tell(rounds + 1, rounds + 1)
     return EnvelopeModes(looked_at, plant.hydraulic_modes(search.x))
-
-
-def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:
-    """Largest leg motion [m] of a mode, 0 the lowest, that the working stroke allows at its pose.
-
-    With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|, L
-    the working stroke.
-    """
-    left = plant.machine.working_stroke - np.abs(pose_to_legs(modes.pose, plant.machine))
-    least = int(left.argmin())
-    if left[least] <= 0.0:
-        raise InputError(
-            f"pose: leaves leg {least + 1} {left[least]:.4f} m of its working stroke to swing in; "
-            "must be greater than 0"
-        )
-    shape = np.abs(modes.leg_shape[:, mode])
-    return float(shape.max() * (left / np.maximum(shape, 1e-9 * shape.max())).min())
-
-
-def swinging(
-    plant: Hexapod, modes: HydraulicModes, mode: int, time: ArrayLike, *, stroke: float
-) -> NDArray[np.float64]:
-    """Configurations of a mode swinging from its pose, l(t) = l + stroke s sin(2 pi f t).
-
-    The legs swing, as in the equation of the modes; the platform follows through the forward
-    kinematics, so that all gimbals stay closed however large the stroke. `mode` is 0 for the
-    lowest, `time` (n,) [s], `stroke` the largest leg motion [m], up to `largest_stroke`. The
-    result is MuJoCo's qpos, (n, nq); the plant is left in the last one.
-    """
-    shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
-    phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
-    rest = pose_to_legs(modes.pose, plant.machine)
-    poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.machine)
-    configurations = np.empty((poses.shape[0], plant.model.nq))
-    for row, pose in enumerate(poses):
-        plant.place(pose)
-        configurations[row] = plant.data.qpos
-    return configurations

@@ -197,9 +197,9 @@ Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT file
 _MAP = "TOML file of `cmf recording new`; default the facility's columns"
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
-Speed = Annotated[float | None, film(help="times real speed; default 1, of modes 0.05")]
+Speed = Annotated[float, film(help="times real speed")]
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]
-Width = Annotated[int, film(help="of the picture of one run or mode [px]")]
+Width = Annotated[int, film(help="of the picture of one run [px]")]
 Height = Width
 Start = Annotated[float, film(help="time in the run when a film begins [s]")]
 Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]

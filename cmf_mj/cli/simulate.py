@@ -17,7 +17,6 @@ from cmf_mj.cli.common import (
     explicit,
     in_si,
     noise_choice,
-    pose_option,
     progress_bar,
     quantity,
     show,
@@ -208,7 +207,7 @@ def capacity_command(
     show(written(paths))
 
 
-_SOURCES = "scenarios, Parquet records (of a flight with what its pilot felt), or `modes` of a cab"
+_SOURCES = "scenarios, or Parquet records (of a flight with what its pilot felt)"
 
 
 def _differing(name: str, names: list[str]) -> str:
@@ -231,16 +230,15 @@ def video_command(
     cab: options.OtherCab = None,
     file: Annotated[Path, new_file(help="MP4 file, or HTML page to play")] = Path("out/video.mp4"),
     fps: options.Fps = 30,
-    speed: options.Speed = None,
+    speed: options.Speed = 1.0,
     camera: options.Camera = "overview",
     width: options.Width = 720,
     height: options.Height = 450,
     start: options.Start = 0.0,
     seconds: options.Seconds = None,
-    pose: options.Pose = options.NEUTRAL,
 ) -> None:
-    """Show runs side by side, or modes of a cab, as MP4 or an HTML page; needs no display."""
-    from cmf_mj.show.film import FilmSettings, film, swing_film
+    """Show runs side by side, as MP4 or an HTML page; needs no display."""
+    from cmf_mj.show.film import FilmSettings, film
     from cmf_mj.show.flight import saved_traces
 
     given = [name for name in ("fps", "width", "height") if explicit(context, name)]
@@ -250,15 +248,7 @@ def video_command(
     names = sources or ["heave_sine"]
     kept = [Path(name) / "record.parquet" for name in names]  # of folders of runs
     names = [str(path) if path.is_file() else name for name, path in zip(names, kept, strict=True)]
-    modes = names == ["modes"]
-    rate = speed or (0.05 if modes else 1.0)
-    look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
-    if modes:
-        plant = cmf_mj.Hexapod(cmf_mj.load_cab(cab, machine or "cmf"))
-        with progress_bar("drawing") as progress:
-            swings = plant.hydraulic_modes(pose_option(pose))
-            path = swing_film(plant, swings, file, look, progress=progress)
-        return show(f"written: {path}")
+    look = FilmSettings(fps, speed, camera, width, height, start=start, seconds=seconds)
     if len(names) > 1 and laws:
         raise InputError("laws: are for one scenario; give one, or no laws")
     records, titles = [], []

@@ -1,6 +1,5 @@
-"""Films of one run, or of several side by side, with live traces; and of the hydraulic modes."""
+"""Films of one run, or of several side by side, with live traces."""
 
-import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from fractions import Fraction
@@ -13,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from cmf_mj.analysis.modes import largest_stroke, swinging
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
-from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
+from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
-from cmf_mj.show.linearization import mode_table, title_of
 from cmf_mj.show.player.writer import write_page
 from cmf_mj.show.stage import FilmStage, Panels, Reel, Strip, busiest_leg, traces_of
 
@@ -60,10 +56,10 @@ def film(
     `progress` is called with the pictures done and those in all. Raises `InputError` for an
     argument out of range, `MissingExtraError` without PyAV.
     """
-    chosen = settings or FilmSettings()
+    chosen, target = settings or FilmSettings(), Path(path)
     if not records:
         raise InputError("records: none is given; give at least one")
-    check_settings(path, chosen)
+    _check(target, chosen)
     end = max(float(record.time[-1]) for record in records)
     if not 0.0 <= chosen.start < end:
         raise InputError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
@@ -76,12 +72,23 @@ def film(
         for record, title, panels in zip(records, named, every, strict=True)
     ]
     count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
-    return write_reels(reels, count, path, chosen, columns=len(reels), progress=progress)
+    if target.suffix == ".html":
+        last = chosen.start + max(count - 1, 1) * chosen.speed / chosen.fps
+        write_page(reels, (chosen.start, last), target, chosen.speed, chosen.camera)
+        if progress is not None:
+            progress(count, count)
+        return target
+    with whole_file(target) as partial:
+        pictures = _pictures(reels, count, chosen)
+        for number, _ in enumerate(_mp4(pictures, partial, chosen.fps), start=1):
+            if progress is not None:
+                progress(number, count)
+    return target
 
 
-def check_settings(path: str | Path, settings: FilmSettings) -> None:
+def _check(target: Path, settings: FilmSettings) -> None:
     """Refuse a file name or settings that no film can have."""
-    target, fps, speed = Path(path), settings.fps, settings.speed
+    fps, speed = settings.fps, settings.speed
     if target.suffix not in (".mp4", ".html"):
         raise InputError(f"out: {target.name} must end in .mp4 or .html")
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
@@ -103,35 +110,7 @@ def model_of(record: Record) -> mujoco.MjModel:
     raise InputError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")
 
 
-def write_reels(
-    reels: Sequence[Reel],
-    count: int,
-    path: str | Path,
-    settings: FilmSettings,
-    *,
-    columns: int,
-    progress: Progress | None = None,
-) -> Path:
-    """Write a film of `count` pictures, its reels in rows of so many columns, or as a page."""
-    target = Path(path)
-    if target.suffix == ".html":
-        end = settings.start + max(count - 1, 1) * settings.speed / settings.fps
-        span = settings.start, end
-        write_page(reels, span, target, columns, settings.speed, settings.camera)
-        if progress is not None:
-            progress(count, count)
-        return target
-    pictures = _pictures(reels, count, settings, columns)
-    with whole_file(target) as partial:
-        for number, _ in enumerate(_mp4(pictures, partial, settings.fps), start=1):
-            if progress is not None:
-                progress(number, count)
-    return target
-
-
-def _pictures(
-    reels: Sequence[Reel], count: int, chosen: FilmSettings, columns: int
-) -> Iterator[Picture]:
+def _pictures(reels: Sequence[Reel], count: int, chosen: FilmSettings) -> Iterator[Picture]:
     times = chosen.start + np.arange(count) * chosen.speed / chosen.fps
     with ExitStack() as stack:
         stages: dict[mujoco.MjModel, FilmStage] = {}
@@ -151,8 +130,7 @@ def _pictures(
                 parts.append(_titled(scene, reel.title, clock))
             for index, strip in enumerate(strips):
                 parts[index] = np.vstack([parts[index], strip.picture(time)])
-            rows = [parts[i : i + columns] for i in range(0, len(parts), columns)]
-            yield np.vstack([np.hstack(row) for row in rows])
+            yield np.hstack(parts)
 
 
 def _titled(scene: Picture, *texts: str) -> Picture:
@@ -179,50 +157,3 @@ def _mp4(pictures: Iterator[Picture], target: Path, fps: int) -> Iterator[None]:
             container.mux(stream.encode(frame))
             yield
         container.mux(stream.encode())
-
-
-LEAST_PICTURES = 4  #: Pictures in a period of the fastest mode, at least.
-
-STROKE = 0.32  #: Swing of the legs over their working stroke.
-
-
-def swing_film(
-    plant: Hexapod,
-    modes: HydraulicModes,
-    path: str | Path,
-    settings: FilmSettings,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-) -> Path:
-    """Render the modes at a pose, for a period of the lowest, to an MP4 or HTML file.
-
-    In each mode the legs swing by 0.32 of the working stroke (12 in of the CMF), or by what that
-    leaves.
-    """
-    check_settings(path, settings)
-    lowest, fastest = float(modes.frequency_hz[0]), float(modes.frequency_hz[-1])
-    most = settings.fps / (LEAST_PICTURES * fastest)
-    if settings.speed > most:
-        raise InputError(
-            f"speed: {settings.speed} with {settings.fps} frames a second leaves the fastest at "
-            f"{fastest:.1f} Hz fewer than {LEAST_PICTURES} a period; must be at most {most:.3g}"
-        )
-    count = max(round(settings.fps / (lowest * settings.speed)), 1)
-    time = np.arange(count) * settings.speed / settings.fps
-    model = copy.copy(plant.drawn_model)
-    model.cam_fovy *= 1.15  # the swinging machine needs a wider view
-    model.cam_pos[:, 2] -= 0.5 * modes.pose[2]  # half way with the platform, whose z is down
-    reels = []
-    for mode in range(6):
-        motion = min(STROKE * plant.machine.working_stroke, largest_stroke(plant, modes, mode))
-        caption = f"{title_of(modes)}\n{caption_of(modes, mode, motion)}"
-        qpos = swinging(plant, modes, mode, time, stroke=motion)
-        reels.append(Reel(model, time, qpos, caption))
-    return write_reels(reels, count, path, settings, columns=3, progress=progress)
-
-
-def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
-    """Frequency, mass that a leg feels; leading share and leg motion [m]."""
-    named, hertz, mass, moving = mode_table(modes).cells[mode]
-    first = f"{named}: {hertz} Hz, {mass} lbm a leg"
-    return f"{first}\n{moving.split(',')[0]}, legs ±{units.from_si('in', motion):.1f} in"

@@ -73,7 +73,6 @@ COMMANDS: dict[str, str] = {
     "fly": "fly flight.csv {machine} --no-delay",
     "learn": "learn flight.csv {machine} --trials 1",
     "video": "video run.toml {cab} --seconds 0.2 --fps 10 --file out/film.mp4",
-    "video modes": "video modes {cab} --fps 10 --file out/modes.mp4",
     "tune": "tune {cabs} {dry} --form velocity --evaluations 1 --file out/law.toml",
     "certify": "certify {law} {cabs} {dry} --quick",
 }

@@ -123,7 +123,7 @@ def test_a_step_is_said_in_words(tmp_path: Path) -> None:
     model = hexapod_model("gfd")
     qpos = np.tile(mujoco.MjData(model).qpos, (time.size, 1))
     reels = [Reel(model, time, qpos, "a step", [panel])]
-    text = writer.write_page(reels, (0.0, 5.0), tmp_path / "x.html", 1, 1.0, "overview").read_text(
+    text = writer.write_page(reels, (0.0, 5.0), tmp_path / "x.html", 1.0, "overview").read_text(
         encoding="utf-8"
     )
     top = swing.max()

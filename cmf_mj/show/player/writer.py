@@ -34,7 +34,6 @@ def write_page(
     reels: Sequence[Reel],
     span: tuple[float, float],
     path: Path,
-    columns: int,
     speed: float,
     camera: str,
 ) -> Path:
@@ -57,11 +56,11 @@ def write_page(
         run = {"title": reel.title, "model": models.index(model), "panels": panels}
         runs.append(run | {"qpos": _encoded(reel.qpos[np.maximum(rows, 0)])})
     shown: dict[str, Any] = {"start": span[0], "rate": (count - 1) / (span[1] - span[0])}
-    shown |= {"count": count, "speed": speed, "digits": 2 + (speed < 0.1), "columns": columns}
+    shown |= {"count": count, "speed": speed, "digits": 2 + (speed < 0.1)}
     shown |= {"models": models, "cameras": _cameras(reels[0].model), "camera": camera}
     place = Path(__file__).parent
     parts = {
-        "title": html.escape(" | ".join(reel.title.replace("\n", ", ") for reel in reels)),
+        "title": html.escape(" | ".join(reel.title for reel in reels)),
         "words": _words(reels, span),
         "three": (place / "three.min.js").read_text(encoding="utf-8"),
         "data": json.dumps({**shown, "runs": runs}).replace("<", "\\u003c"),
