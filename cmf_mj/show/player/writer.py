@@ -56,7 +56,7 @@ def write_page(
         run = {"title": reel.title, "model": models.index(model), "panels": panels}
         runs.append(run | {"qpos": _encoded(reel.qpos[np.maximum(rows, 0)])})
     shown: dict[str, Any] = {"start": span[0], "rate": (count - 1) / (span[1] - span[0])}
-    shown |= {"count": count, "speed": speed, "digits": 2 + (speed < 0.1)}
+    shown |= {"count": count, "speed": speed, "digits": 2 + (speed < 0.1), "columns": len(reels)}
     shown |= {"models": models, "cameras": _cameras(reels[0].model), "camera": camera}
     place = Path(__file__).parent
     parts = {
