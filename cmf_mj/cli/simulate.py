@@ -184,7 +184,6 @@ def capacity_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
-    envelope: Annotated[bool, Option(help="the largest sustained sines, 0.1 to 10 Hz")] = True,
     dofs: options.Dofs = options.ALL,
     out: options.Out = Path("out/capacity"),
 ) -> None:
@@ -194,17 +193,12 @@ def capacity_command(
     from cmf_mj.studies import asymptotes
     from cmf_mj.studies.capacity import capacity, manoeuvre
 
-    parameters = cmf_mj.load_hydraulics(hydraulics)
+    plant = cmf_mj.Hexapod(cab, hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI
     demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency, machine)
-    result = capacity(demand, law, cab, parameters, least_pressure=least)
-    paths = report.save_capacity(result, parameters, out)
-    show(report.capacity_result(result).turned)
-    if envelope:
-        plant = cmf_mj.Hexapod(cab, parameters)
-        paths += report.save_envelope(plant, dofs, out)
-        show(asymptotes.envelope(plant, dofs))
-    show(written(paths))
+    result = capacity(demand, plant, law, least_pressure=least)
+    paths = report.save_capacity(result, plant, dofs, out)
+    show(report.capacity_result(result).turned, asymptotes.envelope(plant, dofs), written(paths))
 
 
 _SOURCES = "scenarios, or Parquet records (of a flight with what its pilot felt)"

@@ -24,12 +24,11 @@ from cmf_mj.facility.replay import Replay
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import save_scenario
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
-from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
 from cmf_mj.studies.asymptotes import FREQUENCIES, Asymptotes, asymptotes, envelope
-from cmf_mj.studies.capacity import CAPACITY, CapacityResult, relief_flow
+from cmf_mj.studies.capacity import CAPACITY, CapacityResult
 
 _LEAST = 1e-9  #: Demand below which a degree of freedom is at rest [m or rad].
 
@@ -231,7 +230,7 @@ def replay_summary(replayed: Replay) -> str:
     return f"{replayed.law}: largest difference {100.0 * replayed.difference:.3g} %{note}"
 
 
-_GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
+_PSI = units.PSI
 
 _CLOSED: dict[str, tuple[str, Any, str]] = {
     "displacement": ("operational displacement", "-", look.BLUE),
@@ -243,62 +242,11 @@ _CLOSED: dict[str, tuple[str, Any, str]] = {
 """Title, line and colour of every closed form."""
 
 
-def _psi(value: float) -> str:
-    return f"{value / _PSI:.0f} psi"
-
-
 def capacity_result(result: CapacityResult) -> Result[CapacityResult]:
     """What a manoeuvre took out of the supply, as a row."""
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
     return Result([result], CAPACITY, f"capacity: {', '.join(filter(None, words))}")
-
-
-def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Figure:
-    """A manoeuvre over time: motion, pressures, flows, oil in the accumulators, valves."""
-    record, time = result.record, result.record.time
-    network = ("flow [gpm]", "oil in accumulators\n[gal]") if parameters.supply == "network" else ()
-    labels = ("", "pressure [psi]", *network, "largest valve\ncommand [%]")
-    figure, axes = look.stack(8.5, 1.9 * len(labels), *labels)
-    motion, pressure, *between, valve = axes
-    verdict = "holds" if result.holds else "does NOT hold"
-    motion.set_title(
-        f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure.value)}, "
-        f"{_psi(result.allowed_pressure)} needed"
-    )
-    plot_motion(motion, record)
-    pressure.plot(time, record["supply_pressure"] / _PSI, color=look.BLUE, label="supply manifold")
-    pressure.axhline(result.allowed_pressure / _PSI, color=look.ORANGE, label="least allowed")
-    valve.plot(time, 100.0 * np.abs(record["valve_command"]).max(axis=1), color=look.DARK)
-    valve.axhline(100.0, color=look.GREY, linestyle=":")
-    valve.set_ylim(0.0, 110.0)
-    if network:
-        _network((pressure, *between), result, parameters)
-    look.legend(motion, pressure, *between[:1])
-    motion.set_xlim(time[0], time[-1])
-    return figure
-
-
-def _network(axes: Sequence[Axes], result: CapacityResult, parameters: HydraulicParameters) -> None:
-    """Pump, accumulators and relief over time."""
-    pressure, flow, oil = axes
-    record, time = result.record, result.record.time
-    gas = record["accumulator_pressure"] / _PSI
-    pressure.plot(time, gas, "--", color=look.AMBER, label="accumulator gas")
-    precharge = parameters.precharge_pressure.si / _PSI
-    pressure.axhline(precharge, color=look.GREY, linestyle=":", label="precharge")
-    flow.plot(time, record["pump_flow"] / _GPM, color=look.GREEN, label="pump")
-    bank = parameters.accumulator_count.si * record["accumulator_oil"]
-    drawn = -np.gradient(bank, time) / _GPM
-    flow.plot(time, drawn, color=look.AMBER, linewidth=0.9, label="accumulators")
-    flow.axhline(
-        parameters.pump_flow.si / _GPM, color=look.GREY, linestyle=":", label="pump's limit"
-    )
-    if result.relief_flow.peak > 0.0:
-        relief = relief_flow(parameters, record) / _GPM
-        flow.plot(time, relief, color=look.PURPLE, label="relief")
-    oil.plot(time, bank / units.GALLON, color=look.AMBER)
-    oil.set_ylim(0.0, 1.1 * float(bank.max()) / units.GALLON)
 
 
 def envelope_figure(plant: Plant, dofs: Sequence[str]) -> Figure:
@@ -341,18 +289,10 @@ def _envelope_panel(axis: Axes, closed: Asymptotes) -> None:
 
 
 def save_capacity(
-    result: CapacityResult, parameters: HydraulicParameters, folder: Path
+    result: CapacityResult, plant: Plant, dofs: Sequence[str], folder: Path
 ) -> list[Path]:
-    """Write `capacity.csv` (SI), `supply.png` and the record as `capacity.parquet`."""
-    files = {
-        "capacity.csv": capacity_result(result),
-        "supply.png": supply_figure(result, parameters),
-    }
-    return look.save_files(files | {"capacity.parquet": result.record}, folder)
-
-
-def save_envelope(plant: Plant, dofs: Sequence[str], folder: Path) -> list[Path]:
-    """Write `envelope.csv` (SI), `envelope.md` and `envelope.png`."""
-    result = envelope(plant, dofs)
-    files = {"envelope.csv": result, "envelope.md": result}
+    """Write `capacity.csv`, `capacity.parquet`, and the envelope: CSV (SI), table and figure."""
+    largest = envelope(plant, dofs)
+    files = {"capacity.csv": capacity_result(result), "capacity.parquet": result.record}
+    files |= {"envelope.csv": largest, "envelope.md": largest}
     return look.save_files(files | {"envelope.png": envelope_figure(plant, dofs)}, folder)

@@ -27,12 +27,10 @@ from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
 from cmf_mj.facility.signal import HostFile
 from cmf_mj.facility.simulate import simulate
-from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import dof_unit
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import relative_travel
-from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -186,40 +184,31 @@ def pressure_margin(hydraulics: Hydraulics, record: Record) -> NDArray[np.float6
     return np.asarray(record["supply_pressure"][:, None] - np.maximum(out, back))
 
 
-def relief_flow(parameters: HydraulicParameters, record: Record) -> NDArray[np.float64]:
-    """Flow through the relief valve [m^3/s], (N,)."""
-    over = record["supply_pressure"] - parameters.relief_pressure.si
-    return np.asarray(parameters.relief_conductance.si * np.maximum(over, 0.0))
-
-
 def capacity(
     command: Command | ArrayLike,
+    plant: Plant,
     law: str | Law = "velocity",
-    cab: str | Path | Cab | None = None,
-    hydraulics: str | Path | HydraulicParameters | None = None,
     *,
-    plant: Plant | None = None,
     least_pressure: float | None = None,
 ) -> CapacityResult:
     """Run a manoeuvre and say whether the supply holds through it.
 
     `command` is a `Command` or platform poses (N, 6) at the machine's control rate [m, rad], z
-    down, within the operational limits. A `plant` runs instead of one of `cab` and `hydraulics`.
-    `least_pressure` is gauge [Pa], by default 80 % of the set pressure. Raises FloatingPointError
-    where the state leaves its physical bounds.
+    down, within the operational limits. `least_pressure` is gauge [Pa], by default 80 % of the set
+    pressure. Raises FloatingPointError where the state leaves its physical bounds.
     """
-    machine = Hexapod(cab, hydraulics) if plant is None else plant
-    demanded = commanded(command, machine.machine.rate)
-    check_limits(demanded, machine=machine.machine)
-    allowed = least_allowed(machine.parameters, least_pressure)
-    record = simulate(machine, law, demanded, record_every=max(1, machine.machine.rate // _ROWS))
-    supply = machine.hydraulics.supply
+    machine, parameters, supply = plant.machine, plant.parameters, plant.hydraulics.supply
+    demanded = commanded(command, machine.rate)
+    check_limits(demanded, machine=machine)
+    allowed = least_allowed(parameters, least_pressure)
+    record = simulate(plant, law, demanded, record_every=max(1, machine.rate // _ROWS))
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")
     )
     known = np.nan if supply.constant else 1.0
     output = np.abs(record["compensator_output"])
-    margin = pressure_margin(machine.hydraulics, record)
+    over = np.maximum(pressure - parameters.relief_pressure.si, 0.0)
+    margin = pressure_margin(plant.hydraulics, record)
     whole = np.full(record.time.size, True)
 
     def flow(history: NDArray[np.float64]) -> Flow:
@@ -235,7 +224,7 @@ def capacity(
         empty_time=known * np.count_nonzero(oil <= 1e-6 * oil[0]) / record.rate,
         pump_flow=flow(pump),
         pump_flow_limit=known * supply.pump_flow,
-        relief_flow=flow(relief_flow(machine.parameters, record)),
+        relief_flow=flow(parameters.relief_conductance.si * over),
         saturation=(output >= _SATURATED).mean(axis=0),
         peak_command=output.max(axis=0),
         least_margin=extreme(record.time, margin, whole, np.negative),

@@ -67,7 +67,7 @@ COMMANDS: dict[str, str] = {
     "export fmu": "export fmu {machine}",
     "failure": "failure pump_lost {machine} --at 1 --after 6",
     "capacity": "capacity {machine} --dofs heave",
-    "capacity of a noise": "capacity {machine} --signal noise --no-envelope",
+    "capacity of a noise": "capacity {machine} --signal noise --dofs heave",
     "cue": "cue flight.csv {cab}",
     "omct": "omct {machine} --dofs heave --quick",
     "fly": "fly flight.csv {machine} --no-delay",
