@@ -1,15 +1,15 @@
 """Record, identify, close the loop: a linear model of heave from one run, judged on another.
 
-The model goes from valve command to velocity (ARX structure, output error). Closed with the law it
+The model goes from valve command to velocity (ARX). Closed with the law it
 predicts the bandwidth, which the second run measures.
 """
 
 import cmf_mj
 from cmf_mj import signals
 from cmf_mj.analysis.identification import (
+    arx,
     experiment,
     fit_percentage,
-    output_error,
     simulated,
     to_continuous,
 )
@@ -30,7 +30,7 @@ records = [
     for seed in (0, 1)
 ]
 first, second = (experiment(record, "heave") for record in records)
-model = output_error([first], (4, 3, 1))
+model = arx([first], (4, 3, 1))
 print(f"fit on the second run: {fit_percentage(second.output, simulated(model, second)):.1f} %")
 predicted = measure_loop(closed_loop("velocity", to_continuous(model).velocity)).phase_bandwidth_hz
 measured = cmf_mj.bandwidths(cmf_mj.frequency_response(records[1])).phase_hz

@@ -15,7 +15,7 @@ LINES = {
     "linearize": "linearize --out {out}",
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --out {out}",
     "measure": "measure {swept} --out {out}",
-    "identify": "identify {swept} {swept} --orders 2,1,1 --method arx --out {out}",
+    "identify": "identify {swept} {swept} --orders 2,1,1 --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
     "recording new": "recording new {facility} --file {out}/columns.toml",

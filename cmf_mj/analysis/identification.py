@@ -1,6 +1,6 @@
 """Black boxes of one input and one output from records: leg velocity from the valve command.
 
-    record -> experiment -> select_orders, arx | output_error -> BlackBox -> to_continuous
+    records -> experiment -> arx -> BlackBox -> to_continuous          (chapter 4 of the report)
 
 A box is y = B/A u, A = 1 + a_1 q^-1 + ... + a_na q^-na, B = b_1 q^-nk + ... with nb coefficients.
 ARX minimises sum e^2 of A y = B u + e (Eq 4.10), linear in theta = (a, b):
@@ -8,23 +8,19 @@ ARX minimises sum e^2 of A y = B u + e (Eq 4.10), linear in theta = (a, b):
     y = phi theta + e,   cov theta = s^2 (phi^T phi)^-1,   s^2 = |e|^2 / (N - p)
 
 It is consistent where the noise enters so. Noise of a sensor enters as y = B/A u + v; past outputs
-in phi then hold it, and poles are biased towards more damping. Output error minimises sum v^2 with
-the best initial state by `scipy.optimize.least_squares`, from ARX on series filtered by 1/A (K.
-Steiglitz and L. McBride, IEEE Trans. Automatic Control 10 (1965) 461-464). It is consistent for v
-of any colour that the input does not know; where a law feeds v back, for white v.
+in phi then hold it, and poles are biased towards more damping.
 
 Any leg signal s is mapped to a degree of freedom by J^-1 s, positions by `legs_to_pose`: a law has
 the same gains on all legs, and a box of a degree of freedom is closed with it like one of a leg.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import interpolate, optimize, signal, stats
+from scipy import interpolate, signal, stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
@@ -43,10 +39,9 @@ RECORDER = 128.0  #: Least rate of measured responses [Hz], the facility recorde
 BAND = (0.1, 10.0)  #: Where a box is believed [Hz]: the report's band of interest (section 4.2).
 
 _SHORTEST = 32  # samples behind a decimation, at least
-_AT_NYQUIST = 0.1  # distance from -1 within which a real pole alternates, as no machine does
-_SLACK = 0.2  # of the best fit, for fewer parameters [%]
-_FAR = 1e3  # simulation error of an unstable box over the output's rms
 _SWEEPS = 30  # of the fit of a response
+_SHARE = 0.6  # of a single run that is fitted; the rest validates
+_BROAD = ("multisine", "chirp", "noise")
 
 
 @dataclass(frozen=True)
@@ -140,8 +135,8 @@ class Orders(NamedTuple):
         return max(self.na, self.nk + self.nb - 1)
 
 
-class Root(NamedTuple):
-    """A pole or zero of z, and what s = ln z / T says of it."""
+class Pole(NamedTuple):
+    """A pole of z, and what s = ln z / T says of it."""
 
     value: complex  #: z.
     hertz: float  #: |s| / 2 pi.
@@ -153,13 +148,11 @@ class Root(NamedTuple):
 class BlackBox:
     """A discrete model B/A, and what is known of its error."""
 
-    method: Literal["arx", "oe"]
     orders: Orders
     parameters: Real  #: a, then b, (p,).
     covariance: Real  #: (p, p).
     step: float  #: Sampling interval [s].
     names: tuple[str, str]  #: Of input and output.
-    converged: bool = True  #: Whether the search ended by its tolerance.
 
     @property
     def denominator(self) -> Real:
@@ -172,30 +165,21 @@ class BlackBox:
         return np.concatenate([np.zeros(self.orders.nk), self.parameters[self.orders.na :]])
 
     @property
-    def standard_errors(self) -> Real:
-        """Of the parameters, (p,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
     def stable(self) -> bool:
         """Whether no pole lies outside the unit circle."""
         return bool(np.abs(np.roots(self.denominator)).max() <= 1.0)
 
-    def poles(self) -> list[Root]:
-        """Poles with their standard errors."""
-        na = self.orders.na
-        return _roots(self.denominator, np.pad(self.covariance[:na, :na], (1, 0)), self.step)
-
-    def zeros(self) -> list[Root]:
-        """Zeros with their standard errors."""
-        na = self.orders.na
-        return _roots(self.parameters[na:], self.covariance[na:, na:], self.step)
-
-    def transfer_function(self) -> control.TransferFunction:
-        """The box in z, with names on its ports."""
-        size = self.orders.lag + 1
-        above, below = (np.pad(p, (0, size - p.size)) for p in (self.numerator, self.denominator))
-        return control.tf(above, below, self.step, inputs=self.names[:1], outputs=self.names[1:])
+    def poles(self) -> list[Pole]:
+        """Poles with their standard errors; dp/da_i = -p^(na - i) / A'(p) for a simple one."""
+        found, a, na = [], self.denominator, self.orders.na
+        for p in np.roots(a).astype(complex):
+            s = np.log(p) / self.step
+            slope = -np.vander([p], na)[0] / np.polyval(np.polyder(a), p)
+            # |s| changes by the part of ds = dp / (p T) along s.
+            along = (np.conj(s) / abs(s) * slope / (p * self.step)).real / (2.0 * np.pi)
+            error = float(np.sqrt(along @ self.covariance[:na, :na] @ along))
+            found.append(Pole(complex(p), abs(s) / (2.0 * np.pi), error, float(-s.real / abs(s))))
+        return found
 
     def response(self, frequency: ArrayLike) -> FrequencyResponse:
         """Frequency response at lines [Hz], (K,), with a circle of at least 95 % about each."""
@@ -209,19 +193,6 @@ class BlackBox:
         largest = np.linalg.eigvalsh(parts @ self.covariance @ parts.transpose(0, 2, 1))[:, -1]
         bound = np.sqrt(stats.chi2.ppf(0.95, 2) * largest)
         return FrequencyResponse(g, 2.0 * np.pi * f, np.ones(f.size), bound)
-
-
-def _roots(polynomial: Real, covariance: Real, step: float) -> list[Root]:
-    """Roots of a polynomial C but those at 0; dp/dc_i = -p^(n - i) / C'(p) for a simple one."""
-    found = []
-    for p in np.roots(polynomial).astype(complex):
-        s = np.log(p) / step
-        slope = -np.vander([p], polynomial.size)[0] / np.polyval(np.polyder(polynomial), p)
-        # |s| changes by the part of ds = dp / (p T) along s.
-        along = (np.conj(s) / abs(s) * slope / (p * step)).real / (2.0 * np.pi)
-        error = float(np.sqrt(along @ covariance @ along))
-        found.append(Root(complex(p), abs(s) / (2.0 * np.pi), error, float(-s.real / abs(s))))
-    return found
 
 
 def _regressors(run: Experiment, orders: Orders) -> Real:
@@ -261,44 +232,14 @@ def arx(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> Bl
     theta = inverse @ y
     variance = float(np.sum((y - phi @ theta) ** 2)) / (y.size - count)
     covariance = variance * (inverse @ inverse.T)
-    return BlackBox("arx", chosen, theta, covariance, runs[0].step, runs[0].names)
-
-
-def output_error(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> BlackBox:
-    """Fit an output-error model, which is stable, to runs as for `arx`, whose model must be."""
-    start = _stable(arx(runs, orders))
-    pairs = [signal.lfilter([1.0], start.denominator, [run.input, run.output]) for run in runs]
-    near = arx(
-        [replace(r, input=u, output=y) for r, (u, y) in zip(runs, pairs, strict=True)], orders
-    )
-    start = near if near.stable else start
-    y = np.concatenate([run.output for run in runs])
-    size = float(np.sqrt(np.mean(y**2)))
-
-    def errors(theta: Real) -> Real:
-        box = replace(start, parameters=theta)
-        if not box.stable:
-            return np.full(y.size, _FAR)
-        return (y - np.concatenate([simulated(box, run) for run in runs])) / size
-
-    how: dict[str, Any] = {"x_scale": "jac", "ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-10}
-    fit = optimize.least_squares(errors, start.parameters, "3-point", max_nfev=200, **how)
-    inverse = _inverse(fit.jac)
-    variance = 2.0 * fit.cost / (y.size - fit.x.size - start.orders.na * len(runs))
-    found: dict[str, Any] = {"parameters": fit.x, "covariance": variance * (inverse @ inverse.T)}
-    return replace(start, method="oe", converged=bool(fit.success), **found)
-
-
-def _stable(box: BlackBox) -> BlackBox:
-    """Refuse a box that has a pole outside the unit circle."""
-    if not box.stable:
-        raise InputError(f"orders: {tuple(box.orders)} make an unstable model; allowed: others")
-    return box
+    return BlackBox(chosen, theta, covariance, runs[0].step, runs[0].names)
 
 
 def simulated(box: BlackBox, run: Experiment) -> Real:
     """Output (N,) of a stable box, driven by the input alone from the best initial state."""
-    y = signal.lfilter(_stable(box).numerator, box.denominator, run.input)
+    if not box.stable:
+        raise InputError(f"orders: {tuple(box.orders)} make an unstable model; allowed: others")
+    y = signal.lfilter(box.numerator, box.denominator, run.input)
     free = signal.lfilter([1.0], box.denominator, np.eye(box.orders.na, y.size)).T
     return np.asarray(y + free @ np.linalg.lstsq(free, run.output - y, rcond=None)[0])
 
@@ -310,49 +251,6 @@ def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> float:
     if spread == 0.0:
         raise InputError("measured: the output does not move; a fit to it is not defined")
     return 100.0 * (1.0 - float(np.linalg.norm(y - modelled)) / spread)
-
-
-def select_orders(
-    runs: Sequence[Experiment], validation: Experiment, grid: Iterable[Orders]
-) -> list[tuple[Orders, float]]:
-    """ARX orders that make stable models, with the simulated fit to a run held back [%].
-
-    Models with a pole at the Nyquist frequency are left out. The first has the fewest parameters
-    within 0.2 % of the best fit; the others follow by fit.
-    """
-    found = []
-    for orders in grid:
-        box = arx(runs, orders)
-        poles = np.roots(box.denominator)
-        alternating = (np.abs(poles + 1.0) < _AT_NYQUIST) & (poles.imag == 0.0)
-        if box.stable and not alternating.any():
-            found.append((orders, fit_percentage(validation.output, simulated(box, validation))))
-    if not found:
-        raise InputError("orders: none of the grid make a stable model")
-    found.sort(key=lambda one: -one[1])
-    near = [one for one in found if one[1] >= found[0][1] - _SLACK]
-    best = min(near, key=lambda one: one[0].na + one[0].nb)
-    return [best, *(one for one in found if one is not best)]
-
-
-def residual_analysis(box: BlackBox, run: Experiment, lags: int = 40) -> tuple[float, float]:
-    """Shares of lags at which e of an ARX model or v of output error is correlated.
-
-    With itself from lag 1 on, and with past commands: beyond the 99 % bounds of a right model
-    (Ljung, section 16.6).
-    """
-    u, v = (values[box.orders.lag :] for values in (run.input, run.output - simulated(box, run)))
-    if box.method == "arx":
-        v = run.output[box.orders.lag :] - _regressors(run, box.orders) @ box.parameters
-    if not 1 <= lags < v.size:
-        raise InputError(f"lags: {lags}; allowed: 1 to {v.size - 1}")
-    u, v = (signal.detrend(x, type="constant") / np.std(x) for x in (u, v))
-    full = (signal.correlate(a, b) / v.size for a, b in ((v, v), (v, u), (u, u)))
-    auto, cross, drive = (one[v.size - 1 : v.size + lags] for one in full)
-    bound = float(stats.norm.ppf(0.995)) / np.sqrt(v.size)
-    spread = max(1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])), 0.0)
-    outside = np.abs(auto[1:]) > bound, np.abs(cross) > bound * np.sqrt(spread)
-    return float(outside[0].mean()), float(outside[1].mean())
 
 
 class Continuous(NamedTuple):
@@ -388,3 +286,35 @@ def to_continuous(box: BlackBox) -> Continuous:
     ports: dict[str, Any] = {"input_unit": "%", "output_unit": "in/s", "outputs": ["leg_velocity"]}
     velocity = UnitTransferFunction(*parts, **ports)
     return Continuous(velocity, float(np.sqrt(np.mean(np.abs(apart) ** 2))))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A box of one axis with everything that judges it."""
+
+    axis: str
+    box: BlackBox
+    estimation_fit: float  #: Of the simulated box to the fitted runs, the least [%].
+    validation_fit: float  #: To the run that was not fitted [%].
+    continuous: Continuous
+    response: FrequencyResponse | None  #: Measured, of the last broad run; None without one.
+
+
+def identify(
+    records: Sequence[Record], axis: str, orders: tuple[int, int, int] = (4, 3, 1)
+) -> Identified:
+    """Identify leg velocity from valve command along a leg or degree of freedom.
+
+    The last record validates, the others are fitted jointly; of a single one the first 0.6 are
+    fitted. `axis` is surge to yaw, or leg_1 and so on; `orders` are na, nb, nk, by default those of
+    a drive lag, an oil mode and its leakage.
+    """
+    if not records:
+        raise InputError("records: none given; at least one is needed")
+    runs = [experiment(record, axis) for record in records]
+    *fitted, validation = runs if len(runs) > 1 else runs[0].split(_SHARE)
+    box = arx(fitted, orders)
+    broad = [record for record in records if record.signal.kind in _BROAD]
+    fits = [fit_percentage(run.output, simulated(box, run)) for run in (*fitted, validation)]
+    response = plant_response(broad[-1], axis) if broad else None
+    return Identified(axis, box, min(fits[:-1]), fits[-1], to_continuous(box), response)

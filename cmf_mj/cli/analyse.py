@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
@@ -24,8 +24,6 @@ from cmf_mj.core.errors import InputError
 command = partial(app.command, rich_help_panel="Analyse")
 drawing = options.drawing(command)
 
-_METHODS = "arx (least squares) or oe (output error)"
-_METHOD = "studies.identification:Method"
 _ESTIMATOR = "analysis.spectra:Estimator"
 
 
@@ -115,17 +113,15 @@ def parse_orders(text: str) -> tuple[int, int, int]:
 def identify_command(
     files: options.Recordings,
     dof: options.AnyDof = "heave",
-    method: Annotated[str, choice(_METHOD, "METHOD", _METHODS)] = "oe",
-    orders: Annotated[str | None, Option(metavar="NA,NB,NK", help="default by search")] = None,
+    orders: Annotated[str, Option(metavar="NA,NB,NK", help="of poles, zeros, delay")] = "4,3,1",
     columns: options.Columns = None,
     out: options.Out = Path("out/identify"),
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
+    from cmf_mj.analysis.identification import identify
     from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import fit as report
-    from cmf_mj.studies.identification import identify
 
-    chosen = None if orders is None else parse_orders(orders)
-    how: dict[str, Any] = {"method": method, "orders": chosen}
-    model = identify([read_mapped(path, columns) for path in files], dof, **how)
+    chosen = parse_orders(orders)
+    model = identify([read_mapped(path, columns) for path in files], dof, chosen)
     show(report.model_table(model), written(report.save_identification(model, out)))

@@ -12,13 +12,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
+from cmf_mj.analysis.identification import Identified
 from cmf_mj.core.result import Table, number
 from cmf_mj.show import look
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
 from cmf_mj.studies.fit.doubt import FAR, Stated
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
-from cmf_mj.studies.identification import Identified
 
 _SHOWN = 4.0  #: Seconds of a recording.
 
@@ -88,28 +88,22 @@ def stated(rows: Sequence[Stated]) -> Figure:
 
 
 def model_table(result: Identified) -> Table:
-    """Fits, poles and zeros with standard errors, residuals."""
-    box = result.box
-    ended = "" if box.converged else "the search has not ended; try other orders"
-    roots = [("pole", root) for root in box.poles()] + [("zero", root) for root in box.zeros()]
+    """Fits, and poles with standard errors."""
     rows = [
-        ("fit, estimation", f"{result.estimation_fit:.2f} %", "", ended),
+        ("fit, estimation", f"{result.estimation_fit:.2f} %", "", ""),
         ("fit, validation", f"{result.validation_fit:.2f} %", "", "NRMSE, simulated"),
     ]
     rows += [
         (
-            *(kind, f"{root.hertz:.3f} Hz", f"{root.error:.3f} Hz"),
-            f"damping ratio {number(root.damping, '.3f')}",
+            *("pole", f"{pole.hertz:.3f} Hz", f"{pole.error:.3f} Hz"),
+            f"damping ratio {number(pole.damping, '.3f')}",
         )
-        for kind, root in roots
-        if root.value.imag >= 0.0
+        for pole in result.box.poles()
+        if pole.value.imag >= 0.0
     ]
-    _, outside = result.residuals
-    note = "correlation with past commands beyond 99 % bounds"
-    rows.append(("residuals", f"{100.0 * outside:.0f} % of lags", "", note))
     misfit = f"{100.0 * result.continuous.misfit:.2f} %"
     rows.append(("continuous model", misfit, "", "misfit to the discrete"))
-    title = f"{result.axis}: {box.method}, orders {tuple(box.orders)}"
+    title = f"{result.axis}: ARX, orders {tuple(result.box.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
 
 
@@ -117,7 +111,7 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json` and `bode.png`."""
     box, velocity, response = result.box, result.continuous.velocity.to_si(), result.response
     highest = 0.4 / box.step if response is None else float(response.frequency[-1])
-    curves = {str(box.method): box.response(np.geomspace(0.1, min(highest, 0.45 / box.step), 300))}
+    curves = {"ARX": box.response(np.geomspace(0.1, min(highest, 0.45 / box.step), 300))}
     curves |= {} if response is None else {"measured": response}
     title = f"Frequency response, {' to '.join(box.names)}".replace("_", " ")
     files = {
@@ -128,7 +122,6 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
             **vars(box),
             "denominator": box.denominator,
             "numerator": box.numerator,
-            "standard_errors": box.standard_errors,
             "stable": box.stable,
             "continuous": {
                 "numerator": velocity.num[0][0],

@@ -57,7 +57,7 @@ COMMANDS: dict[str, str] = {
     "compare": "compare {machine} --dofs heave --quick --no-records",
     "guide run": f"guide run {GUIDE} {{machine}} --repetitions 2",
     "measure": "measure swept.parquet --machine {name}",
-    "identify": "identify swept.parquet --orders 2,1,1 --method arx",
+    "identify": "identify swept.parquet --orders 2,1,1",
     "run": "run run.toml {cab}",
     "replay": "replay record.parquet",
     "operate": "operate host.csv {machine} --seconds 3",

@@ -22,7 +22,6 @@ from cmf_mj.analysis.identification import (
     arx,
     experiment,
     fit_percentage,
-    output_error,
     plant_response,
     simulated,
     to_continuous,
@@ -117,13 +116,12 @@ def test_degrees_of_freedom_are_the_legs_behind_the_jacobian(pitching: Record) -
     assert pitch.step == pytest.approx(1.0 / 64.0)
 
 
-@pytest.mark.parametrize("method", [arx, output_error])
 @pytest.mark.parametrize("kind", ["multisine", "chirp", "noise", "pulse"])
 def test_closed_loop_of_the_identified_single_leg_has_its_bandwidth(
-    records: Mapping[str, Record], measured: Bandwidths, kind: str, method
+    records: Mapping[str, Record], measured: Bandwidths, kind: str
 ) -> None:
     """-90 deg within 3 % (the report's best: 6.5 %), -3 dB within 3 %, by the report's path."""
-    box = method([experiment(records[kind], "leg_1")], (4, 3, 1))
+    box = arx([experiment(records[kind], "leg_1")], (4, 3, 1))
     assert box.stable
     found = closed(box)
     assert found.phase_bandwidth_hz == pytest.approx(measured.phase_hz, rel=0.03)
@@ -161,7 +159,7 @@ def test_plant_response_by_the_reference_is_that_of_the_fitted_model(
     Poles of the model: 3 Hz drive lag within 5 %, oil mode 71.0 rad/s within 5 %.
     """
     response = plant_response(records[kind], "heave")
-    box = output_error([experiment(records[kind], "heave")], (4, 3, 1))
+    box = arx([experiment(records[kind], "heave")], (4, 3, 1))
     inside = (response.frequency > 0.5) & (response.frequency < 10.0)
     lines = box.response(response.frequency[inside]).response
     off = np.abs(lines / response.response[inside] - 1.0)
@@ -177,7 +175,7 @@ def test_closed_loop_of_the_identified_hexapod_has_its_bandwidth(dof: str) -> No
     """-90 deg of each degree of freedom within 3 % of the chirp it was identified from."""
     size = INCHES if dof in DOFS[:3] else np.radians(0.2)
     record = run(Hexapod("gfd"), signals.chirp(dof, size, duration=30.0))
-    box = output_error([experiment(record, dof)], (6, 5, 1))
+    box = arx([experiment(record, dof)], (6, 5, 1))
     assert box.stable
     hertz = bandwidths(frequency_response(record)).phase_hz
     assert closed(box).phase_bandwidth_hz == pytest.approx(hertz, rel=0.03)

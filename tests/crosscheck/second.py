@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 import control
 import numpy as np
 from matplotlib import mlab
-from mujoco import minimize
 from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj import Hexapod
-from cmf_mj.analysis.identification import Experiment, arx, output_error
+from cmf_mj.analysis.identification import Experiment, arx
 from cmf_mj.analysis.linear.structured import Uncertain, peak_bound, point_bound
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import RunError, require
@@ -146,33 +145,6 @@ def realised(impulses: int = 60) -> float:
     return float(np.abs(found - ours).max() / np.abs(ours).max())
 
 
-def predicted(*, free: bool = False) -> float:
-    """Of the parameters of an output error model, against MuJoCo's least squares.
-
-    Which is the optimiser of `mujoco.sysid`; the residual is scipy's filter, from rest or, as
-    here, from the state that leaves the least of it.
-    """
-    u = np.random.default_rng(4).standard_normal(2000)
-    y = _known(u)
-    y = y + 0.05 * np.std(y) * np.random.default_rng(5).standard_normal(y.size)
-    run, pulses = Experiment(u, y, 1.0 / RATE), np.eye(3, u.size)
-    ours = output_error([run], (3, 3, 1)).parameters
-
-    def error(theta: Array) -> Array:
-        a = np.append(1.0, theta[:3])
-        left = signal.lfilter([0.0, *theta[3:]], a, u) - y
-        ring = signal.lfilter([1.0], a, pulses).T
-        return np.asarray(left - ring @ np.linalg.lstsq(ring, left, rcond=None)[0] * free)
-
-    def residual(thetas: Array) -> Array:
-        return np.stack([error(theta) for theta in thetas.T], axis=1)
-
-    start = arx([run], (3, 3, 1)).parameters
-    quiet = {"verbose": minimize.Verbosity.SILENT, "xtol": 1e-14, "gtol": 1e-14}
-    theirs, _ = minimize.least_squares(start, residual, **quiet)
-    return float(np.abs(np.ravel(theirs) - ours).max())
-
-
 def kinematics(poses: int = 100) -> dict[str, float]:
     """Of legs, Jacobian, leg velocities and accelerations of the CMF, against Pinocchio."""
     pin = require("pinocchio", "dev")
@@ -294,10 +266,6 @@ def compare() -> list[Difference]:
         Difference(
             *("response of ARX, no noise", "python-control ERA", realised(), "of peak"),
             "60 impulses: what rings longer is cut off",
-        ),
-        Difference(
-            *("parameters, output error", "MuJoCo least squares", predicted(), "1"),
-            "estimated state at the start here, rest there",
         ),
     ]
     for version, name, importer in ((2, "FMI Library", by_cosim), (3, "Ecos, fmi4c", by_ecos)):

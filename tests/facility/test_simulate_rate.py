@@ -8,7 +8,7 @@ import pytest
 from identified_systems import excited
 
 from cmf_mj import Hexapod, load_cab, load_law, simulate
-from cmf_mj.analysis.identification import experiment
+from cmf_mj.analysis.identification import experiment, identify
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
@@ -22,7 +22,6 @@ from cmf_mj.signals.signal import Command
 from cmf_mj.signals.single import step
 from cmf_mj.studies.capacity import capacity
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.identification import identify
 
 STEP = step("heave", 0.0254, at=0.5, duration=1.5)
 
@@ -137,6 +136,6 @@ def test_identification_and_capacity_work_at_the_rate_of_the_machine() -> None:
     assert max(corner) == pytest.approx(2.0 * np.pi * 3.0, rel=0.05)
     assert experiment(stepped(1000), "heave").step == pytest.approx(0.015)  # 64 Hz divides none
     plant, poses = Hexapod(machine=own), np.zeros((1000, 6))
-    held = capacity(poses, plant=plant)
+    held = capacity(poses, plant)
     assert held.record.rate == 1000.0 and held.record.time[-1] == pytest.approx(0.999)
     assert held.holds

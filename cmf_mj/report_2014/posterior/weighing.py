@@ -31,6 +31,7 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from cmf_mj import signals
+from cmf_mj.analysis.identification import identify
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import INCH
@@ -52,7 +53,6 @@ from cmf_mj.signals.composite import ROUNDS, seven_sines
 from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
 from cmf_mj.studies.fit import sampling
-from cmf_mj.studies.identification import identify
 
 Array = NDArray[np.float64]
 
@@ -182,10 +182,7 @@ def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
     driven = [[signals.pulse("heave", INCH)], [signals.sine("heave", INCH, 1.0)], [*rounds]]
     broad: dict[str, Any] = {"stop": 16.0, "spectrum": "acceleration", "fade": 1.0}
     checked = case.run(signals.multisine("heave", case.size, **broad))
-    made = (
-        identify([*map(case.run, each), checked], "leg_1", method="arx", orders=(4, 3, 1))
-        for each in driven
-    )
+    made = (identify([*map(case.run, each), checked], "leg_1", orders=(4, 3, 1)) for each in driven)
     return [control.ss(one.continuous.velocity.to_si()) for one in made]
 
 
