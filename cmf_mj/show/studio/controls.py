@@ -206,16 +206,8 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
             handle.remove()
         settings.clear()
         for name, begun in signal_settings(kind.value).items():
-            value = chosen.get(name, begun)
             with folder:
-                if isinstance(value, str):
-                    options = get_args(SIGNALS[kind.value].model_fields[name].annotation)
-                    settings[name] = gui.add_dropdown(name, options, initial_value=value)
-                    continue
-                unit = "Hz" if name in _HERTZ else "s"
-                whole = isinstance(value, int)
-                label, step = (name, 1) if whole else (f"{name} [{unit}]", 0.05)
-                settings[name] = gui.add_number(label, value, step=step)
+                settings[name] = _setting(desk, kind.value, name, chosen.get(name, begun))
         by_hand(moved, *settings.values())
 
     by_hand(moved, system, dof, kind, amplitude)
@@ -223,6 +215,16 @@ def signal_controls(desk: Desk) -> Callable[[], tuple[str, str]]:
     again.on_click(lambda _: desk.later("signal", send))
     desk.follow(follow)
     return lambda: (dof.value, system.value)
+
+
+def _setting(desk: Desk, kind: str, name: str, value: Any) -> Any:
+    """A control for a setting of a signal."""
+    if isinstance(value, str):
+        options = get_args(SIGNALS[kind].model_fields[name].annotation)
+        return desk.client.gui.add_dropdown(name, options, initial_value=value)
+    unit = "Hz" if name in _HERTZ else "s"
+    label, step = (name, 1) if isinstance(value, int) else (f"{name} [{unit}]", 0.05)
+    return desk.client.gui.add_number(label, value, step=step)
 
 
 def cueing_controls(desk: Desk) -> Callable[[], bool]:
