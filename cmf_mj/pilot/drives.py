@@ -22,8 +22,9 @@ def _between(time: NDArray[np.float64], begin: float, end: float, rise: float) -
 def drive(name: str, seed: int | None = None) -> PilotMotion:
     """The motion of a road vehicle's driver at 80 Hz, level, by name of `DRIVES`.
 
-    The forward force is dv/dt, the side force v r with r the yaw rate; all corners are cosines. A
-    seed draws the size of each force, 0.7 to 1.3 times, the pace, 0.8 to 1.25 times, and the side.
+    The forward force is dv/dt, also where brakes bring v to 0, the side force v r with r the yaw
+    rate; corners are cosines, those of `lane_change` of sines. A seed draws the pace, 0.8 to 1.25
+    times, the side and, in the order below, the size of each force, 0.7 to 1.3 times.
     """
     check_name("name", name, DRIVES)
     draw = np.random.default_rng(seed)
@@ -43,7 +44,7 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
             side += of(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
     elif name == "slalom":
         side = of(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
-    elif name == "braking":  # to rest from 20 m/s, with a jolt at the end
+    elif name == "braking":  # to rest from 20 m/s, and on after 8 s
         forward = of(-4.0) * _between(at, 8.0, 13.0, 0.4) + of(1.5) * _between(at, 22.0, 32.0, 1.5)
     elif name == "s_curve":
         side = of(2.0) * _between(at, 5.0, 13.0, 2.0) - of(2.0) * _between(at, 15.0, 23.0, 2.0)
@@ -55,7 +56,10 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
         for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
             side += of(size) * _between(at, begin, end, 0.8)
     side *= way
-    speed = np.maximum(start + np.cumsum(forward) / MOST_RATE, 0.0)
+    speed = start + np.cumsum(forward) / MOST_RATE
+    stopped = np.maximum(-np.minimum.accumulate(speed), 0.0)  # brakes stop a car, and no more
+    speed += stopped
+    forward = forward + np.diff(stopped, prepend=0.0) * MOST_RATE
     yaw_rate = side / np.maximum(speed, 5.0)
     zero = np.zeros(time.size)
     return PilotMotion(
