@@ -26,7 +26,7 @@ EXTRAS = (
 
 TOOLS = (
     *("pytest", "pytest-xdist", "hypothesis", "sybil", "playwright"),
-    *("fmpy", "libcosimpy", "pin", "hatchling"),
+    *("fmpy", "libcosimpy", "pandas", "pin", "hatchling"),
 )
 """What runs the tests, as new as goes with the rest."""
 
