@@ -7,8 +7,8 @@ programmes, and `--solvers FILE` writes `solvers.csv`: times and failures on the
 solvers, in an environment that has them. `softened` gives each the same programme, soft rows
 written out; DAQP and OSQP begin at the solution before.
 
-The classical and the optimal washout and the predictive one are those of `cmf cue tune --workspace
-0.22` (`cueing_*.toml`).
+The classical and the optimal washout and the predictive one are those of `scripts/judgement.py
+--workspace 0.22` (`cueing_*.toml`).
 """
 
 import argparse
@@ -23,6 +23,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from judgement import judge
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -33,7 +34,6 @@ from cmf_mj.machine.machine import load_machine
 from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.drives import DRIVES
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.judgement import judge
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout

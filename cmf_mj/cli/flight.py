@@ -164,43 +164,22 @@ def flight_command(
 
 @drawing("cue")
 def cue_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file, or `tune`", free=True)],
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)],
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     rate: Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")] = 80.0,
     limits: Annotated[Path | None, file(help="TOML changes to the machine's limits")] = None,
-    evaluations: Annotated[int, Option(min=1, help="tune: settings to try")] = 300,
-    workspace: Annotated[float, Option(help="tune: rms of legs over working travel")] = 1.0,
-    seed: options.Seed = 5,
     out: options.Out = Path("out/cue"),
 ) -> None:
-    """Turn a flight into host frames and what the pilot senses.
-
-    With `tune` for a flight: tune the washout, of any family, on the drives and flights of
-    `cmf_mj.pilot.judgement.TUNED`.
-    """
+    """Turn a flight into host frames and what the pilot senses."""
     from cmf_mj.machine.motion_limits import load_motion_limits
     from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
-    from cmf_mj.pilot.washout_settings import load_washout, save_washout
     from cmf_mj.show import cueing as report
 
-    settings = load_washout(washout)
     bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
-    how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
-    if flight == "tune":
-        from cmf_mj.pilot.judgement import search
-
-        how |= {"evaluations": evaluations, "workspace": workspace, "seed": seed}
-        with progress_bar(f"tuning {settings.name}") as update:
-            found = search(settings, progress=update, **how)
-        show(
-            f"cost {found.cost:.4g} in place of {found.start:.4g} after {found.tried} settings",
-            written([save_washout(found.settings, out / "washout.toml")]),
-        )
-        return
-    flown = cue(load_flight(flight).motion, settings, **how)
+    flown = cue(load_flight(flight).motion, washout, cab=cab, limits=bounds, rate=rate)
     paths = report.save_cue(flown, out)
     excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
     plans = [] if flown.plans is None else [flown.plans]

@@ -230,7 +230,6 @@ def replay_summary(replayed: Replay) -> str:
     return f"{replayed.law}: largest difference {100.0 * replayed.difference:.3g} %{note}"
 
 
-
 _CLOSED: dict[str, tuple[str, Any, str]] = {
     "displacement": ("operational displacement", "-", look.BLUE),
     "leg_stroke": ("leg stroke", ":", look.SKY),

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from cab_motions import pushed
-from shared import cmf
 
 from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.judgement import (
+from cmf_mj.pilot.perception import CueingError
+from cmf_mj.pilot.washout_settings import load_washout
+from scripts.flights import with_gains
+from scripts.judgement import (
     FREE,
     _stretches,
     changed,
@@ -15,9 +17,6 @@ from cmf_mj.pilot.judgement import (
     judge,
     search,
 )
-from cmf_mj.pilot.perception import CueingError
-from cmf_mj.pilot.washout_settings import load_washout
-from scripts.flights import with_gains
 
 
 def felt(cued, aircraft, simulator):
@@ -97,10 +96,3 @@ def test_a_search_finds_what_is_better_and_repeats():
     assert cost(flown) == pytest.approx(found[0].cost)
     with pytest.raises(ValueError, match="evaluations: 0"):
         search(load_washout("simona"), evaluations=0)
-
-
-def test_the_command_tunes_and_writes_what_it_found(tmp_path):
-    how = ("--evaluations", "1", "--rate", "20", "--workspace", "0.5", "--out", tmp_path)
-    said = cmf("cue", "tune", "--washout", "optimal", *how)
-    assert "after 1 settings" in said
-    assert load_washout(tmp_path / "washout.toml").kind == "optimal"

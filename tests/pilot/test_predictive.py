@@ -13,13 +13,13 @@ from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.drives import drive
-from cmf_mj.pilot.judgement import judge
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.optimal import condense, knots, parts, span_cost, washout_modes
 from cmf_mj.pilot.perception import load_senses, otoliths_ahead, sense
 from cmf_mj.pilot.predictive import along
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import load_washout
+from scripts.judgement import judge
 
 SETTINGS = load_washout("predictive")
 MODES = washout_modes(SETTINGS)

@@ -1,5 +1,7 @@
 """Washouts judged by numbers, on drives and flights, and tuned on them.
 
+python scripts/judgement.py predictive --workspace 0.22   writes out/cue/washout.toml
+
 `judge` measures a cueing; `search` tunes any family by covariance matrix adaptation of gains,
 corners or sizes, with the cost
 
@@ -9,8 +11,10 @@ e the error sensed, theta its thresholds, `beyond` the largest share of any limi
 much` the mean workspace above the one allowed, over it.
 """
 
+import argparse
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +26,7 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.cueing import Cue, cue
 from cmf_mj.pilot.drives import DRIVES
 from cmf_mj.pilot.flight import load_flight
-from cmf_mj.pilot.washout_settings import WashoutSettings
+from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout, save_washout
 
 TUNED = (*DRIVES, "turn")
 """Drives and flights to tune on."""
@@ -171,7 +175,7 @@ def search(
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
     motions = [load_flight(name).motion for name in names]
-    source = f"cmf cue tune: {evaluations} evaluations on {', '.join(names)}"
+    source = f"scripts/judgement.py: {evaluations} evaluations on {', '.join(names)}"
 
     def tried_at(logs: NDArray[np.float64]) -> tuple[float, WashoutSettings]:
         settings = changed(base, np.exp(np.clip(logs, -4.0, 4.0)), source)
@@ -195,3 +199,25 @@ def search(
         if progress is not None:
             progress(min(tried, evaluations), evaluations)
     return Search(best, least, first, tried)
+
+
+def main() -> None:
+    """Tune a washout and write what was found."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("washout", help="name or TOML file, of any family")
+    parser.add_argument(
+        "--workspace", type=float, default=1.0, help="rms of legs over their travel"
+    )
+    parser.add_argument("--evaluations", type=int, default=300, help="settings to try")
+    parser.add_argument("--rate", type=float, default=80.0, help="frames a second")
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--out", type=Path, default=Path("out/cue/washout.toml"))
+    how = vars(parser.parse_args())
+    base, out = load_washout(how.pop("washout")), how.pop("out")
+    found = search(base, **how)
+    print(f"cost {found.cost:.4g} in place of {found.start:.4g} after {found.tried} settings")
+    print(f"written: {save_washout(found.settings, out)}")
+
+
+if __name__ == "__main__":
+    main()
