@@ -12,7 +12,7 @@ the others).
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import control
 import numpy as np
@@ -35,11 +35,11 @@ from cmf_mj.analysis.spectra import (
     SEGMENT,
     Estimate,
     Estimator,
-    from_h1,
+    mean_of_both,
     report_response,
     welch_response,
 )
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import recorded_machine
@@ -137,8 +137,8 @@ def frequency_response(
 
     The record is of a chirp, multisine or any other broad excitation; `dof` may be a leg, `leg_1`
     and so on, and is by default what the command moved. `segment` is the length of Welch's segments
-    [s], for records that are not periodic. The `estimator` is `h1`, `h2`, `hv` or `report`, that of
-    Appendix A, with its segments, or over the periods of a multisine the mean of H1 and H2.
+    [s], for records that are not periodic. The `estimator` is `h1` or `report`, that of Appendix A,
+    with its segments, or over the periods of a multisine the mean of H1 and H2.
 
     The lines lie within the excited band. Raises `InputError` without excitation in this degree of
     freedom, and for a record shorter than a segment or legs that no pose has.
@@ -149,6 +149,7 @@ def frequency_response(
     >>> bool(response.coherence.min() > 0.9)
     True
     """
+    check_name("estimator", estimator, get_args(Estimator))
     command = record.excitation
     chosen = dof if dof is not None else command.axis
     demand = dof_history(record, "leg_reference", chosen)
@@ -159,7 +160,7 @@ def frequency_response(
         )
     if isinstance(command, Multisine):
         periodic = excited_response(demand, feedback, record.rate, command)
-        return _wrapped(from_h1(periodic, estimator))
+        return _wrapped(mean_of_both(periodic) if estimator == "report" else periodic)
     # The rest before the excitation is the base line; it also lets the start-up settle.
     begin = max(round(command.lead * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
@@ -167,7 +168,7 @@ def frequency_response(
     if estimator == "report":
         band = _band(command, record.rate, segment)
         return _wrapped(report_response(x, y, record.rate, band=band))
-    return _wrapped(from_h1(excited_response(x, y, record.rate, command, segment), estimator))
+    return _wrapped(excited_response(x, y, record.rate, command, segment))
 
 
 def excited_response(
@@ -212,11 +213,10 @@ def rounds_response(
     that the demand drives. `report`: as Appendix A does it, all records end to end in their order,
     a straight line taken off, and its estimator over the whole, all lines up to 10.5 Hz, those
     between the sines too. `dof` is a degree of freedom or a leg, default the one the first command
-    moved. Raises `InputError` for `h2` and `hv`, no records, no demand, one record given twice, and
-    records that differ in rate, axis, law or machine.
+    moved. Raises `InputError` for no records, no demand, one record given twice, and records that
+    differ in rate, axis, law or machine.
     """
-    if estimator not in ("h1", "report"):
-        raise InputError(f"estimator: {estimator!r} is for one record; allowed: h1, report")
+    check_name("estimator", estimator, get_args(Estimator))
     if not records:
         raise InputError("records: none given; at least one is needed")
     rates = sorted({record.rate for record in records})

@@ -3,11 +3,10 @@
 All estimators weigh spectra X_k of the input and Y_k of the output over segments, periods or runs
 k = 1..S. With S_xy = mean(conj(X_k) Y_k), and so on,
 
-    H1 = S_xy / S_xx    H2 = S_yy / S_yx = H1 / c    Hv = H1 / sqrt(c)    report = (H1 + H2) / 2
+    H1 = S_xy / S_xx    H2 = S_yy / S_yx = H1 / c    report = (H1 + H2) / 2
     c = |S_xy|^2 / (S_xx S_yy)    (coherence)
 
-H1 is free of bias under noise on the output, H2 under noise on the input, Hv under noise on both
-in proportion to their power. The demand of a simulator is free of noise: H1.
+H1 is free of bias under noise on the output. The demand of a simulator is free of noise: H1.
 
 The bound is the radius r of the circle in the complex plane that holds the true response with
 95 % probability, for noise on the output that is Gaussian and flat across a line,
@@ -18,20 +17,20 @@ The bound is the radius r of the circle in the complex plane that holds the true
 where F is the 95 % point of Fisher's distribution, R the correlation between segments that share
 samples, and n = (tr (I-P)R)^2 / tr ((I-P)R)^2 with P = e e^H (Satterthwaite) the averages left for
 the noise. Without overlap R = I, n = S - 1, and this is the bound of Bendat and Piersol, Random
-Data: r^2 = F / (S - 1) (1 - c) S_yy / S_xx. It covers random error only, neither the bias of H2, Hv
-and report under output noise nor leakage. Frequencies in Hz, a response in the output's unit per
+Data: r^2 = F / (S - 1) (1 - c) S_yy / S_xx. It covers random error only, neither the bias of
+the report's under output noise nor leakage. Frequencies in Hz, a response in the output's unit per
 the input's.
 """
 
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError
 
-Estimator = Literal["h1", "h2", "hv", "report"]
+Estimator = Literal["h1", "report"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 SEGMENT = 20.0  #: Length of Welch's segments [s]: lines every 0.05 Hz.
@@ -225,21 +224,13 @@ def report_response(
     chosen = lines_within(frequency, band, 0.5 * rate / size)
     lines = transform(both, taper, hop, size)[chosen]
     correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
-    return from_h1(
-        _least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation), "report"
-    )
+    return mean_of_both(_least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation))
 
 
-def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
-    """Another estimator of one input and one output from H1 and its coherence; same relative bound.
-
-    `h2` is H1 / c, `hv` H1 / sqrt(c), `report` the mean of H1 and H2. Others are refused.
-    """
-    check_name("estimator", estimator, get_args(Estimator))
-    if estimator == "h1":
-        return estimate
+def mean_of_both(estimate: Estimate) -> Estimate:
+    """The mean of H1 and H2 from H1 and its coherence; same relative bound."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / estimate.coherence
-        factor = {"h2": inverse, "hv": np.sqrt(inverse), "report": 0.5 * (1.0 + inverse)}[estimator]
+        factor = 0.5 * (1.0 + inverse)
         scaled = {name: getattr(estimate, name) * factor for name in ("response", "radius")}
         return estimate._replace(**scaled)

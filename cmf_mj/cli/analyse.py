@@ -87,7 +87,7 @@ def measure_command(
     files: options.Recordings,
     dof: options.Dof = "heave",
     machine: options.Machine = "cmf",
-    estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
+    estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1 or report")] = "h1",
     columns: options.Columns = None,
     out: options.Out = Path("out/measure"),
 ) -> None:

@@ -88,7 +88,7 @@ def test_the_report_joins_its_files_and_finds_the_same_bandwidths(files: list[Pa
     found = bandwidths(joined)
     assert found.phase_hz == pytest.approx(fitted.phase_hz, rel=0.01)
     assert found.gain_hz == pytest.approx(fitted.gain_hz, rel=0.01)
-    with pytest.raises(ValueError, match="estimator: 'h2' is for one record; allowed: h1, report"):
+    with pytest.raises(ValueError, match="estimator: 'h2' is not one of h1, report"):
         rounds_response(read, "heave", estimator="h2")
 
 
