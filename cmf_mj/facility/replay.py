@@ -169,8 +169,8 @@ def _feedback(record: Record, law: Law) -> LegFeedback:
     read = LegFeedback(*histories)
     made = record.metadata
     sensors = (made.get("electronics") or {}).get("sensors", {})
-    without = made.get("law_parameters", {}).get("gravity_compensation", True)
-    shift = int(bool(without)) - int(law.gravity_compensation)
+    compensated = made.get("law_parameters", {}).get("gravity_compensation", True)
+    shift = int(bool(compensated)) - int(law.gravity_compensation)
     recorded = FEEDBACK["acceleration"] in record.channels
     if shift and recorded and sensors.get("gravity", False):
         felt = gravity_history(_legs(record, "leg_position"), recorded_machine(made))

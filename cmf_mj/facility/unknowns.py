@@ -154,12 +154,6 @@ class Unknowns(dict[str, Unknown]):
             check_name("row", name, row)
         return {name: row[name] for name in self}
 
-    def gain_errors(self, values: Values) -> dict[str, Array]:
-        """Gain errors of sensors, (n,) by channel."""
-        end = ".gain_errors.*"
-        asked = {one.path: known for known, one in self.items() if known in values}
-        return {p.split(".")[1]: values[known] for p, known in asked.items() if p.endswith(end)}
-
     def apply(self, values: Values, part: Part, name: str | None = None) -> Part:
         """A plant, cab, hydraulic set, law, machine or set of sensors with these values.
 
@@ -255,6 +249,8 @@ def _hydraulics(
             changes = table["actuators"].setdefault(actuator, {})
             for which, x in zip(valves or [""], row, strict=True):
                 before = base.actuator(actuator, VALVES.index(which) if which else None)[field]
+                if before == getattr(base, field, None):
+                    before = Quantity(**table[field])  # that all have in common, changed above
                 at = changes.setdefault(which, {}) if which else changes
                 at[field] = one.changed(before, float(x))
     return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
@@ -287,6 +283,8 @@ def _cab(given: _Given, base: Cab, name: str) -> Cab:
         own = {f"{body}.inertia", f"{body}.density", "payload.density"} & given.keys()
         table = {"inertia": inertia * part.tensor} if own else {}
         moments = {p: entry for p, entry in given.items() if p.startswith(f"{body}.second_moment")}
+        if moments and f"{body}.inertia" in given:
+            raise InputError(f"{body}.inertia: allowed: it or second moments, not both")
         if moments:
             spread = 0.5 * np.trace(part.tensor) * np.eye(3) - part.tensor
             for path, (one, value) in moments.items():

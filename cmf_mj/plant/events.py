@@ -1,6 +1,6 @@
 """Failure events as data on a time line, and what is broken at the moment.
 
-An `Event` says when what fails, where and how much; a run takes any number of them. `_KINDS` has
+An `Event` says when what fails, where and how much; a run takes any number of them. `KINDS` has
 what can fail.
 """
 

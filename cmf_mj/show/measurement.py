@@ -22,7 +22,7 @@ from cmf_mj.studies.guide_check import Compared, Master
 from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven
 
 RESPONSE = tuple(
-    Field("", title, form, "%" if form[-1] == "%" else "", path, about=about)
+    Field("", title, form, "", path, about=about)
     for path, title, form, about in (
         ("measures.phase_bandwidth_hz", "-90 deg bandwidth", ".3f Hz", "first fall through it"),
         ("measures.later_phase_hz", "-90 deg, later", ".3f Hz", "last fall, after coming back"),

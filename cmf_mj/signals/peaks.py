@@ -79,7 +79,8 @@ def check_limits(command: Command, machine: str | Path | Machine = models.CMF) -
     faults = []
     for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
         low, high = allowed[i]
-        for value in (command.pose[:, i].min(), command.pose[:, i].max()):
+        reached = command.pose[:, i]
+        for value in {float(reached.min()), float(reached.max())}:
             if not low <= value <= high:
                 faults.append(f"{dof}: {value:.4g} {unit}; allowed: {low:.4g} to {high:.4g} {unit}")
     for leg, value in enumerate(largest.leg_displacement, start=1):
@@ -108,5 +109,5 @@ def _stands_alone(rate: NDArray[np.float64]) -> NDArray[np.bool_]:
     size = np.pad(np.abs(rate), ((1, 1), (0, 0)))
     at = size.argmax(axis=0)
     columns = np.arange(size.shape[1])
-    around = size[np.maximum(at - 1, 0), columns] + size[np.minimum(at + 1, len(size) - 1), columns]
+    around = size[at - 1, columns] + size[at + 1, columns]
     return np.asarray(size[at, columns] > _ALONE * around)

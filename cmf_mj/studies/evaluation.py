@@ -22,7 +22,7 @@ from cmf_mj.analysis.measures import Measures, crosstalk, measure_records
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.sensors import load_sensors
+from cmf_mj.electronics.sensors import CHANNELS, load_sensors
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
@@ -79,12 +79,14 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     cab = mismatch.apply(values, case.cab or load_cab("gfd"))
     plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
     case = replace(case, law=mismatch.apply(values, case.law))
-    errors = mismatch.gain_errors(values)
+    ideal = load_sensors("ideal")
+    sensors = mismatch.apply(values, ideal, "mismatched")
+    readings = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
+    errors = {channel: np.array([e.si for e in some]) for channel, some in readings.items() if some}
     if study.method == "linear":
         return _linear(case, plant, errors, {} if shared is None else shared)
     chain = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
-    if errors:
-        sensors = mismatch.apply(values, load_sensors("ideal"), "mismatched")
+    if sensors is not ideal:
         chain = ElectronicsSettings(sensors=sensors, converters="off")
     case = replace(case, electronics=chain, command_delay=int("delay" in rung.effects))
     sweep, step = case.sweep_and_step(plant)

@@ -289,6 +289,9 @@ def _check(settings: StudySettings) -> None:
     for name, one in settings.mismatch.items():
         if one.path.startswith("machine."):
             raise InputError(f"mismatch.{name}: {one.path}: a study varies all but the machine")
+        sensed = one.path.startswith("electronics.") and not one.path.endswith(".gain_errors.*")
+        if sensed and settings.method == "linear":
+            raise InputError(f"mismatch.{name}: {one.path}: needs the method sweep")
     if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     for name in settings.rungs:

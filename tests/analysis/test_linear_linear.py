@@ -160,6 +160,8 @@ def test_margins_are_those_of_the_closed_form_and_end_at_the_limit_of_stability(
         gains = Gains(reference=factor * gain, position=-factor * gain)
         return Law(name="p", title="Position", direct_gain=gains)
 
+    with pytest.raises(ValueError, match="leg_0"):
+        linear.margins(law(1.0), ["leg_0"])
     margins = linear.margins(law(1.0), ["heave", "surge", "leg_3"])
     np.testing.assert_allclose(margins, margins[[0, 0, 0]], rtol=1e-6)  # legs are uncoupled
     level, phase = margins[0]

@@ -197,6 +197,20 @@ def test_numbers_that_a_part_does_not_give_are_refused() -> None:
         Unknowns(x=unknown()).of({"y": 1.0})
 
 
+def test_what_all_have_in_common_changes_before_what_each_has() -> None:
+    every = unknown("hydraulics.leg_speed", **BETWEEN, effect="factor")
+    each = unknown("hydraulics.actuators.*.leg_speed", **BETWEEN, effect="factor")
+    factors = np.linspace(0.9, 1.1, 6)
+    drawn = Unknowns({"each": each, "every": every}).apply(
+        {"each": factors, "every": 1.2}, HARDWARE
+    )
+    expected = 1.2 * factors * HARDWARE.leg_speed.si
+    np.testing.assert_allclose(values(drawn, "leg_speed"), expected, rtol=1e-12)
+    known = {p: unknown(f"cab.{p}", **BETWEEN) for p in ("inertia", "second_moment.x")}
+    with pytest.raises(ValueError, match=r"cab\.inertia: allowed: it or second moments"):
+        Unknowns(known).apply(dict.fromkeys(known, 1.1), GFD)
+
+
 def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     mixed = Unknowns(load_study("mismatch").settings.mismatch) | load_unknowns("other_machines")
     saved = Unknowns(mixed).save(tmp_path / "mine.toml")

@@ -49,6 +49,9 @@ source = "test"
 CASES = 20  # two poses, five machines, two laws
 
 
+BIAS = "electronics.leg_position.bias"
+
+
 @pytest.fixture(scope="module")
 def specification(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("study") / "small.toml"
@@ -332,6 +335,10 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
         (
             {"mismatch": {"x": {"path": "machine.floor", "deviation": 1.0, "source": "s"}}},
             "mismatch.x: machine.floor: a study varies all but the machine",
+        ),
+        (
+            {"mismatch": {"x": {"path": BIAS, "deviation": 1.0, "unit": "in", "source": "s"}}},
+            f"mismatch.x: {BIAS}: needs the method sweep",
         ),
     ],
 )

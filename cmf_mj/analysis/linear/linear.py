@@ -141,7 +141,7 @@ class Linear:
         """
         system, legs = self.system, self.plant.legs
         if signal.startswith("leg_"):
-            return leg_model(system, int(signal[4:]))
+            return leg_model(system, self._leg(signal) + 1)
         index = dof_index(signal)
         inverse = np.linalg.inv(self.jacobian)[index]
         rows = np.zeros((3, int(system.noutputs)))
@@ -155,6 +155,10 @@ class Linear:
         names = {"inputs": [f"{signal}_command"], "states": system.state_labels}
         names["outputs"] = [signal, f"{signal}_rate", f"{signal}_acceleration"]
         return reduced(control.ss(*matrices, system.dt, name=f"{system.name}_{signal}", **names))
+
+    def _leg(self, signal: str) -> int:
+        legs = [f"leg_{leg + 1}" for leg in range(self.plant.legs)]
+        return legs.index(check_name("dof", signal, legs))
 
     def leg_loop(self, law: str | Law, *, command_delay: int = 1) -> control.StateSpace:
         """From the demands of all legs to their positions under a law, see `closed_loop`.
@@ -177,8 +181,7 @@ class Linear:
         """
         loop = self.leg_loop(law, command_delay=command_delay)
         if signal is not None and signal.startswith("leg_"):
-            legs = [f"leg_{leg + 1}" for leg in range(self.plant.legs)]
-            index = legs.index(check_name("dof", signal, legs))
+            index = self._leg(signal)
             return loop[index, index]
         jacobian, inverse = self.jacobian, np.linalg.inv(self.jacobian)
         a, b, c, d = (np.asarray(m) for m in (loop.A, loop.B, loop.C, loop.D))
@@ -215,7 +218,7 @@ class Linear:
         found = []
         for signal in signals:
             if signal.startswith("leg_"):
-                row: Array = np.eye(legs)[[int(signal[4:]) - 1]]
+                row: Array = np.eye(legs)[[self._leg(signal)]]
                 column = row.T
             else:
                 index = dof_index(signal)
@@ -316,7 +319,7 @@ def loop_damping(loop: control.StateSpace) -> dict[str, float]:
     size = np.abs(pairs) / (2.0 * np.pi)
     ratio = -pairs.real / np.abs(pairs)
     inside = (size > DAMPED[0]) & (size < DAMPED[1])
-    counts = residues >= SHARE * residues[:, inside].max(axis=1, keepdims=True)
+    counts = residues >= SHARE * residues[:, inside].max(axis=1, keepdims=True, initial=0.0)
     slow = inside & (size < PAIR_HZ)
     return {
         "stable": are_stable(poles),

@@ -87,14 +87,14 @@ def scenario_controls(desk: Desk) -> Callable[[View], None]:
 
     def show(view: View) -> None:
         said, done = "", False
-        if prompts:
-            ask, until, answer = (prompts[at][key] for key in ("ask", "until", "answer"))
+        if lesson := prompts:  # `follow` may replace it meanwhile
+            ask, until, answer = (lesson[at][key] for key in ("ask", "until", "answer"))
             seen = [mark for mark in view.marks[since:] if mark.time < view.live.time - _WATCHED]
             if any(until in mark.text for mark in seen) if until else view.live.time > _WATCHED:
                 answered.add(at)
             done = at in answered
             then = f"**Answer:** {answer}" if done else "*Answered some seconds after you did it.*"
-            said = f"**Lesson, {at + 1} of {len(prompts)}.** {ask}\n\n{then}"
+            said = f"**Lesson, {at + 1} of {len(lesson)}.** {ask}\n\n{then}"
         text.content, text.visible = said, bool(said)
         onward.visible = done and at + 1 < len(prompts)
 
