@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -109,6 +111,18 @@ Campaign = Annotated[
 Try = Annotated[bool, Option("--effects/--no-effects", help="try what else the machine may have")]
 
 
+@contextmanager
+def _fitted(campaign: Path, folder: Path, jobs: int) -> Iterator[tuple[Any, Any]]:
+    """A fit, and what says on the bar, which goes on, what is done with it."""
+    from cmf_mj.studies.fit.campaign import load_campaign
+    from cmf_mj.studies.fit.engine import fit
+
+    with progress_bar("reading recordings", seconds=True) as bar:
+        doing = partial(bar, 0.0, None)
+        doing("reading recordings")
+        yield fit(load_campaign(campaign), folder, jobs=jobs, progress=echo, doing=doing), doing
+
+
 @options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")
 def fit_command(
     campaign: Campaign,
@@ -124,12 +138,11 @@ def fit_command(
     from cmf_mj.show.fit import figures
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.fit import doubt, results
-    from cmf_mj.studies.fit.campaign import load_campaign
-    from cmf_mj.studies.fit.engine import fit
 
     jobs = jobs or os.cpu_count() or 1
-    posterior = fit(load_campaign(campaign), out, jobs=jobs, progress=echo)
-    doubts = doubt.doubt(posterior, jobs, effects=effects)
+    with _fitted(campaign, out, jobs) as (posterior, doing):
+        doing("looking for what speaks against it")
+        doubts = doubt.doubt(posterior, jobs, effects=effects)
     posterior = doubts.widened(posterior)
     results.save(posterior, out)
     table = results.numbers(posterior)
@@ -151,13 +164,12 @@ def next_command(
 ) -> None:
     """Say which planned recording would narrow a number most, after a fit."""
     from cmf_mj.core.result import Result, fields_of
-    from cmf_mj.studies.fit.campaign import load_campaign
-    from cmf_mj.studies.fit.engine import fit
     from cmf_mj.studies.fit.worth import Worth, worth
 
     jobs = jobs or os.cpu_count() or 1
-    posterior = fit(load_campaign(campaign), fitted, jobs=jobs, progress=echo)
-    rows = worth(posterior, plan, number, jobs)
+    with _fitted(campaign, fitted, jobs) as (posterior, doing):
+        doing("recording the plan")
+        rows = worth(posterior, plan, number, jobs)
     show(Result(rows, fields_of(Worth), f"What to record next for {number}").table)
 
 

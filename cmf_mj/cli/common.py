@@ -121,10 +121,11 @@ def written(paths: Sequence[Path], folder: Path | None = None) -> str:
 
 
 @contextmanager
-def progress_bar(
-    work: str = "running", *, seconds: bool = False
-) -> Iterator[Callable[[float, float], None]]:
-    """A bar on the error stream; call what it gives with (done, in all): cases, or `seconds`."""
+def progress_bar(work: str = "running", *, seconds: bool = False) -> Iterator[Callable[..., None]]:
+    """A bar on the error stream; call what it gives with (done, in all): cases, or `seconds`.
+
+    A third argument is what it does now.
+    """
     from rich import progress
     from rich.console import Console
 
@@ -135,8 +136,8 @@ def progress_bar(
         first = "" if work == "drawing" else ", the first time after a minute or two of compiling"
         task = bar.add_task(work + first, total=None)
         try:
-            yield lambda done, total: bar.update(
-                task, completed=done, total=total, description=work
+            yield lambda done, total, now=work: bar.update(
+                task, completed=done, total=total, description=now
             )
         except Exception:
             bar.live.transient = True  # an error stands alone

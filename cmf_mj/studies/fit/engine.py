@@ -236,6 +236,7 @@ def fit(
     *,
     jobs: int = 2,
     progress: Progress | None = None,
+    doing: Progress | None = None,
 ) -> Posterior:
     """Fit the unknowns of a campaign; finished steps in `folder` are not computed again.
 
@@ -244,6 +245,7 @@ def fit(
         folder: of the journal of steps.
         jobs: threads that simulate.
         progress: called with a line after each step.
+        doing: called with what comes next, before it.
 
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
@@ -272,7 +274,7 @@ def fit(
     330 kg
     """
     campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
-    say = progress or (lambda text: None)
+    say, doing = progress or (lambda text: None), doing or (lambda text: None)
     identity = {
         "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
         "recordings": {one.name: one.record.digest for one in campaign.recordings},
@@ -281,6 +283,7 @@ def fit(
     names = tuple(name for name, *_ in campaign.unknowns.numbers())
     pieces = len(campaign.of(held_back=False))
     model = Model(campaign)
+    doing("weighing at rest")
     x = np.append(model.weighed(), np.zeros(model.clocks))
     number, width = 0, np.full(x.size, 0.03)
     if campaign.settings.simulated:
@@ -289,6 +292,8 @@ def fit(
     for stage in _STEPS if pieces else ("whole",):
         fitter = Fitter(campaign, stage, jobs)
         for step in range(_STEPS[stage]):
+            new = ", compiling first if new" * (number == 0)
+            doing(f"{stage} {step + 1}: {x.size + 1} machines, {pieces} recordings each{new}")
             if number not in journal.results:
                 journal.add(number, [improved(fitter, x, width, stage)])
             row = journal.results[number][0]

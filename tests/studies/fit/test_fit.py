@@ -1,11 +1,14 @@
 """A machine is found from its recordings, and what they cannot tell is said."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tomlkit
+from shared import cmf
 
 import cmf_mj
 from cmf_mj.core.errors import InputError
@@ -133,9 +136,29 @@ def test_the_fitted_machine_is_a_file_that_commands_take(found: tuple[Posterior,
 def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None:
     posterior, folder = found
     said: list[str] = []
-    again = fit(folder / "campaign", folder / "out", jobs=1, progress=said.append)
+    again = fit(folder / "campaign", folder / "out", jobs=1, doing=said.append)
+    assert said[:2] == [
+        "weighing at rest",
+        "slow 1: 5 machines, 2 recordings each, compiling first if new",
+    ]
     assert np.array_equal(again.z, posterior.z)
     assert np.array_equal(again.covariance, posterior.covariance)
+
+
+def test_a_fit_says_what_it_does_before_it_reads(tmp_path: Path) -> None:
+    """On the error stream, where a bar is; a fit that is refused has said that it reads."""
+    said: list[str] = []
+
+    @contextmanager
+    def bar(*_: str, seconds: bool) -> Iterator[Callable[..., None]]:
+        yield lambda done, total, now: said.append(now)
+
+    (tmp_path / FILE).write_text("machine = 3")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cmf_mj.cli.campaign.progress_bar", bar)
+        refused = cmf("fit", tmp_path, "--out", tmp_path / "out", code=2)
+    assert "machine" in refused
+    assert said == ["reading recordings"]
 
 
 def test_effects_that_help_widen_the_numbers(found: tuple[Posterior, Path]) -> None:
