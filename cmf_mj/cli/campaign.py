@@ -16,7 +16,7 @@ import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, progress_bar, show, written
 from cmf_mj.cli.options import name_or_file, new_file
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, within
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
 app.add_typer(recordings, name="recording", rich_help_panel="Facility")
@@ -41,22 +41,30 @@ def recording_new_command(
 
 @recordings.command("check")
 def recording_check_command(
-    recording: Recording,
+    files: Annotated[list[Path], Argument(metavar="FILE...", help=_FILE)],
     columns: options.Columns = None,
     machine: Annotated[str | None, options.name_or_file(options.MACHINES, "MACHINE", _OF)] = None,
     cab: Annotated[str | None, Option(metavar="CAB", help="default the machine's first")] = None,
 ) -> None:
-    """Tell whether a recording is what its map says of a machine; status 1 if it is not."""
+    """Tell whether recordings are what their map says of a machine; status 1 if one is not."""
     from cmf_mj.core.result import Result, fields_of
     from cmf_mj.record.columns import load_columns, read_mapped
     from cmf_mj.studies.recordings import Finding, check_recording, verdict
 
     known = None if columns is None else load_columns(columns)
     chosen = cmf_mj.load_machine(machine or (known and known.machine) or "cmf")
-    found = check_recording(read_mapped(recording, known, chosen), chosen, cab)
-    rows = Result(found, fields_of(Finding), f"{recording.name} on {chosen.name}")
-    show(rows, verdict(found))
-    if any(one.status == "fault" for one in found):
+    found = {}
+    for file in files:  # all of them before a line is shown
+        with within(file):
+            found[file] = check_recording(read_mapped(file, known, chosen), chosen, cab)
+    wrong = [file for file, ones in found.items() if any(one.status == "fault" for one in ones)]
+    if len(found) == 1:
+        table = Result(found[files[0]], fields_of(Finding), f"{files[0].name} on {chosen.name}")
+        show(table, verdict(found[files[0]]))
+    else:
+        lines = (f"{file}: {verdict(ones)}" for file, ones in found.items())
+        show(*lines, f"{len(found) - len(wrong)} of {len(found)} recordings fit {chosen.name}")
+    if wrong:
         raise typer.Exit(1)
 
 

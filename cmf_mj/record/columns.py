@@ -172,8 +172,8 @@ def read_mapped(
         machine: whose it is, by name, file or loaded, where the file does not say.
 
     Metadata have the machine, and `recording`: the file, the columns not recorded as `missing`, the
-    samples filled as `bridged` by column, and `last_place` [m], what the last decimal of the legs'
-    demand is, 0 without one.
+    samples filled as `bridged` by column, `units` of the map by channel, and `last_place` [m], what
+    the last decimal of the legs' demand is, 0 without one.
 
     >>> from pathlib import Path
     >>> from cmf_mj.record.columns import ColumnMap, read_mapped
@@ -268,6 +268,7 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
             counts |= {f"{channel}/{k}": count} if count else {}
         channels[channel] = legs.T
     said: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": counts}
+    said["units"] = {name: _six(one.unit)[0] for name, one in chosen.channels.items()}
     said["last_place"] = _last_place(source, chosen, "leg_reference")
     metadata = {"command": {"kind": "recording"}, **known, "sample_rate": rate, "recording": said}
     return Record(time, channels, {name: CHANNELS[name] for name in channels}, metadata)

@@ -10,7 +10,7 @@ is taken; the price is that of two legs fitting half as badly, so that noise and
 Histories are (N, 6), NaN for legs that were not recorded.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import combinations, permutations
 from typing import NamedTuple
 
@@ -37,6 +37,7 @@ _LONGEST = 2.0  #: Largest delay that is looked for [s].
 _LINES = 4  #: Least lines that both halves drive.
 _MOVES = 4.0  #: Motion, in r0, from which on something moves.
 _STILL = 1e-9  #: Motion that is rounding.
+_CREEP = 1e-3  #: Speed from which on a leg moves [m/s].
 _CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
 
 
@@ -48,6 +49,7 @@ class Agreement(NamedTuple):
     cost: float  #: The sum above.
     gain: float  #: g, NaN where nothing moves.
     left: float  #: Share of what moves that is not explained, before any mending.
+    doubt: float = np.nan  #: Two deviations of d by what is not explained [s].
 
 
 def agree(
@@ -83,7 +85,11 @@ def agree(
         e, m = ready(expected), ready(measured)
         frames = _delay(e, m, rate / every) if moves and not rates else 0.0
         e = shifted(e, (frames, 0.0), order=1, mode="nearest")
-        return Agreement(said, frames * every / rate, *_fit(e, m, floor, moves))
+        cost, gain, left = _fit(e, m, floor, moves)
+        apart, speed = m - gain * e, abs(gain) * np.gradient(e, every / rate, axis=0)
+        sizes = (np.sqrt(one.var(axis=0).mean()) + 1e-300 for one in (apart, speed))
+        doubt = float(2.0 * np.divide(*sizes) / np.sqrt(2.0 * corner * m.size * every / rate))
+        return Agreement(said, frames * every / rate, cost, gain, left, doubt)
 
     base, ways = fit("", expected, measured), [fit(*slip) for slip in slips]
     best = min(ways, key=lambda way: way.cost, default=base)
@@ -173,31 +179,77 @@ def pose_slips(pose: Array, measured: Array, machine: Machine) -> Iterator[Slip]
         yield said, pose_to_legs(pose[:, order] * size, machine), measured
 
 
-def pressure_slips(expected: Array, cap: Array, rod: Array, areas: Array) -> Iterator[Slip]:
-    """One slip in the pressures [Pa] whose forces are measured; `areas` of cap and rod, (2, 6)."""
-    yield "cap and rod are exchanged", expected, areas[0] * rod - areas[1] * cap
-    for what, on in (
-        ("cap_pressure", (1, 0)),
-        ("rod_pressure", (0, 1)),
-        ("both pressures", (1, 1)),
-    ):
-        for said, order in _exchanged(areas[0] * cap - areas[1] * rod):
-            p, q = (v[:, order] if x else v for v, x in zip((cap, rod), on, strict=True))
-            yield f"{what} of {said}", expected, areas[0] * p - areas[1] * q
+def pressure_slips(cap: Array, rod: Array, areas: Array) -> Iterator[tuple[str, Array]]:
+    """Forces without one slip in the pressures [Pa]; `areas` of cap and rod, (2, 6)."""
+    yield "cap and rod are exchanged", areas[0] * rod - areas[1] * cap
+    push, pull = areas[0] * cap, areas[1] * rod
+    for said, order in _exchanged(push - pull):
+        p, q = areas[0] * cap[:, order], areas[1] * rod[:, order]
+        yield f"cap_pressure of {said}", p - pull
+        yield f"rod_pressure of {said}", push - q
+        yield f"both pressures of {said}", p - q
 
 
-def slipped(gain: float, sizes: Mapping[str, float], *, loose: bool = False) -> str:
+def last_way(rates: Array) -> Array:
+    """Which way each leg moves or moved last by its rate [m/s], (N, 6): 1, -1, 0 before it does."""
+    moves = np.abs(rates) > _CREEP
+    rows = np.where(moves, np.arange(len(rates))[:, None], 0)
+    return np.take_along_axis(np.sign(rates) * moves, np.maximum.accumulate(rows), axis=0)
+
+
+def borne(
+    parts: Array, force: Array, slips: Iterable[tuple[str, Array]]
+) -> tuple[Agreement, list[str]]:
+    """Whether forces (N, 6) are sums of parts (N, 6, k), and which slip's mending makes them so.
+
+    Of n forces what k unknown factors leave has the share e of all, and a hundredth is added, for
+    sensors. A slip is named, that which leaves least, e', where
+
+        ln e / e' > max(ln 1.4, 8 / n'),  n' = n (1 - r) / (1 + r)
+
+    with r the correlation of what is left from sample to sample, so that n' forces say something
+    new, and 8 for the odds of 46 slips. The second value has the exchanges that it would not name.
+    """
+    legs = there(force)
+    rows = parts[:, legs].reshape(-1, parts.shape[2])
+    sides, sizes, _ = np.linalg.svd(rows / (np.linalg.norm(rows, axis=0) + 1e-300), False)
+    sides = sides[:, sizes > 1e-3 * sizes[0]]
+    whole = float(np.linalg.norm(force[:, legs])) + 1e-300
+
+    def left(values: Array) -> tuple[float, float]:
+        """Share, and that of what a better slip may leave."""
+        column = values[:, legs].ravel()
+        e = np.asarray(column - sides @ (sides.T @ column)).reshape(-1, legs.sum()) + 1e-9
+        again = float((e[1:] * e[:-1]).sum() / (e**2).sum())
+        new = max((e.size - e.shape[1]) * (1.0 - again) / (1.0 + again), 0.1)
+        share = float(np.linalg.norm(e)) / whole + 0.01
+        return share, share * float(np.exp(-max(np.log(1.4), 8.0 / new)))
+
+    ways = {said: left(one) for said, one in (("", force), *slips)}
+    (own, below), least = ways[""], min(share for share, _ in ways.values())
+    named = [said for said, (share, _) in ways.items() if share < 1.2 * least]
+    slip = " or ".join(named) if least < below else ""
+    alike = [said for said, (_, other) in ways.items() if "legs" in said and own > other]
+    return Agreement(slip, np.nan, own, np.nan, own - 0.01), alike
+
+
+def slipped(gain: float, sizes: Mapping[str, float]) -> str:
     """What a gain says that no machine has: a unit that is another."""
-    if not np.isfinite(gain) or (loose and gain > 0.0) or 0.4 < gain < 2.0:
+    if not np.isfinite(gain) or 0.4 < gain < 2.0:
         return ""
     if gain < 0.0:
         return "all legs have the other sign"
-    likely = [
+    likely = mistaken(sizes, lambda factor: abs(np.log(gain * factor)) < 0.12)
+    return f"is {gain:.3g} of what is expected: {likely or 'its scale is another'}"
+
+
+def mistaken(sizes: Mapping[str, float], mends: Callable[[float], bool], stated: str = "") -> str:
+    """Units for others, the map's where `stated`, by whose factor a channel would be right."""
+    return " or ".join(
         f"the file has {one} where the map says {other}"
         for one, other in permutations(sizes, 2)
-        if abs(np.log(gain * sizes[one] / sizes[other])) < 0.12
-    ]
-    return f"is {gain:.3g} of what is expected: {' or '.join(likely) or 'its scale is another'}"
+        if mends(sizes[one] / sizes[other]) and stated in ("", other)
+    )
 
 
 def halves(expected: Array, measured: Array, rate: float) -> tuple[float, float] | None:

@@ -7,7 +7,7 @@ clipping    a sensor that stays at its largest or smallest value, or anywhere, w
 legs        positions against the demand's, which are those of its pose by the kinematics (Eq C.6)
 velocity    against the slope of the positions: signs, units, time base
 valves      commands against velocities: positive extends
-force       Ac p_cap - Ar p_rod against J^-T (weight) and inertia
+force       Ac p_cap - Ar p_rod against J^-T (weight, of any mass and centre), friction, inertia
 clock       delay of the motion behind its demand; no machine moves before it is asked to
 law         response of the first half against that of the second, where both drive the same
 """
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs
+from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs, rotation
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.columns import POSES
@@ -30,6 +30,7 @@ from cmf_mj.record.sources import bridged, runs
 from cmf_mj.studies import recording_pairs as pairs
 
 Array = NDArray[np.float64]
+_Sizes = Mapping[str, float]
 Status = Literal["fault", "loss", "fine", "unseen"]
 
 PRESSURES = ("cap_pressure", "rod_pressure")
@@ -38,8 +39,11 @@ MEASURED = ("leg_position", "leg_velocity", "leg_acceleration", *PRESSURES)
 _COMPARED = ("leg_position", "leg_velocity", *PRESSURES, "valve_command")
 _ASKED_FOR = ("leg_reference", *POSES)
 _LEGS = ("legs", "range", "velocity")  #: Checks of what the legs say of themselves.
+_LEAD = 0.012  #: By which a law that feeds speed forward may answer early [s].
+_FAST = 2.5  #: Speed, in that of the valves as open as they are, that no load explains.
 _SLOWEST = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
 _CHANGED = 0.1  #: Change of the response from half to half that is another law's.
+_BORNE = 4.0  #: Frequency up to which what the pressures bear is looked at [Hz].
 _FOLLOWS = 0.7  #: Share not explained from which on nothing is said of a gain or delay.
 
 
@@ -65,6 +69,7 @@ class _Subject:
         self.rate = record.rate / every
         low = {n: pairs.smooth(self.whole(n), record.rate, 10.0) for n in (*_COMPARED, *_ASKED_FOR)}
         self.slow = {name: values[::every] for name, values in low.items()}
+        self.posed = any(True for _ in self.known(POSES))
         self.slope = np.full_like(self.slow["leg_position"], np.nan)
         if record.time.size >= 30 and len(self.slope) > 1:
             self.slope = np.gradient(self.slow["leg_position"], 1.0 / self.rate, axis=0)
@@ -167,19 +172,38 @@ def _range(subject: _Subject) -> Iterator[Finding]:
         most = proof if channel in PRESSURES else machine.half_stroke
         lowest, largest, said = np.nanmin(values), np.nanmax(np.abs(values)), ""
         if largest > 1.02 * most:
-            said = f"up to {largest:.4g} {unit}, beyond {most:.4g}: are unit and offset right?"
-            if channel not in PRESSURES and lowest > 0.5 * machine.retracted:
-                said = (
-                    f"{lowest:.4g} to {largest:.4g} m: from gimbal to gimbal? State `offset`, what "
-                    f"the file shows at neutral: its first row has {np.nanmean(values[0]):.5g} m, "
-                    f"the data sheet {machine.geometry.neutral.mean():.5g} m"
-                )
+            why = "" if channel in PRESSURES else _misread(subject, channel, values)
+            why = why or "are unit and offset right?"
+            said = f"up to {largest:.4g} {unit}, beyond {most:.4g}: {why}"
         elif channel in PRESSURES and lowest < -2e5:
             largest, said = lowest, "below a vacuum"
         elif channel in PRESSURES and largest < 1e-3 * supply:
             said = f"at most {largest:.3g} Pa of a supply of {supply:.3g}: is its unit bar or psi?"
         if said:
             yield Finding("range", "fault", channel, float(largest), unit, said)
+
+
+def _misread(subject: _Subject, channel: str, values: Array) -> str:
+    """Why lengths [m] are beyond the stroke: from gimbal to gimbal, or in units that fit a leg."""
+    machine, half = subject.machine, subject.machine.half_stroke
+    least, most = float(np.nanmin(values)), float(np.nanmax(values))
+    longest = float(machine.geometry.neutral.max()) + half
+    stated = subject.record.metadata.get("recording", {}).get("units", {}).get(channel, "m")
+
+    def between(factor: float, slack: float = 1.02) -> bool:
+        return machine.retracted < slack * factor * least and factor * most < slack * longest
+
+    def along(factor: float) -> bool:
+        return 0.02 < factor * max(most, -least) / half < 1.02
+
+    if between(1.0, 1.5):
+        return (
+            "from gimbal to gimbal? State `offset`, what the file shows at neutral: its first row "
+            f"has {np.nanmean(values[0]):.5g} m, the data sheet {longest - half:.5g} m"
+        )
+    if units := pairs.mistaken(pairs.LENGTHS, between, stated):
+        return f"{units}, from gimbal to gimbal: state `offset` too"
+    return pairs.mistaken(pairs.LENGTHS, along, stated)
 
 
 def _clipping(subject: _Subject) -> Iterator[Finding]:
@@ -207,11 +231,11 @@ def _motion(subject: _Subject) -> Iterator[Finding]:
         yield Finding("legs", "fault", "leg_position", nan, "", "not recorded; it is needed")
         return
     demands = [name for name, *_ in subject.known(_ASKED_FOR)]
-    if not demands:
-        said = "no demand and no pose to compare with"
-        yield Finding("legs", "unseen", "leg_position", nan, "", said)
-    elif not {*POSES} & {*demands}:
-        said = "no pose was recorded: a unit that is wrong in all lengths alike would not show"
+    if not subject.posed:
+        room = subject.machine.half_stroke / max(float(np.nanmax(np.abs(position))), 1e-12)
+        what = "pose" if demands else "demand and no pose"
+        said = f"no {what} was recorded: a unit that is wrong in all lengths alike does not show"
+        said += f"; {room:.3g} times as long they fit the stroke too" * (room > 1.0)
         yield Finding("legs", "unseen", "leg_position", nan, "", said)
     floor = 2e-3 * subject.machine.half_stroke
     compared = [("leg_position", name) for name in demands] + [("leg_reference", "demand_pose")]
@@ -224,23 +248,17 @@ def _motion(subject: _Subject) -> Iterator[Finding]:
             slips += pairs.swaps(expected, own)
         fits = pairs.agree(expected, own, subject.rate, floor, slips)
         yield from _judged("legs", channel, demand, fits, pairs.LENGTHS)
-        if channel == "leg_position" and fits is not None and not fits.slip:
-            yield from _timing(subject, expected, demand, fits)
+        if fits is not None and not fits.slip:
+            yield from _timing(subject, channel, expected, demand, fits)
 
 
 def _judged(
-    name: str,
-    channel: str,
-    against: str,
-    found: pairs.Agreement | None,
-    sizes: Mapping[str, float],
-    *,
-    loose: bool = False,
+    name: str, channel: str, against: str, found: pairs.Agreement | None, sizes: _Sizes
 ) -> Iterator[Finding]:
     if found is None:
         return
     follows = found.left < _FOLLOWS
-    scale = pairs.slipped(found.gain, sizes, loose=loose) if follows or found.slip else ""
+    scale = pairs.slipped(found.gain, sizes) if follows or found.slip else ""
     wrong = "; ".join(text for text in (found.slip, scale) if text)
     status: Status = "fine" if follows else "loss"
     said = f"differs from what {against} would give" if follows else f"does not follow {against}"
@@ -250,15 +268,17 @@ def _judged(
 
 
 def _timing(
-    subject: _Subject, expected: Array, demand: str, found: pairs.Agreement
+    subject: _Subject, channel: str, expected: Array, demand: str, found: pairs.Agreement
 ) -> Iterator[Finding]:
     if np.isfinite(found.delay) and found.left < _FOLLOWS:
-        early = -0.5 / subject.rate - 2e-3
-        wrong = demand != "platform_pose" and not early <= found.delay <= _SLOWEST
-        said = f"behind {demand}" + ": the clocks of the two are apart" * wrong
+        early = found.delay < -_LEAD - found.doubt and demand != "platform_pose"
+        wrong = early or demand != "platform_pose" and found.delay > _SLOWEST + found.doubt
+        said = f"behind {demand}, to {1e3 * found.doubt:.2g} ms"
+        said += ": the clocks of the two are apart" * wrong
+        said += ", as nothing moves before it is asked to" * early
         status: Status = "fault" if wrong else "fine"
-        yield Finding("clock", status, "leg_position", 1e3 * found.delay, "ms", said)
-    if demand == "platform_pose":
+        yield Finding("clock", status, channel, 1e3 * found.delay, "ms", said)
+    if demand == "platform_pose" or channel != "leg_position":
         return
     found_in = pairs.halves(expected, subject.slow["leg_position"], subject.rate)
     if found_in is None:
@@ -278,61 +298,62 @@ def _slopes(subject: _Subject) -> Iterator[Finding]:
     speed, valves = subject.slow["leg_velocity"], subject.slow["valve_command"]
     slope, rate = subject.slope, subject.rate
     fits = pairs.agree(slope, speed, rate, 1e-3, pairs.swaps(slope, speed), rates=True)
-    against = "the slope of positions"
+    against = "the slope of positions" + ", or these the other way round" * (not subject.posed)
     yield from _judged("velocity", "leg_velocity", against, fits, pairs.LENGTHS)
     fits = pairs.agree(slope, valves, rate, 2e-3, pairs.swaps(slope, valves), rates=True)
     if fits is not None and (fits.left < 0.8 or fits.slip):
-        yield from _judged("valves", "valve_command", "velocities", fits, {}, loose=True)
+        sign = fits._replace(gain=min(fits.gain, 0.0) or np.nan)
+        yield from _judged("valves", "valve_command", "velocities", sign, {})
+        fast = 1.0 / (fits.gain * subject.plant.parameters.leg_speed.si)
+        if fast > _FAST and fits.left < _FOLLOWS and not subject.posed:
+            scale = pairs.slipped(fast, pairs.LENGTHS)
+            said = f"velocity by the valves {scale}, or the scale of valve_command"
+            yield Finding("valves", "fault", "leg_position", fast, "1", said)
 
 
 def _force(subject: _Subject) -> Iterator[Finding]:
-    cap, rod, place = (subject.slow[name] for name in (*PRESSURES, "leg_position"))
-    hydraulics = subject.plant.hydraulics
-    areas = np.array([hydraulics.cylinder.cap_area, hydraulics.cylinder.rod_area])
+    every, plant = max(1, int(subject.rate / (2.5 * _BORNE))), subject.plant
+    slope = np.nan_to_num(subject.slope)
+    changes = np.gradient(slope, 1.0 / subject.rate, axis=0) if len(slope) > 1 else slope
+    slow = (*(subject.slow[name] for name in (*PRESSURES, "leg_position")), changes)
+    cap, rod, place, acceleration, way = (
+        pairs.smooth(one, subject.rate, _BORNE)[::every] for one in (*slow, pairs.last_way(slope))
+    )
+    areas = np.array([plant.hydraulics.cylinder.cap_area, plant.hydraulics.cylinder.rod_area])
     force = areas[0] * cap - areas[1] * rod
     if not pairs.there(force).any() or not pairs.there(place).all():
         return
     try:
-        needs = _needs(subject, place)
+        poses, mean = (legs_to_pose(one, subject.machine) for one in (place, place.mean(axis=0)))
+        inertia = acceleration @ plant.reflected_mass(mean)  # which places the plant
     except InputError:
         said = "leg_position has no pose of this machine: the weight on the pressures is not known"
         yield Finding("force", "loss", "pressures", np.nan, "", said)
         return
     if pairs.there(force).all():
-        lifted = float((needs.jacobian.T @ force.mean(axis=0))[2] / needs.wrench[2])
+        forces = np.stack([force.mean(axis=0), plant.static_load()])
+        lifted = float(np.divide(*(forces @ leg_jacobian(mean, subject.machine))[:, 2]))
         slip = pairs.slipped(lifted, pairs.PRESSURES_IN)
         said = "of the data sheet's weight is carried by the pressures" + f": {slip}" * bool(slip)
         status: Status = "fault" if slip else "fine"
         yield Finding("force", status, "pressures", 100.0 * lifted, "%", said)
-    floor = float(hydraulics.friction.coulomb_friction.max() + 0.01 * np.abs(needs.load).mean())
-    slips = pairs.pressure_slips(needs.forces, cap, rod, areas)
-    fits = pairs.agree(needs.forces, force, subject.rate, floor, slips, rates=True)
-    if fits is not None and np.isfinite(fits.gain):
-        yield from _judged("force", "pressures", "weight and inertia", fits, {})
-    else:
-        said = "inertia does not show, so that legs exchanged in all pressures would not either"
-        yield Finding("force", "unseen", "pressures", np.nan, "", said)
+    borne = np.dstack([_weights(poses, subject.machine), way, inertia])
+    fits, alike = pairs.borne(borne, force, pairs.pressure_slips(cap, rod, areas))
+    yield from _judged("force", "pressures", "weight, friction and inertia", fits, {})
+    if alike and not fits.slip:
+        more = f" and {len(alike) - 3} more" * (len(alike) > 3)
+        said = f"whether {' or '.join(alike[:3])}{more} does not show: these carry alike"
+        yield Finding("force", "unseen", "pressures", float(len(alike)), "slips", said)
 
 
-class _Needs(NamedTuple):
-    """What legs need by the data sheet."""
+def _weights(poses: Array, machine: Machine) -> Array:
+    """Forces of the legs in poses (N, 6) for 1 N of weight and 1 N m of each moment, (N, 6, 4).
 
-    forces: Array  #: For weight in the pose, and inertia [N], (N, 6).
-    load: Array  #: Of the weight in the mean pose [N], (6,).
-    wrench: Array  #: Its wrench on the platform.
-    jacobian: Array  #: Of the mean pose.
-
-
-def _needs(subject: _Subject, positions: Array) -> _Needs:
-    """Place the machine in the mean pose of its positions [m], (N, 6)."""
-    machine, every = subject.machine, max(1, positions.shape[0] // 200)
-    pose = legs_to_pose(positions.mean(axis=0), machine)
-    inertia = subject.plant.reflected_mass(pose)
-    load, jacobian = subject.plant.static_load(), leg_jacobian(pose, machine)
-    wrench = jacobian.T @ load
-    poses = legs_to_pose(pairs.smooth(positions, subject.rate, 1.0)[::every], machine)
-    some = [np.linalg.solve(leg_jacobian(one, machine).T, wrench) for one in poses]
-    at = np.arange(positions.shape[0]) / every
-    static = [np.interp(at, np.arange(len(some)), one) for one in np.transpose(some)]
-    acceleration = np.gradient(subject.slope, 1.0 / subject.rate, axis=0)
-    return _Needs(np.transpose(static) + acceleration @ inertia, load, wrench, jacobian)
+    J^T f = (0, 0, m g, T s x (0, 0, g)), s the first moments of the mass in platform axes.
+    """
+    wrenches = np.zeros((len(poses), 6, 4))
+    wrenches[:, 2, 0] = 1.0
+    for wrench, pose in zip(wrenches, poses, strict=True):
+        wrench[3:, 1:] = np.cross(rotation(*pose[3:]).T, [0.0, 0.0, 1.0]).T
+    jacobians = np.array([leg_jacobian(pose, machine).T for pose in poses])
+    return np.asarray(np.linalg.solve(jacobians, wrenches))
