@@ -242,7 +242,8 @@ def _hydraulics(
     scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}
     for path, (one, value) in own.items():
         _, _, who, *valve, asked = path.split(".")
-        names, valves = legs if who == "*" else (who,), VALVES if "valve_*" in valve else valve
+        names = legs if who == "*" else (who,)
+        valves = VALVES if "valve_*" in valve else valve
         rows = np.reshape(value, (len(names), max(1, len(valves)))) * scale.get(asked, 1.0)
         field = DERIVED.get(asked, asked)
         for actuator, row in zip(names, rows, strict=True):

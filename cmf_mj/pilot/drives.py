@@ -27,13 +27,13 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
     times, the side and, in the order below, the size of each force, 0.7 to 1.3 times.
     """
     check_name("name", name, DRIVES)
-    draw = np.random.default_rng(seed)
-    pace, way = 1.0, 1.0
+    generator = np.random.default_rng(seed)
+    pace, hand = 1.0, 1.0
     if seed is not None:
-        pace, way = draw.uniform(0.8, 1.25), draw.choice([-1.0, 1.0])
+        pace, hand = generator.uniform(0.8, 1.25), generator.choice([-1.0, 1.0])
 
-    def of(size: float) -> float:
-        return size if seed is None else size * draw.uniform(0.7, 1.3)
+    def drawn(size: float) -> float:
+        return size if seed is None else size * generator.uniform(0.7, 1.3)
 
     time = np.arange(round(40.0 * MOST_RATE)) / MOST_RATE
     at = time * pace
@@ -41,21 +41,23 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
     if name == "lane_change":  # out and back again, each one sine of 4 s
         for begin, sign in ((5.0, 1.0), (20.0, -1.0)):
             sine = np.sin(0.5 * np.pi * (at - begin))
-            side += of(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
+            side += drawn(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
     elif name == "slalom":
-        side = of(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
+        side = drawn(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
     elif name == "braking":  # to rest from 20 m/s, and on after 8 s
-        forward = of(-4.0) * _between(at, 8.0, 13.0, 0.4) + of(1.5) * _between(at, 22.0, 32.0, 1.5)
+        forward = drawn(-4.0) * _between(at, 8.0, 13.0, 0.4)
+        forward += drawn(1.5) * _between(at, 22.0, 32.0, 1.5)
     elif name == "s_curve":
-        side = of(2.0) * _between(at, 5.0, 13.0, 2.0) - of(2.0) * _between(at, 15.0, 23.0, 2.0)
+        side = drawn(2.0) * _between(at, 5.0, 13.0, 2.0)
+        side -= drawn(2.0) * _between(at, 15.0, 23.0, 2.0)
     else:  # start, corner, brake, start, two corners, brake
         start = 0.0
         for begin, end, size in ((3.0, 8.0, 2.0), (12.0, 14.0, -2.5), (20.0, 25.0, 1.8)):
-            forward += of(size) * _between(at, begin, end, 1.0)
-        forward -= of(3.0) * _between(at, 32.0, 36.0, 0.7)
+            forward += drawn(size) * _between(at, begin, end, 1.0)
+        forward -= drawn(3.0) * _between(at, 32.0, 36.0, 0.7)
         for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
-            side += of(size) * _between(at, begin, end, 0.8)
-    side *= way
+            side += drawn(size) * _between(at, begin, end, 0.8)
+    side *= hand
     speed = start + np.cumsum(forward) / MOST_RATE
     stopped = np.maximum(-np.minimum.accumulate(speed), 0.0)  # brakes stop a car, and no more
     speed += stopped

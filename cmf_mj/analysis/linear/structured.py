@@ -73,52 +73,52 @@ def point_bound(
 ) -> Scaling:
     """The least beta found for one or all of m, (k, k) or (n, k, k); stops below `enough`."""
     pattern = linalg.block_diag(*(np.ones((size, size)) for size in sizes)) > 0.0
-    m, upper = m.reshape(-1, *pattern.shape), np.triu(pattern)
-    rows, count, one = np.nonzero(upper), int(upper.sum()), np.eye(len(pattern), dtype=complex)
+    m, entries = m.reshape(-1, *pattern.shape), np.nonzero(np.triu(pattern))
+    count, identity = len(entries[0]), np.eye(len(pattern), dtype=complex)
 
     def unpack(values: Matrix) -> tuple[Complex, Complex]:
         parts = values.reshape(4, count)
-        t, s = np.zeros_like(one), np.zeros_like(one)
-        t[rows] = parts[0] + 1j * parts[1]
-        s[rows] = parts[2] + 1j * parts[3]
+        t, s = np.zeros_like(identity), np.zeros_like(identity)
+        t[entries] = parts[0] + 1j * parts[1]
+        s[entries] = parts[2] + 1j * parts[3]
         return t, s + s.conj().T
 
     def cost(values: Matrix, m: Complex, scale: float) -> tuple[float, Matrix]:
         t, s = unpack(values)
-        inverse = linalg.solve_triangular(t, one, check_finite=False)
+        inverse = linalg.solve_triangular(t, identity, check_finite=False)
         scaled = t @ m @ inverse
-        size, vector = np.linalg.eigh(_gain(scaled, s))
-        weight = np.exp(scale * (size - size.max()))
-        value = float(size.max() + np.log(weight.sum()) / scale)
+        eigenvalue, vector = np.linalg.eigh(_gain(scaled, s))
+        weight = np.exp(scale * (eigenvalue - eigenvalue.max()))
+        value = float(eigenvalue.max() + np.log(weight.sum()) / scale)
         density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
         pull = density @ (_adjoint(scaled) + 1j * s)
-        on_t = 2.0 * _adjoint(inverse @ (scaled @ pull - pull @ scaled).sum(axis=0))[rows]
+        on_t = 2.0 * _adjoint(inverse @ (scaled @ pull - pull @ scaled).sum(axis=0))[entries]
         turned = (1j * scaled @ density).sum(axis=0)
-        on_s = 2.0 * (turned + _adjoint(turned))[rows]
+        on_s = 2.0 * (turned + _adjoint(turned))[entries]
         return value, np.concatenate([on_t.real, on_t.imag, on_s.real, on_s.imag])
 
-    def stop(intermediate_result: optimize.OptimizeResult) -> None:
+    def stop(intermediate_result: optimize.OptimizeResult) -> None:  # SciPy looks for this name
         if intermediate_result.fun < enough**2:
             raise StopIteration
 
-    half, base = np.where(rows[0] == rows[1], 0.5, 1.0), one
-    t, s = (one, np.zeros_like(one)) if start is None else (start.t, start.s)
+    half, base = np.where(entries[0] == entries[1], 0.5, 1.0), identity
+    t, s = (identity, np.zeros_like(identity)) if start is None else (start.t, start.s)
     if start is None:
         size = np.abs(m).max(axis=0) + 1e-12
         t = np.diag(1.0 / linalg.matrix_balance(size, permute=False, separate=True)[1][0] + 0j)
         given, ends = t @ m @ np.linalg.inv(t), np.arcsinh([-_MOST, _MOST]) - [-1.0, 1.0]
 
         def plain(x: float) -> float:
-            return largest(given, Scaling(0.0, one, np.sinh(x) * one))
+            return largest(given, Scaling(0.0, identity, np.sinh(x) * identity))
 
-        s = np.sinh(optimize.minimize_scalar(plain, bounds=ends, method="bounded").x) * one
+        s = np.sinh(optimize.minimize_scalar(plain, bounds=ends, method="bounded").x) * identity
     for sharpness in _SHARPNESS:
         base = t @ base
         base /= np.abs(np.diag(base)).max()
-        given, t = base @ m @ np.linalg.inv(base), one
+        given, t = base @ m @ np.linalg.inv(base), identity
         size = max(abs(largest(given, Scaling(0.0, t, s))), 1e-9)
-        begun = t[rows], half * s[rows]
-        values = np.concatenate([part for one in begun for part in (one.real, one.imag)])
+        begun = t[entries], half * s[entries]
+        values = np.concatenate([part for matrix in begun for part in (matrix.real, matrix.imag)])
         most = optimize.Bounds(*(np.repeat([np.inf, _MOST], 2 * count) * end for end in (-1, 1)))
         how = {"method": "L-BFGS-B", "callback": stop, "bounds": most, "options": _OPTIONS}
         values = optimize.minimize(cost, values, (given, sharpness / size), jac=True, **how).x
@@ -158,7 +158,8 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float
             continue
         omega = float(np.sqrt(low * high))
         scaling = cover.known[omega] = cover.best(omega)
-        cover.beta = max(cover.beta * _SLACK ** (len(cover.known) > _MANY), _SLACK * scaling.beta)
+        grown = _SLACK if len(cover.known) > _MANY else 1.0
+        cover.beta = max(cover.beta * grown, _SLACK * scaling.beta)
         begin, end = cover.reach(omega, scaling._replace(beta=cover.beta))
         if min(omega - begin, end - omega) < cover.width(omega):
             width = cover.width(omega)
@@ -219,7 +220,7 @@ class _Cover:
             found.append(point_bound(m, self.loop.sizes, start, _ENOUGH * self.beta))
             if found[-1].beta < _GOOD * self.beta:
                 break
-        return min(found, key=lambda one: one.beta)
+        return min(found, key=lambda scaling: scaling.beta)
 
     def raised(self, low: float, omega: float, high: float) -> tuple[float, float]:
         """The interval after beta was raised until one scaling serves from low to high."""
