@@ -15,11 +15,9 @@ from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
-from cmf_mj.studies.tuning.confirm import confirm
 from cmf_mj.studies.tuning.evaluation import evaluate, least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
 from cmf_mj.studies.tuning.search import Requirements, SearchResult, judged, save_law, search
@@ -167,60 +165,23 @@ def test_a_law_that_only_friction_damps_breaks_the_limit_by_as_much_as_it_lacks(
     )
 
 
-@pytest.mark.parametrize("friction", [0.02, 0.05, "stuck"])
-def test_the_simulation_confirms_what_is_predicted_with_friction(friction: Contact) -> None:
-    """-90 deg within 4 %, with legs as fast as assumed."""
-    axes = ("surge", "heave", "roll")
-    for row in confirm(with_load_gain(1.0), [rubbing(60.0)], friction, axes):
-        assert row.simulated_hz == pytest.approx(row.predicted_hz, rel=0.04)
-        assert row.leg_speed == pytest.approx(row.assumed, rel=0.1)
-        assert row.remark == ""
-
-
-def test_the_simulation_confirms_what_is_predicted_without_friction() -> None:
-    """Within 1 % with the CMF's heaviest cab."""
-    (row,) = confirm(load_law("modal_plan"), ["ifd"], None, ["surge"])
-    linear = Linear(Hexapod("ifd"))
-    assert (row.gain_margin, row.phase_margin) == tuple(linear.margins("modal_plan", ["surge"])[0])
-    of_loop = linear.measures("modal_plan")[0].gain_bandwidth_hz
-    assert row.gain_hz == pytest.approx(of_loop, rel=0.01)
-    assert row.simulated_hz == pytest.approx(row.predicted_hz, rel=0.01)
-    assert row.difference == pytest.approx(row.simulated_hz / row.predicted_hz - 1.0)
-    assert np.isnan(row.assumed) and row.remark == ""
-
-
-def test_what_keeps_a_confirmation_from_being_one_is_said() -> None:
-    law, cab = with_load_gain(1.0), rubbing(60.0)
-    (fast,) = confirm(law, [cab], 5.0, ["heave"])  # the legs end at 0.4 m/s
-    assert fast.leg_speed < 0.5 and "other speed than assumed" in fast.remark
-    (out,) = confirm(law, [cab], "none", ["heave"])
-    assert out.remark == "friction left out"
-    (unstable,) = confirm(with_load_gain(-1.0), [cab], "none", ["heave"])
-    assert unstable.remark == "unstable" and np.isnan(unstable.simulated_hz)
-
-
 @pytest.mark.slow
-def test_a_law_is_found_with_friction_and_confirmed() -> None:
-    """On the laboratory machine with 60 N in each leg, within 5 % along every axis."""
+def test_a_law_is_found_with_friction() -> None:
+    """On the laboratory machine with 60 N in each leg."""
     cab = rubbing(60.0)
     template = make_template("mine", "Mine", [cab], 0.05)
     found = search(template, evaluations=96)
     assert found.verdict.startswith("all limits kept: ")
     assert least_damping(found.law, template.frictionless) >= Requirements().damping
-    rows = confirm(found.law, [cab], 0.05)
-    assert [row.dof for row in rows] == list(DOFS)
-    assert "assumed: " in rows.caption
-    for row in rows:
-        assert abs(row.difference) < 0.05 and row.remark == ""
 
 
 @pytest.mark.slow
 def test_tune_command(tmp_path: Path) -> None:
     out = tmp_path / "law.toml"
-    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--dofs", "heave"]
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1"]
     result = CliRunner().invoke(app, [*arguments, "--peak", "-9", "--file", str(out)])
     assert result.exit_code == 0, result.output
-    assert "limits not kept: peak by " in result.output and "simulated" in result.output
+    assert "limits not kept: peak by " in result.output and "cmf compare --laws" in result.output
     assert "--evaluations 1 --seed 1" in load_law(out).source
 
 
