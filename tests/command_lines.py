@@ -36,7 +36,6 @@ LINES = {
     "report": "report --figures none --tables none --quick --out {out}",
     "report linear": "report linear --out {out}",
     "machine new": "machine new mine --file {out}/mine.toml",
-    "machine show": "machine show cmf --file {out}/x.png",
     "machine build": "machine build cmf --out {out}",
     "export": "export library --out {out}",
     "video": "video heave_step --seconds 0.5 --file {out}/x.mp4",

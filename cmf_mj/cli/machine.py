@@ -11,10 +11,10 @@ from typer import Argument, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show
-from cmf_mj.cli.options import argument, new_file
+from cmf_mj.cli.options import argument
 from cmf_mj.core.errors import InputError
 
-machines = typer.Typer(no_args_is_help=True, help="Motion bases as files: make, check, draw one.")
+machines = typer.Typer(no_args_is_help=True, help="Motion bases as files: make, check, build.")
 app.add_typer(machines, name="machine", rich_help_panel="Show")
 
 Machine = Annotated[str, argument(options.MACHINES, "MACHINE", "name or TOML file", free=True)]
@@ -90,21 +90,6 @@ def check_command(machine: Machine) -> None:
     show(*check_parts(check))
     if check.faults:
         raise typer.Exit(1)
-
-
-@machines.command("show")
-def show_command(
-    machine: Machine,
-    cab: SomeCab = None,
-    file: Annotated[Path, new_file(help="PNG file")] = Path("out/machine.png"),
-    width: options.Width = 1280,
-    height: options.Height = 720,
-) -> None:
-    """Draw a machine with a cab at neutral."""
-    from cmf_mj.show.stage import save_picture
-
-    drawn = save_picture(cmf_mj.load_machine(machine), cab, file, (width, height))
-    show(f"written: {drawn}")
 
 
 @machines.command("build")

@@ -7,10 +7,8 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-import matplotlib.image
 import mujoco
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,11 +18,7 @@ from PIL import Image
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import whole_file
-from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
-from cmf_mj.machine.machine import Machine
-from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
 from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE, Curve, Panel, plot_panel
 
@@ -127,18 +121,6 @@ class FilmStage:
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
         upright = Image.fromarray(np.ascontiguousarray(pixels[::-1]))
         return np.asarray(upright.reduce(_FINER))
-
-
-def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int, int]) -> Path:
-    """Draw a machine with a cab at neutral, width and height in pixels."""
-    if path.suffix != ".png":
-        raise InputError(f"file: {path} must end in .png")
-    model = hexapod_model(load_cab(cab, machine))
-    with FilmStage(model, *size, "overview") as stage:
-        pixels = stage.picture(mujoco.MjData(model).qpos)
-    with whole_file(path) as part:
-        matplotlib.image.imsave(part, pixels, format="png")
-    return path
 
 
 _DPI = 100

@@ -49,7 +49,6 @@ UNEQUAL: Mapping[str, Mapping[str, tuple[float, str]]] = {
 
 COMMANDS: dict[str, str] = {
     "machine check": "machine check {name}",
-    "machine show": "machine show {name}",
     "machine build": "machine build {name}",
     "list": "list hydraulics --machine {name}",
     "linearize": "linearize {machine} {dry} --dofs heave,leg_1",

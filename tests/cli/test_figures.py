@@ -20,7 +20,7 @@ OTHERS = {
     "video",
     *(f"machine {w}" for w in ("new", "build")),
 }
-"""Commands that write and draw no figure; `machine show` renders one picture in pixels."""
+"""Commands that write and draw no figure."""
 
 ELSEWHERE = {"measure", "guide run", "guide check"}
 """Commands whose figures need recordings; tests/studies look at them."""
@@ -29,7 +29,7 @@ FIGURES = {
     "run": "overview",
     "compare": "bode_heave step_heave",
     "failure": "pump_lost",
-    "capacity": "supply envelope",
+    "capacity": "envelope",
     "linearize": "bode loop",
     "modes": "modes_sweep",
     "identify": "bode",
@@ -56,7 +56,7 @@ def options_of(words: str) -> dict[str, Any]:
 
 
 def test_every_command_that_draws_takes_format_and_size() -> None:
-    assert set(FIGURES) | OTHERS | ELSEWHERE | {"machine show"} == set(LINES)
+    assert set(FIGURES) | OTHERS | ELSEWHERE == set(LINES)
     for words in LINES:
         named = {name for name in options_of(words) if name.startswith("figure_")}
         assert named == (
