@@ -130,7 +130,7 @@ def runs_of(root: Path, results: Path, comparison: bool) -> dict[str, list[str]]
     runs["host"] = ["-c", _CMF, "run", host, "--out", str(results / "host")]
     recording = str(results / "position_error_rate_noisy" / "record.parquet")
     runs["replay"] = ["-c", _CMF, "replay", recording, "--out", str(results / "replay")]
-    runs["flight"] = ["-c", _CMF, "fly", FLIGHT, "--no-delay", "--out", str(results / "flight")]
+    runs["flight"] = ["-c", _CMF, "fly", FLIGHT, "--out", str(results / "flight")]
     for name, program in _PROGRAMS.items():
         text = program.replace("OUT", str(results / name)).replace("ROOT", str(root))
         runs[name] = ["-c", text]

@@ -20,7 +20,7 @@ LINES = {
     "serve": "serve --port 0 --seconds 1 --out {out}",
     "recording new": "recording new {facility} --file {out}/columns.toml",
     "replay": "replay {recording} --law model_following --out {out}",
-    "fly": "fly gusts --no-delay --out {out}",
+    "fly": "fly gusts --out {out}",
     "learn": "learn gusts --trials 1 --out {out}",
     "flight": "flight gusts --file {out}/x.csv",
     "cue": "cue {motion} --out {out}",

@@ -4,11 +4,9 @@ The names are AGARD's; the report that defines its procedures could not be read,
 what its docstring says and no more. Nothing here passes or fails: no acceptance limit is applied.
 Amplitudes are peak values, `rms` is root mean square over whole cycles.
 
-Delays between two signals:
-
-- `transient_delay`, shift of the largest correlation coefficient: a slow transient, unlike a
-  stationary signal, pulls the peak of a cross-correlation towards where more of it overlaps.
-- `phase_delay`, -arg(after / before) / w of complex amplitudes at w; adds up along a chain.
+The delay between two signals, `transient_delay`, is the shift of the largest correlation
+coefficient: a slow transient, unlike a stationary signal, pulls the peak of a cross-correlation
+towards where more of it overlaps.
 """
 
 from typing import NamedTuple
@@ -167,8 +165,3 @@ def transient_delay(demand: Signal, response: Signal, rate: float) -> float:
     step = tried[1]
     bounds = (max(near - step, 0.0), near + step)
     return float(optimize.minimize_scalar(unlike, bounds=bounds, method="bounded").x)
-
-
-def phase_delay(before: complex, after: complex, frequency: float) -> float:
-    """Delay [s] between complex amplitudes at a frequency [Hz]; negative where it leads."""
-    return float(-np.angle(after / before) / (2.0 * np.pi * frequency))

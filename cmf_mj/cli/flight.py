@@ -44,7 +44,6 @@ def fly_command(
     washout: options.Washout = "simona",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    delay: Annotated[bool, Option(help="measure the delay from host to pilot too")] = True,
     seconds: Annotated[float, Option(help="length of live telemetry [s]")] = 60.0,
     out: options.Out = Path("out/fly"),
 ) -> None:
@@ -52,7 +51,7 @@ def fly_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.pilot.flight import load_flight
-    from cmf_mj.pilot.fly import fly, transport_delay
+    from cmf_mj.pilot.fly import fly
     from cmf_mj.pilot.telemetry import fly_live
     from cmf_mj.show import flight as report
     from cmf_mj.show.operation import save_operation
@@ -79,8 +78,6 @@ def fly_command(
     paths += report.save_flights(rides, out)
     title = flown.origin.title if flown else f"{form} at port {port}"
     show(title, report.flight_table(rides), unfolded=True)
-    if delay:
-        show(report.delay_table(transport_delay(loaded[0], **how)))
     for ride in rides:
         kept = "kept within" if ride.use.travel <= 1.0 else "LEFT"
         stroke, speed = ride.use.share[3:5].max(axis=1)

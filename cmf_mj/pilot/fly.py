@@ -5,16 +5,6 @@
 `fly` compares three motions at the pilot's station, all at the host's times: that of the aircraft,
 that which the host's frames ask of the platform, and the true one of the cab. The first two differ
 by the washout, the last two by delay, law and machine.
-
-`transport_delay` says where the time from host to pilot goes, at one frequency. A slow sine in one
-degree of freedom runs through the whole facility. With c the complex amplitude of a signal at w, a
-stage from x to y takes the phase delay
-
-    d = -arg(c_y / c_x) / w
-
-which adds up along the chain exactly; where a stage turns position into velocity, c_x is multiplied
-by jw first. A stage of the closed loop is what is measured between its ends, so that a control law
-that leads shows a negative delay. Legs are projected on the pattern of the degree of freedom.
 """
 
 from itertools import pairwise
@@ -25,24 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj import signals
-from cmf_mj.analysis import metrics
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.metrics import phase_delay, transient_delay
-from cmf_mj.control.dcu.state import load_dcu
+from cmf_mj.analysis.metrics import transient_delay
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.states import State
-from cmf_mj.core.errors import InputError
-from cmf_mj.core.units import RATE
-from cmf_mj.facility.host.stream import HostStream, from_command, make_stream, resample
+from cmf_mj.facility.host.stream import HostStream, make_stream, resample
 from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import Excursion, cue, excursion
-from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated
 from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
@@ -53,7 +37,6 @@ RECORD_EVERY = 8  #: Control frames a row of the record: 256 Hz.
 _CORNER = 30.0
 """Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
 record hold vibration beyond half the host's rate."""
-_SETTLE, _CYCLES = 4, 4  #: Of the sine whose delay is measured.
 
 
 class FlightResult(NamedTuple):
@@ -183,60 +166,3 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     rates = [np.diff(values[:rows, leg]) for values in (sent, reference, moved)]
     host_delay, loop_delay = (transient_delay(*pair, record.rate) for pair in pairwise(rates))
     return host_delay, loop_delay
-
-
-def transport_delay(
-    law: str | Path | Law = "velocity",
-    *,
-    cab: str | Path | Cab | None = None,
-    dof: str = "heave",
-    frequency: float = 1.0,
-    hydraulics: str | HydraulicParameters | None = None,
-    **options: Any,
-) -> dict[str, float]:
-    """Delays from host to pilot by stage, in the order of the signal [s]; negative: it leads.
-
-    The stages of the DCU are its settings, and what they add up to is measured behind them, as are
-    all others and the whole, to which the measured ones add up. The sine of 10 mm or 0.5 deg has a
-    whole number of control frames a period, `frequency` in Hz; `options` are those of `operate`.
-    """
-    index = dof_index(dof)
-    signals.check_positive(frequency=frequency)
-    if not (RATE / frequency).is_integer() or frequency > 8.0:
-        raise InputError(
-            f"frequency: {frequency} Hz; allowed: up to 8 Hz with whole control frames a period, "
-            "such as 0.5, 1 or 2"
-        )
-    size, cycles = by_kind(dof, 0.01, np.radians(0.5)), _SETTLE + _CYCLES + 2.0
-    command = signals.sine(dof, size, frequency, cycles=cycles, fade=1.0)
-    plant = Hexapod(cab, hydraulics)
-    record = operate(plant, law, from_command(command, MOST_RATE), **options).record
-    omega, period = 2.0 * np.pi * frequency, RATE / frequency
-    rows = slice(round(_SETTLE * period), round(_SETTLE * period) + round(_CYCLES * period))
-
-    def fundamental(values: NDArray[np.float64]) -> complex:
-        fit = metrics.harmonics(values[rows], RATE, frequency, 1)
-        return complex(fit.amplitude[0] * np.exp(1j * fit.phase[0]))
-
-    pattern = kinematics.pose_jacobian(np.zeros(6), plant.machine)[:, index]
-    sent = fundamental(kinematics.pose_to_legs(command.pose, plant.machine) @ pattern)
-    names = ("leg_reference", "valve_command", "valve_opening", "leg_extension")
-    reference, valve, opening, moved = (fundamental(record[name] @ pattern) for name in names)
-    if index < 3:  # an accelerometer's row is of one mechanical step before
-        since = omega * float(record.metadata["mechanical_step"])
-        force = fundamental(record["crew_accelerometer"][:, index] * FLIP[index])
-        felt = force * np.exp(1j * since) / -(omega**2)
-    else:
-        felt = fundamental(record["platform_gyro"][:, index - 3] * FLIP[index - 3]) / (1j * omega)
-    ahead = fundamental(command.pose[:, index])
-    measured = {
-        "host to leg reference": (sent, reference),
-        "control law: reference to valve command": (1j * omega * reference, valve),
-        "servo drive and valve: command to opening": (valve, opening),
-        "hydraulics and mechanics: opening to legs": (opening, 1j * omega * moved),
-        "legs to pilot's station": (moved / sent, felt / ahead),
-        "host to pilot": (ahead, felt),
-    }
-    dcu = load_dcu(options.get("dcu")).delay.parts()
-    delays = {f"DCU: {name.replace('_', ' ')}": delay for name, delay in dcu.items()}
-    return delays | {name: phase_delay(*pair, frequency) for name, pair in measured.items()}

@@ -1,6 +1,6 @@
 """Tables, figures and files of flights in the cab, and of manoeuvres that were learnt."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -100,15 +100,6 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
         rows.append([*row, 100 * ride.use.share[3].max(), ride.fault or "none"])
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
     return Table(title, ("law", *columns, ("legs [%]", ".0f"), "fault"), rows)
-
-
-def delay_table(delays: Mapping[str, float]) -> Table:
-    """The way from host to pilot, stage by stage, of a sine in heave."""
-    rows = [
-        (name, 1e3 * delay, "setting" if name.startswith("DCU") else "measured")
-        for name, delay in delays.items()
-    ]
-    return Table("host to pilot, heave at 1 Hz", ("stage", ("delay [ms]", ".2f"), ""), rows)
 
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:

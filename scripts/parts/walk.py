@@ -69,7 +69,7 @@ COMMANDS: dict[str, str] = {
     "capacity of a noise": "capacity {machine} --signal noise --dofs heave",
     "cue": "cue flight.csv {cab}",
     "omct": "omct {machine} --dofs heave --quick",
-    "fly": "fly flight.csv {machine} --no-delay",
+    "fly": "fly flight.csv {machine}",
     "learn": "learn flight.csv {machine} --trials 1",
     "video": "video run.toml {cab} --seconds 0.2 --fps 10 --file out/film.mp4",
     "tune": "tune {cabs} {dry} --form velocity --evaluations 1 --file out/law.toml",

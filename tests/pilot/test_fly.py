@@ -28,13 +28,11 @@ from cmf_mj.pilot.fly import (
     flight_result,
     fly,
     law_delay,
-    transport_delay,
 )
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import cueing_error
 from cmf_mj.pilot.washout_settings import PredictiveSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters import load_hydraulics
 from cmf_mj.show import flight as flight_report
 from cmf_mj.show.cueing import motion_panels
 from scripts.flights import with_gains
@@ -185,34 +183,6 @@ def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     np.testing.assert_allclose(use.share[0], np.maximum(pose / low, pose / high), atol=0.06)
     legs = np.abs(kinematics.pose_to_legs(pose)).max() / WORKING_STROKE
     assert use.share[3].max() == pytest.approx(legs, abs=0.06)
-
-
-@pytest.mark.parametrize("dof", ["heave", "pitch"])
-def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
-    """Phases add up; the DCU's part is its settings, the valve's that of its two lags, the pilot
-    on the platform is no later than the legs."""
-    delay = transport_delay(dof=dof, **IDEAL)
-    known = sum(one for stage, one in delay.items() if stage.startswith("DCU"))
-    assert known == pytest.approx(load_dcu().delay.total, abs=1e-12)
-    reference, law, servo, plant, pilot, whole = list(delay.values())[-6:]
-    assert reference == pytest.approx(known, abs=1.0 / RATE)
-    assert reference + law + servo + plant + pilot == pytest.approx(whole, abs=1e-9)
-    parameters = load_hydraulics("hardware")
-    omega = 2.0 * np.pi
-    lags = [np.arctan(omega / corner.si) / omega for corner in (
-        parameters.drive_lag, parameters.valve_lag
-    )]  # fmt: skip
-    assert servo == pytest.approx(sum(lags), abs=2.0 / RATE)
-    assert abs(law) < 0.03 and 0.0 < plant < 0.02
-    assert abs(pilot) < 0.01
-    assert 0.08 < whole < 0.2
-
-
-def test_delays_that_cannot_be_measured_are_refused() -> None:
-    with pytest.raises(ValueError, match="frequency: 0.3 Hz; allowed: up to 8 Hz"):
-        transport_delay(frequency=0.3)
-    with pytest.raises(ValueError, match="dof: 'up' is not one of surge"):
-        transport_delay(dof="up")
 
 
 @pytest.mark.slow
