@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import stats
 
 from cmf_mj.analysis.identification import Identified
 from cmf_mj.core.result import Table, number
@@ -25,27 +24,8 @@ _SHOWN = 4.0  #: Seconds of a recording.
 
 def figures(posterior: Posterior, rows: Sequence[Stated]) -> dict[str, Figure]:
     """Figures by file name; `rows` are what is stated."""
-    found = {"numbers.png": numbers(posterior)}
-    if posterior.campaign.recordings:
-        found["recordings.png"] = recordings(posterior)
+    found = {"recordings.png": recordings(posterior)} if posterior.campaign.recordings else {}
     return found | ({"stated.png": stated(rows)} if rows else {})
-
-
-def numbers(posterior: Posterior) -> Figure:
-    """90 % intervals of all numbers in quantiles of what was known before."""
-    figure = new_figure(7.0, 0.28 * len(posterior.names) + 1.0)
-    axes = figure.add_subplot()
-    low, high = stats.norm.cdf(posterior.bounds())
-    known, place = posterior.identified(), np.arange(len(posterior.names))[::-1]
-    for chosen, colour, name in ((known, "C0", "identified"), (~known, "C3", "open")):
-        if chosen.any():
-            axes.hlines(place[chosen], low[chosen], high[chosen], colour, lw=5, label=name)
-    axes.plot(stats.norm.cdf(posterior.z), place, "k|")
-    axes.set_yticks(place, posterior.names)
-    title = "90 % intervals of the machine's numbers"
-    axes.set(xlim=(0.0, 1.0), xlabel="quantile of what the data sheet allows", title=title)
-    legend(axes)
-    return figure
 
 
 def recordings(posterior: Posterior) -> Figure:

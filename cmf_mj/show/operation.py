@@ -157,39 +157,16 @@ def timing_table(timing: Timing) -> Table:
     return Table("real time", ("control frames", "measured"), rows)
 
 
-def timing_figure(timing: Timing) -> Figure:
-    """Histograms of computing time and lateness; both axes logarithmic."""
-    figure = look.new_figure(8.0, 6.5)
-    busy, late = figure.subplots(2, 1)
-    frame = 1e6 * FRAME
-    for axis, values, colour, label in (
-        (busy, timing.busy, look.BLUE, "computing time of a frame [us]"),
-        (late, timing.late, look.ORANGE, "start of a frame behind its time [us]"),
-    ):
-        times = np.maximum(1e6 * values, 0.01)
-        high = max(float(times.max()), 2.0 * frame)
-        edges = np.geomspace(max(float(times.min()), 0.01) * 0.9, high * 1.1, 120)
-        axis.hist(times, edges, color=colour, log=True)
-        axis.axvline(frame, color=look.DARK, linestyle=":", label=f"control frame, {frame:.0f} us")
-        axis.set(xscale="log", xlabel=label, ylabel="frames")
-    share = 1e6 * timing.percentile(99.9)
-    busy.axvline(share, color=look.DARK, linestyle="--", label=f"99.9 % below {share:.0f} us")
-    title = f"{timing.busy.size} control frames, {timing.over} over {frame:.0f} us of computing"
-    busy.set_title(title)
-    look.legend(figure)
-    return figure
-
-
 def save_operation(
     operation: Operation,
     folder: Path,
     received: int | None = None,
     datagrams: Mapping[str, int] | None = None,
 ) -> list[Path]:
-    """Write record, host's frames, account and figures of a run.
+    """Write record, host's frames, account and figure of a run.
 
     `record.parquet`, `host.parquet`, `account.csv` and `operation.png`; in real time also
-    `timing.csv` and `timing.png`.
+    `timing.csv`.
     """
     counts = account(operation, received, datagrams)
     files: dict[str, Any] = {
@@ -200,7 +177,7 @@ def save_operation(
     }
     timing = operation.timing
     if timing is not None:
-        files |= {"timing.csv": timing_table(timing), "timing.png": timing_figure(timing)}
+        files["timing.csv"] = timing_table(timing)
     return look.save_files(files, folder)
 
 

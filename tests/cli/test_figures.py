@@ -34,7 +34,7 @@ FIGURES = {
     "modes": "modes_sweep",
     "identify": "bode",
     "operate": "operation",
-    "serve": "operation timing",
+    "serve": "operation",
     "replay": "run_model_following",
     "fly": "operation motion perceived comparison",
     "learn": "learning",
@@ -42,7 +42,7 @@ FIGURES = {
     "omct": "omct",
     "study": "ladder",
     "certify": "certificates",
-    "fit": "numbers recordings",
+    "fit": "recordings",
     "report linear": "bode_velocity step_velocity",
 }
 """What the line of each command that draws leaves."""

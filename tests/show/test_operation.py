@@ -68,7 +68,7 @@ def test_files_of_a_run_in_real_time(
     run: Operation, tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
     paths = operation_report.save_operation(run._replace(timing=TIMING), tmp_path)
-    expected = "record.parquet host.parquet account.csv operation.png timing.csv timing.png"
+    expected = "record.parquet host.parquet account.csv operation.png timing.csv"
     assert [path.name for path in paths] == expected.split()
     record = Record.load(paths[0])
     assert record["leg_reference"].tobytes() == run.record["leg_reference"].tobytes()
@@ -78,7 +78,7 @@ def test_files_of_a_run_in_real_time(
         counts = dict(list(csv.reader(file))[1:])
     assert counts == {n: str(c) for n, c in account(run).items()}
     assert "largest,900.0 us" in paths[4].read_text()
-    assert set(drawn) == {"operation.png", "timing.png"}
+    assert set(drawn) == {"operation.png"}
 
 
 def test_cmf_operate(tmp_path: Path) -> None:
