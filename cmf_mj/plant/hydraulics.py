@@ -37,7 +37,7 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
 from cmf_mj.plant.parameters import HydraulicParameters
-from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
+from cmf_mj.plant.solver import POWERS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
     CONTENTS,
@@ -56,7 +56,7 @@ _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 
 _TORN = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn [Pa].
 
-ENERGIES = (*FLOWS, "mechanical", "friction")
+ENERGIES = (*POWERS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
 leakage, relief and burst hose, work on the pistons, and the part of it friction takes."""
 
@@ -229,7 +229,7 @@ def _set_out(state, last, share, least):  # type: ignore[no-untyped-def]
 @inlined
 def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignore[no-untyped-def]
     """Add to the energies what a stage passes in its time, over its part of the motion."""
-    for i in range(len(FLOWS)):
+    for i in range(len(POWERS)):
         energy[i] += time * stage.power[i]
     for leg in range(before.shape[0]):
         pair = stage.chambers[leg]

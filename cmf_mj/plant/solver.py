@@ -28,11 +28,11 @@ from cmf_mj.plant.oil import density, enthalpy, least_pressure
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, accumulator_flow, pump_flow
 from cmf_mj.plant.valve import orifice
 
-FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst")
+POWERS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst")
 """Powers of a stage [W]: delivered by pump and accumulators, lost in the others."""
 
-_Columns = namedtuple("_Columns", FLOWS)  # type: ignore[misc]
-_OF: Any = _Columns(*range(len(FLOWS)))
+_Columns = namedtuple("_Columns", POWERS)  # type: ignore[misc]
+_POWER: Any = _Columns(*range(len(POWERS)))
 
 _TOLERANCE = 20.0
 """Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In
@@ -96,7 +96,7 @@ class Stage(NamedTuple):
     manifolds: np.recarray  #: (1,) of `Manifolds`.
     known: NDArray[np.float64]  #: K of supply, return, accumulator, pump flow and tank, (5,).
     node: NDArray[np.float64]  #: Result of the same, (5,).
-    power: NDArray[np.float64]  #: Powers of the stage, see `FLOWS`.
+    power: NDArray[np.float64]  #: Powers of the stage, see `POWERS`.
     energy: NDArray[np.float64]  #: Energies at the start of the step.
 
 
@@ -107,8 +107,8 @@ def make_stage(actuators: int) -> Stage:
         record_array(Manifolds, [(0.0,) * len(Manifolds._fields)]),
         np.zeros(5),
         np.zeros(5),
-        np.zeros(len(FLOWS)),
-        np.zeros(len(FLOWS) + 2),
+        np.zeros(len(POWERS)),
+        np.zeros(len(POWERS) + 2),
     )
 
 
@@ -130,9 +130,9 @@ def _bounded(pressure, change, inward, high, outward, low, least, narrow):  # ty
     """
     moved = pressure + change
     if abs(change) > narrow:
-        if outward > 0.0 and (pressure - low) * (moved - low) < 0.0 and pressure != low:
+        if outward > 0.0 and (pressure - low) * (moved - low) < 0.0:
             moved = low
-        if inward > 0.0 and (pressure - high) * (moved - high) < 0.0 and pressure != high:
+        if inward > 0.0 and (pressure - high) * (moved - high) < 0.0:
             moved = high
     return max(moved, least)
 
@@ -223,10 +223,10 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
 
         rise, fall, largest = 0.0, 0.0, 0.0
-        power[_OF.valves], power[_OF.lines] = lost - lost_hose, lost_hose
-        power[_OF.leakage] = lost_leak
+        power[_POWER.valves], power[_POWER.lines] = lost - lost_hose, lost_hose
+        power[_POWER.leakage] = lost_leak
         if supply.constant:
-            power[_OF.pump] = drawn * (h_high - h_low)
+            power[_POWER.pump] = drawn * (h_high - h_low)
             node[TANK] = known[TANK] + weight * (returned - drawn) + pull_low + pull_high
         else:
             pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
@@ -283,12 +283,12 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             h_tank = enthalpy(oil, tank)
             h_pump = enthalpy(oil, high + supply.pump_line * pump)
             h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
-            power[_OF.pump] = pump * (h_pump - h_tank)
-            power[_OF.accumulators] = bank * flow * h_gas
-            power[_OF.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
-            power[_OF.lines] += drain * (h_low - h_tank)
-            power[_OF.relief] = relief * (h_high - h_tank)
-            power[_OF.burst] = burst * (h_high - h_tank)
+            power[_POWER.pump] = pump * (h_pump - h_tank)
+            power[_POWER.accumulators] = bank * flow * h_gas
+            power[_POWER.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
+            power[_POWER.lines] += drain * (h_low - h_tank)
+            power[_POWER.relief] = relief * (h_high - h_tank)
+            power[_POWER.burst] = burst * (h_high - h_tank)
 
         for leg in range(legs):
             pair = chambers[leg]
