@@ -32,11 +32,11 @@ def recording_new_command(
     recording: Recording,
     file: Annotated[Path, new_file(help="TOML file")] = Path("out/columns.toml"),
 ) -> None:
-    """Write a map to fill in: which columns of a recording are which."""
+    """Guess from a header which columns are which; the map is to be read and corrected."""
     from cmf_mj.core.files import write_text
-    from cmf_mj.record.columns import blank_map
+    from cmf_mj.record.guess import guess_columns
 
-    show(f"written: {write_text(file, blank_map(recording))}")
+    show(f"written: {write_text(file, guess_columns(recording))}")
 
 
 @recordings.command("check")

@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import tomlkit
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -155,20 +154,6 @@ def load_columns(source: "str | Path | ColumnMap" = FACILITY) -> ColumnMap:
     if isinstance(table.get("machine"), str):
         table["machine"] = str(beside(Path(source).parent, table["machine"]))
     return validated(ColumnMap, table, str(source))
-
-
-def blank_map(path: str | Path) -> str:
-    """A map to fill in, as TOML text, with the columns that a file has in its comments."""
-    source = read_source(path)
-    units_of = {name: source.units.get(name, "") for name in source.columns}
-    named = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units_of.items())
-    others = ", ".join(f"{name} [{si}]" for name, si in CHANNELS.items() if name not in STROKES)
-    channels = {name: {"columns": f"{name}_{{leg}}", "unit": "mm"} for name in STROKES}
-    table = {"time": {"column": next(iter(units_of)), "unit": "s"}, "channels": channels}
-    return (
-        f"# Columns of {source.path.name}: {named}.\n# Fill them in, then `cmf recording check`. "
-        f"Other channels: {others}.\n\n{tomlkit.dumps(table)}"
-    )
 
 
 def read_mapped(
