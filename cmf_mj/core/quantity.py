@@ -16,17 +16,19 @@ from cmf_mj.core.units import LONGEST
 
 Value = TypeVar("Value")
 
+Status = Literal[
+    "stated", "derived", "calibrated", "identified", "assumed", "published", "recalled"
+]
+"""How a number is known: `identified` from recordings of the machine, `published` by another source
+than the report, `recalled` from general knowledge of the field and not checked."""
+
 
 class _Known(Settings, Generic[Value]):
     """What a source gives, in its unit."""
 
     value: Value  #: Value in `unit`.
     unit: str  #: Unit as published, e.g. `in/s/%`.
-    status: Literal[
-        "stated", "derived", "calibrated", "identified", "assumed", "published", "recalled"
-    ]
-    """How the number is known: `identified` from recordings of the machine, `published` by another
-    source than the report, `recalled` from general knowledge of the field and not checked."""
+    status: Status  #: How the number is known.
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
     @model_validator(mode="before")

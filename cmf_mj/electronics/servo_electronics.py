@@ -17,7 +17,7 @@ control law, whose own limits should be met first.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from pydantic import Field
 
 from cmf_mj.core.arrays import compiled_params
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Length, Quantity, Voltage, positive_in
+from cmf_mj.core.quantity import Length, Quantity, Status, Voltage, positive_in
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME
 
@@ -34,7 +34,7 @@ class Bits(Settings):
     """Resolution of a converter."""
 
     value: Annotated[int, Field(ge=0, le=32)]  #: Bits; 0 for no quantisation.
-    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the number is known.
+    status: Status  #: How the number is known.
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
 

@@ -21,7 +21,7 @@ from scipy import stats
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.quantity import Quantity, Status
 from cmf_mj.core.settings import Settings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.machine.machine import Machine
@@ -67,7 +67,7 @@ class Unknown(Settings):
     one before it is cut off, that of the logarithm; in `unit`."""
     unit: str = "%"  #: As in the files; 1 for a factor between bounds.
     effect: Literal["value", "factor", "offset"] = "factor"
-    status: Literal["stated", "derived", "calibrated", "identified", "assumed"] = "assumed"
+    status: Status = "assumed"
     """How the range is known."""
     source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from cmf_mj.core import quantity as kind
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity
+from cmf_mj.core.quantity import Kind, Quantity, Status
 from cmf_mj.core.settings import Settings
 from cmf_mj.machine.geometry import DOFS
 
@@ -23,7 +23,7 @@ class Range(Settings):
     low: float = Field(lt=0.0)  #: Lowest displacement, in `unit`.
     high: float = Field(gt=0.0)  #: Highest displacement, in `unit`.
     unit: Literal["in", "m", "mm", "deg", "rad"]  #: Unit as published.
-    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the range is known.
+    status: Status  #: How the range is known.
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
     @property

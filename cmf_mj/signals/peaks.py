@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import Command
 
 _ALONE = 4.0  #: A difference this many times both neighbours together is a jump.
-
-_DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
 class Peaks(NamedTuple):
@@ -77,8 +75,8 @@ def check_limits(command: Command, machine: str | Path | Machine = models.CMF) -
     allowed, most = load_motion_limits(None, carrier).operational, carrier.working_stroke
     largest = peaks(command, carrier)
     faults = []
-    for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
-        low, high = allowed[i]
+    for i, dof in enumerate(DOFS):
+        unit, (low, high) = by_kind(dof, "m", "rad"), allowed[i]
         reached = command.pose[:, i]
         for value in {float(reached.min()), float(reached.max())}:
             if not low <= value <= high:

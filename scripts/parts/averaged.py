@@ -3,8 +3,8 @@
 Machines are drawn from a finished `cmf study effects`: a plant by its share, then one of its
 machines by weight. `laws.csv` has all laws on them with the effect of their plant: -90 deg of each
 axis, the least damping ratio, the share that is unstable. `certificates.csv` has the scales of the
-unit box of `cmf certify --quick` that are proven about them, of effects those that are numbers of
-the machine. Both give the shipped machine's figure, then 50, 5 and 95 %.
+unit box that are proven about them at neutral, of effects those that are numbers of the machine.
+Both give the shipped machine's figure, then median and 90 % of those drawn.
 """
 
 import argparse
@@ -21,11 +21,12 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core.files import write_csv
+from cmf_mj.core.result import number
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.report_2014.posterior import effects
-from cmf_mj.report_2014.posterior.answers import chance
+from cmf_mj.report_2014.posterior.answers import LEVELS, chance, interval, probability_text
 from cmf_mj.report_2014.posterior.run import Task
 from cmf_mj.report_2014.posterior.weighing import (
     Bank,
@@ -39,9 +40,9 @@ from cmf_mj.studies.certificate import QUICK, certify
 from cmf_mj.studies.certificate_family import load_box
 from cmf_mj.studies.fit.sampling import effective_size, quantiles
 
-EFFORT = QUICK._replace(samples=30, starts=1, rounds=1)  #: Bounds alone are asked for.
+EFFORT = QUICK._replace(samples=30, starts=1, rounds=1, poses=1)  #: Bounds at neutral alone.
 LINES = np.geomspace(0.1, 20.0, 400)  #: Responses are read at [Hz].
-SPANS = ("shipped", "median", "low", "high")
+SPANS = ("shipped", "averaged")
 
 
 class Drawn(NamedTuple):
@@ -99,11 +100,11 @@ def proven(one: Drawn, cab: str, law: Law, at: Path) -> float:
     return certify(plant, one.law(law), at, load_box(), EFFORT, friction="none").proven
 
 
-def spans(shipped: float, values: np.ndarray) -> list[float]:
-    """The shipped machine's, and 50, 5 and 95 % of the values that there are."""
+def spans(shipped: float, values: np.ndarray) -> tuple[str, str]:
+    """The shipped machine's, and median and 90 % of the values that there are."""
     there = values[np.isfinite(values)]
-    found = np.quantile(there, [0.5, 0.05, 0.95]) if there.size else np.full(3, np.nan)
-    return [shipped, *(float(value) for value in found)]
+    found = np.quantile(there, LEVELS) if there.size else np.full(len(LEVELS), np.nan)
+    return number(shipped, ".3g"), interval(found, ".3g")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -125,8 +126,9 @@ def run(options: argparse.Namespace) -> None:
                 (law.name, cab, column, *spans(base[k], found[:, k]))
                 for k, column in enumerate(columns)
             ]
-            low, middle, high = chance(1.0 - found[:, -1].mean(), min(len(every), counted))
-            rows.append((law.name, cab, "unstable", 1.0 - base[-1], middle, low, high))
+            unstable = chance(1.0 - found[:, -1].mean(), min(len(every), counted))
+            shares = "no" if base[-1] else "yes", probability_text(unstable)
+            rows.append((law.name, cab, "unstable", *shares))
         print(law.name, flush=True)
     write_csv(out / "laws.csv", ("law", "cab", "number", *SPANS), rows)
     boxes = []
@@ -145,7 +147,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Options."""
     parser.add_argument("--study", default="out/effects", help="folder of the finished study")
     parser.add_argument("--out", default="out/averaged", help="folder of the tables")
-    parser.add_argument("--laws", default="velocity,position_error_rate,modal_plan")
+    parser.add_argument("--laws", default="velocity,modal_plan", help="certified")
     parser.add_argument("--cabs", default="gfd,ifd", help="of certificates")
     parser.add_argument("--machines", type=int, default=96, help="drawn")
     parser.add_argument("--certified", type=int, default=24, help="the first of them")

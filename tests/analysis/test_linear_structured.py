@@ -115,6 +115,19 @@ def test_bound_is_near_the_first_corner_that_fails(seed: int) -> None:
     assert limit <= min(fails) < 1.03 * limit
 
 
+def test_bound_where_divide_and_conquer_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """LAPACK's zheevd gives up on some matrices that its zheev takes."""
+    generator = np.random.default_rng(7)
+    m = generator.normal(size=(4, 4)) + 1j * generator.normal(size=(4, 4))
+    expected = point_bound(m, (2, 1, 1)).beta
+
+    def fails(_: NDArray[np.complex128]) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(np.linalg, "eigh", fails)
+    assert point_bound(m, (2, 1, 1)).beta == pytest.approx(expected, rel=1e-6)
+
+
 def test_matrix_of_ab13md() -> None:
     """An independent bound for single real numbers, SLICOT's AB13MD (slycot 0.7.1), of a matrix."""
     i, k = np.indices((5, 5))

@@ -87,7 +87,7 @@ def point_bound(
         t, s = unpack(values)
         inverse = linalg.solve_triangular(t, identity, check_finite=False)
         scaled = t @ m @ inverse
-        eigenvalue, vector = np.linalg.eigh(_gain(scaled, s))
+        eigenvalue, vector = _eigh(_gain(scaled, s))
         weight = np.exp(scale * (eigenvalue - eigenvalue.max()))
         value = float(eigenvalue.max() + np.log(weight.sum()) / scale)
         density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
@@ -235,6 +235,15 @@ class _Cover:
 
 def _adjoint(m: Complex) -> Complex:
     return m.conj().swapaxes(-1, -2)
+
+
+def _eigh(m: Complex) -> tuple[Matrix, Complex]:
+    """Eigenvalues and vectors of (n, k, k); by QR where divide and conquer does not converge."""
+    try:
+        return np.linalg.eigh(m)
+    except np.linalg.LinAlgError:
+        values, vectors = zip(*(linalg.eigh(one, driver="ev") for one in m), strict=True)
+        return np.array(values), np.array(vectors)
 
 
 def _gain(m: Complex, s: Complex) -> Complex:
