@@ -238,8 +238,7 @@ def rotation(options: argparse.Namespace) -> None:
         shades: dict[str, Any] = {"cmap": "RdBu", "vmin": -0.16, "vmax": 0.16, "extend": "both"}
         drawn = axis.contourf(GAINS, HEIGHTS, damping, levels, **shades)
         some = [-0.08, -0.04, 0.04, 0.08]
-        lines = axis.contour(GAINS, HEIGHTS, damping, some, colors=DARK, linewidths=0.6)
-        axis.clabel(lines, fmt=lambda level: f"{level:+.2f}", fontsize=8)
+        axis.contour(GAINS, HEIGHTS, damping, some, colors=DARK, linewidths=0.6)
         axis.contour(GAINS, HEIGHTS, damping, [0.0], colors="k", linewidths=2.0)
         zero = float(GAINS[np.argmax(damping[-5] < 0.0)])
         axis.text(zero - 0.006, HEIGHTS[-3], "stable", ha="right", va="center")
@@ -252,7 +251,8 @@ def rotation(options: argparse.Namespace) -> None:
         axis.yaxis.set_major_locator(MultipleLocator(0.25))
         axis.set(title=f"{cab.upper()}, the {said} cab", xlabel="gain of acceleration [%/(in/s²)]")
     axes[0].set_ylabel("cab's centre of mass above the gimbals [m]")
-    figure.colorbar(drawn, ax=axes, label="least damping ratio", format="{x:g}", pad=0.02)
+    scale = figure.colorbar(drawn, ax=axes, label="least damping ratio", pad=0.02)
+    scale.set_ticks([-0.12, -0.08, -0.04, 0.0, 0.04, 0.08, 0.12])
     figure.suptitle("Damping with acceleration feedback behind Eq 3.6, model without friction")
     save_figure(figure, options.out)
 
