@@ -336,3 +336,13 @@ def test_a_tilt_about_the_centre_of_mass_moves_legs_as_limits_md_says() -> None:
         centre = np.average(place, axis=0, weights=mass) * [1.0, -1.0, -1.0]
         apart.append(np.abs(pose_to_legs(tilts) - pose_to_legs(tilts, about(centre))).max())
     assert f"1 deg differ by up to {1e3 * max(apart):.0f} mm" in read("docs/explanation/limits.md")
+
+
+def test_intervals_of_hidden_machines_hold_as_often_as_the_page_says() -> None:
+    with (ROOT / "docs" / "data" / "hidden_machines.csv").open(encoding="utf-8") as file:
+        known = [row for row in csv.DictReader(file) if row["identifiable"] == "True"]
+    held = sum(row["holds"] == "True" for row in known)
+    assert 0.85 <= held / len(known) <= 0.95
+    said = f"On eleven [hidden machines](../data/hidden_machines.csv) {held} of {len(known)} "
+    assert said in read("docs/tutorials/recordings_to_a_law.md")
+    assert len({row["machine"] for row in known}) == 11
