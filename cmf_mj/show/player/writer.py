@@ -60,7 +60,7 @@ def write_page(
     shown |= {"models": models, "cameras": _cameras(reels[0].model), "camera": camera}
     place = Path(__file__).parent
     parts = {
-        "title": html.escape(" | ".join(reel.title for reel in reels)),
+        "title": html.escape(" | ".join(reel.title.replace("\n", ", ") for reel in reels)),
         "words": _words(reels, span),
         "three": (place / "three.min.js").read_text(encoding="utf-8"),
         "data": json.dumps({**shown, "runs": runs}).replace("<", "\\u003c"),
