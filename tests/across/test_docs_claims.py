@@ -346,3 +346,16 @@ def test_intervals_of_hidden_machines_hold_as_often_as_the_page_says() -> None:
     said = f"On eleven [hidden machines](../data/hidden_machines.csv) {held} of {len(known)} "
     assert said in read("docs/tutorials/recordings_to_a_law.md")
     assert len({row["machine"] for row in known}) == 11
+
+
+def test_acceleration_feedback_stays_below_the_bandwidths_hoped_for() -> None:
+    """In rotation, 95 % of machines; the advised law damps the pair more than the law flown."""
+    with (ROOT / "docs" / "data" / "averaged_laws.csv").open(encoding="utf-8") as file:
+        every = [row for row in csv.DictReader(file) if row["law"].startswith("acceleration")]
+    turning = [row for row in every if row["number"] in ("roll", "pitch", "yaw")]
+    widths = [span(row["averaged"]) for row in turning if row["averaged"] != "-"]
+    assert len(widths) > 20
+    assert max(width[2] for width in widths) < 4.7
+    pair = {(r["law"], r["cab"]): span(r["all evidence"])[1] for r in rows("changes")}
+    for cab in ("gfd", "rfd", "ifd"):
+        assert pair["acceleration_compensated", cab] > pair["velocity", cab]
