@@ -60,7 +60,7 @@ class Posterior(NamedTuple):
     campaign: Campaign
     names: tuple[str, ...]  #: Of all numbers.
     z: Array  #: Their coordinates, see `Model`.
-    covariance: Array  #: Of the coordinates.
+    covariance: Array  #: Squared scale of Student's t, (n, n).
     degrees: float  #: Of freedom of Student's t about them.
     look: "Look"  #: Residuals and derivatives there.
     twins: tuple[tuple[str, str], ...]  #: Numbers that can be exchanged.
@@ -115,8 +115,7 @@ class Posterior(NamedTuple):
         if self.weights.size:
             return np.asarray(self.drawn[sampling.resampled(self.weights, count, seed)])
         generator = np.random.default_rng(seed)
-        spread_ = self.covariance * (self.degrees - 2.0) / self.degrees
-        law = stats.multivariate_t(self.z, spread_, df=self.degrees, allow_singular=True)
+        law = stats.multivariate_t(self.z, self.covariance, self.degrees, allow_singular=True)
         drawn = law.rvs(count, random_state=generator).reshape(count, -1)
         swapped = generator.random(count) < 0.5
         drawn[swapped] = self.exchanged + (drawn[swapped] - self.z)[:, self._order()]

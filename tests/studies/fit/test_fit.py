@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
+from scipy import stats
 from shared import cmf
 
 import cmf_mj
@@ -172,6 +173,19 @@ def test_effects_that_help_widen_the_numbers(found: tuple[Posterior, Path]) -> N
     )
     moved = wide.samples(4000) - posterior.samples(4000)
     np.testing.assert_allclose(moved.mean(axis=0), 0.5 * shift, atol=0.02)
+
+
+def test_samples_are_as_wide_as_the_bounds() -> None:
+    """Student's t of 3 degrees: quantiles of 40000 samples against z + scale t^-1(q)."""
+    z, scale, none = np.array([0.2, -0.1]), np.array([0.1, 0.03]), np.empty(0)
+    about: Any = None  # neither campaign nor linearisation count
+    posterior = Posterior(about, ("a", "b"), z, np.diag(scale**2), 3.0, about, (), z, none, none)
+    drawn = posterior.samples(40000)
+    for share in (0.5, 0.9):
+        ends = np.quantile(drawn, [0.5 - 0.5 * share, 0.5 + 0.5 * share], axis=0)
+        exact = z + np.outer([-1.0, 1.0], scale) * stats.t.ppf(0.5 + 0.5 * share, 3.0)
+        np.testing.assert_allclose(posterior.bounds(share), exact, rtol=1e-9)
+        np.testing.assert_allclose((ends - exact) / scale, 0.0, atol=0.08)
 
 
 def test_the_lag_and_the_gain_of_sensors_are_found(tmp_path: Path) -> None:
