@@ -33,8 +33,9 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.unknowns import Unknowns, Values
 from cmf_mj.studies.engine import one_library_thread
 from cmf_mj.studies.fit.effects import Effect, tried
-from cmf_mj.studies.fit.engine import Fitter, Posterior
+from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.evidence import Found
+from cmf_mj.studies.fit.iteration import Fitter
 from cmf_mj.studies.fit.likelihood import BLOCK, coefficients
 from cmf_mj.studies.fit.model import Model
 from cmf_mj.studies.fit.results import fitted
@@ -97,7 +98,7 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
         asked = one._replace(measured={"demand": one.demand})
         demand = fitter.model.compared(asked, {"demand": 0.0 * one.since[:, None]})["demand"]
         for channel in measured:
-            residual = posterior.look.here[one.name, channel]
+            residual = posterior.linearised.residuals[one.name, channel]
             still = residual - residual.mean(axis=0)
             block = max(1, round(BLOCK / spacing))
             sizes = [np.std(still[i : i + block]) for i in range(0, len(still) - block + 1, block)]
@@ -356,6 +357,6 @@ def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt
     """Look for what speaks against a fit; with further `effects` where they are to be tried."""
     fitter = Fitter(posterior.campaign, "whole", jobs)
     rest = tuple(left(posterior, fitter)), tuple(predicted(posterior))
-    more = tuple(tried(posterior.look, fitter)) if effects else ()
+    more = tuple(tried(posterior.linearised, fitter)) if effects else ()
     numbers = tuple(stated(posterior, jobs))
     return Doubt(tuple(weak(posterior)), posterior.twins, *rest, more, numbers)

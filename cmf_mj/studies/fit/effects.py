@@ -22,7 +22,7 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Floor, Hexapod, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.fit.engine import Fitter, Look, improved
+from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improved
 from cmf_mj.studies.fit.model import Change, minus
 from cmf_mj.studies.fit.results import nominal
 
@@ -131,53 +131,52 @@ class _Point(NamedTuple):
 
     fitter: Fitter
     x: Array  #: Of the numbers and the effect.
-    merit: float
+    cost: float
 
 
-def tried(look: Look, fitter: Fitter) -> list[Effect]:
-    """Gain of each effect that is no unknown yet, the largest first."""
+def tried(end: Linearised, fitter: Fitter) -> list[Effect]:
+    """Gain of each effect that is no unknown yet, the largest first, from the `end` of the fit."""
     there = {one.path for one in fitter.model.unknowns.values()}
     points = {
-        name: _best(look, fitter, extra)
+        name: _best(end, fitter, extra)
         for name, extra in EFFECTS.items()
         if extra.path not in there and (extra.path or isinstance(fitter.model.plant, Hexapod))
     }
     if points:
-        most = min(points, key=lambda name: points[name].merit)
-        if look.merit - points[most].merit > _HELPS:
+        most = min(points, key=lambda name: points[name].cost)
+        if end.cost - points[most].cost > _HELPS:
             points[most] = _fitted(points[most])
     mine = slice(fitter.model.size)
     found = [
-        Effect(name, look.merit - one.merit, one.x[mine] - look.x[mine])
-        for name, one in points.items()
+        Effect(name, end.cost - one.cost, one.x[mine] - end.x[mine]) for name, one in points.items()
     ]
     return sorted(found, key=lambda effect: -effect.gain)
 
 
-def _best(look: Look, fitter: Fitter, extra: Extra) -> _Point:
+def _best(end: Linearised, fitter: Fitter, extra: Extra) -> _Point:
     """The best of what is tried with an effect, and else none of it, where the fit ended."""
     legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
     size = fitter.model.size
-    none = np.insert(look.x, size, np.zeros(len(legs)))
-    best, most = _Point(fitter, none, look.merit), 0.0
+    none = np.insert(end.x, size, np.zeros(len(legs)))
+    best, most = _Point(fitter, none, end.cost), 0.0
     for change in extra.on(fitter.model.plant, legs):
         with_ = fitter.having(change if extra.signed else partial(_some, change))
-        points = [np.insert(look.x, size, one) for one in np.eye(len(legs))]
+        points = [np.insert(end.x, size, one) for one in np.eye(len(legs))]
         there = [one for one in with_.all(points) if one is not None]
         if len(there) < len(legs):
             continue
-        slopes = [*look.slopes[:size], *(minus(one, look.here) for one in there)]
-        slopes += look.slopes[size:]
-        whole = with_.seen(none, look.here, slopes)
-        points, merits = points[:1], [with_.merit(points[0], there[0])]
-        move = np.linalg.solve(whole.found.matrix + np.eye(none.size), whole.gradient)
-        if whole.promise > most and (extra.signed or move[size] > 0.0):
-            most = whole.promise
+        derivatives = [*end.derivatives[:size], *(minus(one, end.residuals) for one in there)]
+        derivatives += end.derivatives[size:]
+        whole = with_.linearised(none, end.residuals, derivatives)
+        points, costs = points[:1], [with_.cost(points[0], there[0])]
+        move = np.linalg.solve(whole.hessian, whole.gradient)
+        if whole.predicted_gain > most and (extra.signed or move[size] > 0.0):
+            most = whole.predicted_gain
             points += [none + part * move for part in (1.0, 0.5, 0.25)]
-            merits += map(with_.merit, points[1:], with_.all(points[1:]))
-        least = int(np.argmin(merits))
-        if merits[least] < best.merit:
-            best = _Point(with_, points[least], merits[least])
+            costs += map(with_.cost, points[1:], with_.all(points[1:]))
+        least = int(np.argmin(costs))
+        if costs[least] < best.cost:
+            best = _Point(with_, points[least], costs[least])
     return best
 
 
@@ -196,10 +195,10 @@ def _fitted(point: _Point) -> _Point:
         starts.append(np.full(x.size, amount))
         starts[-1][: model.size] = model.weighed()
         starts[-1][x.size - model.clocks :] = x[x.size - model.clocks :]
-    merits = [point.merit, *map(fitter.merit, starts[1:], fitter.all(starts[1:]))]
-    x, width = starts[int(np.argmin(merits))], np.full(x.size, 0.03)
+    costs = [point.cost, *map(fitter.cost, starts[1:], fitter.all(starts[1:]))]
+    x, width = starts[int(np.argmin(costs))], np.full(x.size, WIDTH[1])
     for _ in range(_AGAIN):
-        row = improved(fitter, x, width, "whole")
+        row = improved(fitter, x, width)
         x, width = np.array(row["x"]), np.array(row["width"])
         if row["done"]:
             break

@@ -11,7 +11,7 @@ in both, J by the numbers, W = 1 / s^2,
 
     step = H^-1 g,        H = J' W J + 1,       g = J' W e - z
 
-What the model does not explain is no white noise, and H^-1 then promises too much. So the scatter
+What the model does not explain is no white noise, and H^-1 then is too narrow. So the scatter
 of g is measured: over blocks of `BLOCK` seconds, cov = H^-1 (1 + sum g_b g_b') H^-1, and by leaving
 out one recording after the other (jackknife); of each number the larger deviation counts, with the
 correlations of the first. The deviations of what is stated are believed.
@@ -43,8 +43,8 @@ def coefficients(residual: Array, order: int) -> Array:
     return np.concatenate([[1.0], -linalg.solve_toeplitz(lags[:-1], lags[1:])])
 
 
-def merit(residuals: Residuals, order: int) -> float:
-    """The residuals' part of -ln L, each coloured as it is itself; constants taken out."""
+def cost(residuals: Residuals, order: int) -> float:
+    """Their part of -ln L, less is better, each coloured as it is itself; constants taken out."""
     total = 0.0
     for key, residual in residuals.items():
         if key == STATED:
@@ -65,13 +65,13 @@ class Information(NamedTuple):
 
 
 def information(
-    residuals: Residuals, slopes: Sequence[Residuals], order: int, spacing: Mapping[str, float]
+    residuals: Residuals, derivatives: Sequence[Residuals], order: int, spacing: Mapping[str, float]
 ) -> Information:
     """From residuals and their derivatives by each number; `spacing` of the samples [s]."""
     recorded = {key: one for key, one in residuals.items() if key != STATED}
     legs = max((e.shape[1] for e in recorded.values()), default=0)
     channels = sorted({channel for _, channel in recorded})
-    n, extra = len(slopes), len(channels) * legs
+    n, extra = len(derivatives), len(channels) * legs
     bordered, score = np.zeros((n + extra, n + extra)), np.zeros(n + extra)
     rows = []
     for (name, channel), residual in recorded.items():
@@ -82,7 +82,7 @@ def information(
         e = _whitened(residual, colour)
         full = np.zeros((*e.shape, n + extra))
         full[..., :n] = np.stack(
-            [-_whitened(one[name, channel], colour) for one in slopes], axis=-1
+            [-_whitened(one[name, channel], colour) for one in derivatives], axis=-1
         )
         at = n + channels.index(channel) * legs
         for leg in range(legs):
@@ -106,7 +106,7 @@ def information(
     whole = sum((one[0] for one in by_recording.values()), np.zeros((n, n)))
     gradient = sum((one[1] for one in by_recording.values()), np.zeros(n))
     if STATED in residuals:
-        j = np.stack([-one[STATED][:, 0] for one in slopes], axis=-1)
+        j = np.stack([-one[STATED][:, 0] for one in derivatives], axis=-1)
         whole, gradient = whole + j.T @ j, gradient + j.T @ residuals[STATED][:, 0]
         parts += list(j)
     return Information(whole, gradient, np.reshape(parts, (-1, n)), by_recording)

@@ -23,7 +23,8 @@ from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.record.record import Record
 from cmf_mj.studies.fit.campaign import FILE, MEASURED, CampaignSettings, Recording
-from cmf_mj.studies.fit.engine import Fitter, Posterior
+from cmf_mj.studies.fit.engine import Posterior
+from cmf_mj.studies.fit.iteration import WIDTH, Fitter
 from cmf_mj.studies.fit.likelihood import information
 from cmf_mj.studies.fit.model import piece
 from cmf_mj.studies.fit.plan import demand
@@ -51,7 +52,7 @@ def worth(posterior: Posterior, plan: str | Path, sought: str, jobs: int = 2) ->
     check_name("number", sought, (*posterior.names, DAMPING))
     gradient = _gradient(posterior, sought)
     mine = slice(posterior.z.size)  # without clocks
-    before = posterior.look.found.matrix[mine, mine] + np.eye(posterior.z.size)
+    before = posterior.linearised.information.matrix[mine, mine] + np.eye(posterior.z.size)
     here = np.linalg.inv(before)
     found = []
     for one in _planned(posterior, Path(plan)):
@@ -114,12 +115,13 @@ def _information(posterior: Posterior, planned: Recording, jobs: int) -> Array:
     made = one._replace(measured=one.simulated(plant, fitter.model.electronics(posterior.z)))
     fitter.model.pieces = (made,)
     here = fitter.model.residuals(posterior.z)
-    slopes = fitter.slopes(posterior.z, here, np.clip(posterior.deviation, 2e-3, 0.03))
+    width = np.clip(posterior.deviation, *WIDTH)
+    derivatives = fitter.derivatives(posterior.z, here, width)
     # What the fit left of each channel, repeated to the length.
-    noise, left = {}, posterior.look.here
+    noise, left = {}, posterior.linearised.residuals
     for channel in made.measured:
         parts = [one - one.mean(axis=0) for (_, of), one in left.items() if of == channel]
         key = planned.name, channel
         noise[key] = np.resize(np.concatenate(parts), here[key].shape)
     spacing = {planned.name: fitter.model.spacing(made)}
-    return information(noise, slopes, fitter.order, spacing).matrix
+    return information(noise, derivatives, fitter.stage.order, spacing).matrix

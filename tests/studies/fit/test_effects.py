@@ -13,7 +13,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit import effects
 from cmf_mj.studies.fit.campaign import load_campaign
 from cmf_mj.studies.fit.effects import EFFECTS, Effect, tried
-from cmf_mj.studies.fit.engine import Fitter
+from cmf_mj.studies.fit.iteration import Fitter
 from tests.studies.fit.test_fit import campaign
 
 TRIED = ("valve overlap", "a floor that yields", "legs that yield")
@@ -23,7 +23,7 @@ def gains(folder: Path, machine: Plant) -> list[Effect]:
     """What effects gain on recordings of a machine whose numbers are those of the data sheet."""
     fitter = Fitter(load_campaign(campaign(folder / "campaign", machine)), "whole", jobs=2)
     there = np.array([0.0, 0.0, *stats.norm.ppf([1.0 / 3.0] * 2)])  # factors 1, of lags in 0.5 to 2
-    return tried(fitter.look(there, np.full(there.size, 0.03)), fitter)
+    return tried(fitter.linearised_at(there, np.full(there.size, 0.03)), fitter)
 
 
 @pytest.mark.slow

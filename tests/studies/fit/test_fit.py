@@ -22,6 +22,7 @@ from cmf_mj.studies.certificate_family import load_box
 from cmf_mj.studies.fit import doubt, results
 from cmf_mj.studies.fit.campaign import FILE, data_sheet, load_campaign
 from cmf_mj.studies.fit.engine import Posterior, fit
+from cmf_mj.studies.fit.iteration import Fitter
 
 SECONDS, RATE = 5.0, 128
 
@@ -144,6 +145,17 @@ def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None
     ]
     assert np.array_equal(again.z, posterior.z)
     assert np.array_equal(again.covariance, posterior.covariance)
+
+
+def test_a_number_with_no_room_is_named(
+    found: tuple[Posterior, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a machine that leaves its bounds however its mass changes."""
+    fitter, x = Fitter(found[0].campaign, "slow", jobs=1), found[0].z
+    here = found[0].linearised.residuals
+    monkeypatch.setattr(fitter, "tried", lambda at: here if at[1] == x[1] else None)
+    with pytest.raises(InputError, match="^mass: the machine leaves its bounds"):
+        fitter.derivatives(x, here, np.full(x.size, 0.01))
 
 
 def test_a_fit_says_what_it_does_before_it_reads(tmp_path: Path) -> None:

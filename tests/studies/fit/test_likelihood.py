@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cmf_mj.studies.fit.likelihood import coefficients, information, merit, spread
+from cmf_mj.studies.fit.likelihood import coefficients, cost, information, spread
 
 SPACING = {"a": 0.01, "b": 0.01, "c": 0.01, "d": 0.01}
 
@@ -21,11 +21,11 @@ def test_colour_of_an_autoregression_is_found() -> None:
     assert found == pytest.approx(colour, abs=4.0 / np.sqrt(40000))
 
 
-def test_merit_of_white_noise_is_its_size() -> None:
+def test_cost_of_white_noise_is_its_size() -> None:
     """-ln L = n ln(s), so that twice the noise costs n ln 2."""
     one = {("a", "x"): noise([1.0], (4000, 6), 2)}
     double = {key: 2.0 * value for key, value in one.items()}
-    assert merit(double, 1) - merit(one, 1) == pytest.approx(23994.0 * np.log(2.0), rel=1e-9)
+    assert cost(double, 1) - cost(one, 1) == pytest.approx(23994.0 * np.log(2.0), rel=1e-9)
 
 
 def line(names: str, truth: float, error: float, seed: int) -> tuple[dict, list[dict]]:

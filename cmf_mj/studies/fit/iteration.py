@@ -1,0 +1,195 @@
+"""One iteration of a fit, by Levenberg and Marquardt with Broyden's update between its steps.
+
+The cost is -ln L with the prior (`likelihood`); less is better. Derivatives are differences, each a
+simulation of all recordings, on threads. Of the steps (H + 1 + mu diag H) dx = g with several mu
+the best is kept, and Broyden's update carries the derivatives on while steps gain. A stage ends
+where the linearised model predicts next to no gain.
+"""
+
+import copy
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.studies.fit.campaign import Campaign
+from cmf_mj.studies.fit.likelihood import Information, cost, information
+from cmf_mj.studies.fit.model import Change, Model, Residuals, minus
+
+Array = NDArray[np.float64]
+
+WIDTH = (2e-3, 0.03)  #: Least and largest step of a difference, in deviations of the prior.
+_DAMPING = (0.0, 0.01, 0.1, 1.0)  #: The values of mu.
+_LONGEST_STEP = 1.5  #: Of a coordinate, in deviations of the prior.
+_INNER = 6  #: Most steps on one set of derivatives.
+_ENOUGH_STATED = 1e-3  #: Takes the place of `Stage.enough` where there is evidence alone.
+
+
+class Stage(NamedTuple):
+    """What a stage takes of the recordings, and when it ends."""
+
+    seconds: float | None  #: Of each recording, from its beginning [s]; None takes all.
+    top: float | None  #: Highest frequency [Hz]; None for the campaign's.
+    steps: int  #: Most iterations.
+    order: int  #: Of the noise's autoregression.
+    enough: float  #: Predicted gain of ln L below which it ends.
+
+
+STAGES = {
+    "slow": Stage(seconds=10.0, top=6.0, steps=8, order=4, enough=20.0),
+    "whole": Stage(seconds=None, top=None, steps=6, order=12, enough=0.5),
+}
+
+
+class Fitter:
+    """Simulations of one stage, linearised.
+
+    A point x (n,) is z of all numbers, then the sizes of an effect, if there is one, and the clocks
+    of all recordings, as `Model` takes it.
+    """
+
+    def __init__(self, campaign: Campaign, stage: str, jobs: int) -> None:
+        """Make the model of a stage, one of `STAGES`."""
+        self.stage, self.jobs = STAGES[stage], jobs
+        self.model = Model(campaign, top=self.stage.top, seconds=self.stage.seconds)
+        self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
+        self._latest: Linearised | None = None
+
+    def having(self, change: Change) -> "Fitter":
+        """This fitter with an effect added to the machine."""
+        made = copy.copy(self)
+        made.model, made._latest = copy.copy(self.model), None
+        made.model.change = change
+        return made
+
+    def tried(self, x: Array) -> Residuals | None:
+        """Residuals; None where there is no such machine, or it leaves its bounds."""
+        try:
+            return self.model.residuals(x)
+        except (InputError, RunError):
+            return None
+
+    def cost(self, x: Array, residuals: Residuals | None) -> float:
+        """-ln L with the prior; infinite where the machine cannot do it."""
+        if residuals is None:
+            return np.inf
+        return cost(residuals, self.stage.order) + 0.5 * float(x @ x)
+
+    def all(self, points: Sequence[Array]) -> list[Residuals | None]:
+        """Residuals at several points, on threads."""
+        with ThreadPoolExecutor(self.jobs) as pool:
+            return list(pool.map(self.tried, points))
+
+    def derivatives(self, x: Array, here: Residuals, width: Array) -> list[Residuals]:
+        """Of the residuals by each coordinate: differences over `width` (n,), forward if it can."""
+        moves, found = np.diag(width), []
+        for number, there in enumerate(self.all([x + move for move in moves])):
+            step = width[number]
+            if there is None:
+                there, step = self.tried(x - moves[number]), -step
+            if there is None:
+                names = [name for name, *_ in self.model.unknowns.numbers()]
+                name = names[number] if number < len(names) else "effect or clock"
+                raise InputError(f"{name}: the machine leaves its bounds on either side")
+            found.append(minus(there, here, step))
+        return found
+
+    def linearised_at(self, x: Array, width: Array) -> "Linearised":
+        """Simulated at and about `x`; kept for the last `x`: a new `width` alone is not taken."""
+        if self._latest is None or not np.array_equal(self._latest.x, x):
+            residuals = self.model.residuals(x)
+            self._latest = self.linearised(x, residuals, self.derivatives(x, residuals, width))
+        return self._latest
+
+    def linearised(
+        self, x: Array, residuals: Residuals, derivatives: Sequence[Residuals]
+    ) -> "Linearised":
+        """The same of known residuals and derivatives."""
+        found = information(residuals, derivatives, self.stage.order, self.spacing)
+        return Linearised(x, residuals, derivatives, found, self.cost(x, residuals))
+
+
+class Linearised(NamedTuple):
+    """Residuals and derivatives at a point, and what they say of the cost."""
+
+    x: Array
+    residuals: Residuals
+    derivatives: Sequence[Residuals]  #: By each coordinate.
+    information: Information
+    cost: float
+
+    @property
+    def gradient(self) -> Array:
+        """Of ln L with the prior, (n,)."""
+        return self.information.gradient - self.x
+
+    @property
+    def hessian(self) -> Array:
+        """Of the cost, by Gauss and Newton: H + 1, (n, n)."""
+        return self.information.matrix + np.eye(self.x.size)
+
+    @property
+    def predicted_gain(self) -> float:
+        """Cost less that of the best point, if all were linear."""
+        return 0.5 * float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
+
+    def steps(self) -> list[Any]:
+        """Steps of several dampings, none longer than `_LONGEST_STEP`."""
+        found = []
+        for damping in _DAMPING:
+            matrix = self.hessian + damping * np.diag(np.diag(self.information.matrix))
+            step = np.linalg.solve(matrix, self.gradient)
+            found.append(step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12)))
+        return found
+
+    def after(self, step: Array, there: Residuals) -> list[Residuals]:
+        """Broyden's derivatives after a step: they give the change of residuals along it."""
+        share = step / float(step @ step)
+        missing = {
+            key: there[key]
+            - value
+            - sum(x * one[key] for x, one in zip(step, self.derivatives, strict=True))
+            for key, value in self.residuals.items()
+        }
+        return [
+            {key: value + x * missing[key] for key, value in one.items()}
+            for x, one in zip(share, self.derivatives, strict=True)
+        ]
+
+
+def improved(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
+    """One iteration of Levenberg and Marquardt from `x`, as a row of the journal.
+
+    Up to `_INNER` steps on one set of derivatives, which Broyden's update carries on; no step where
+    the predicted gain is below the stage's `enough`. The row has the new `x`, the `width` of the
+    differences there, the cost `merit` there, the `gain` of it, and whether the stage is `done`.
+    """
+    threshold = fitter.stage.enough if fitter.model.pieces else _ENOUGH_STATED
+    start = point = fitter.linearised_at(x, width)
+    converged = start.predicted_gain < threshold
+    for _ in range(0 if converged else _INNER):
+        steps = point.steps()
+        trials = fitter.all([point.x + step for step in steps])
+        costs = [fitter.cost(point.x + step, one) for step, one in zip(steps, trials, strict=True)]
+        best = int(np.argmin(costs))
+        trial, step, gain = trials[best], steps[best], point.cost - costs[best]
+        if trial is None or gain <= 0.0:
+            break
+        predicted_gain = point.predicted_gain
+        point = fitter.linearised(point.x + step, trial, point.after(step, trial))
+        if gain < max(threshold, 0.1 * predicted_gain):
+            break
+    deviation = np.sqrt(np.diag(np.linalg.inv(start.hessian)))
+    gain = start.cost - point.cost
+    slow = fitter.stage is STAGES["slow"]  # the next stage begins where this one ends
+    done = converged or gain < threshold or (slow and point.predicted_gain < threshold)
+    return {
+        "x": point.x.tolist(),
+        "width": (np.clip(deviation, *WIDTH) if gain > 0.0 else width).tolist(),
+        "merit": point.cost,
+        "gain": gain,
+        "done": bool(done),
+    }
