@@ -133,7 +133,7 @@ def flight_command(
     from cmf_mj.core.result import number
     from cmf_mj.pilot.scripts import fly_script
     from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
-    from cmf_mj.pilot.telemetry_check import check
+    from cmf_mj.pilot.telemetry_check import check_telemetry
 
     if form is None:
         flight = fly_script(source, seed)
@@ -146,7 +146,7 @@ def flight_command(
         table = form == "csv" and not source.isdigit()
         sent = (read_telemetry(source), 0) if table else listen(form, _port(source), seconds)
         received, refused = sent
-        verdict = check(received)
+        verdict = check_telemetry(received)
         span = float(received.time[-1] - received.time[0])
         show(f"{received.time.size} samples in {span:.1f} s, {refused} datagrams of other form")
         show(*(f"ERROR: {error}" for error in verdict.errors))

@@ -36,7 +36,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.flight import Flight, Origin, read_columns
 from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result, law_delay
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
-from cmf_mj.pilot.telemetry_check import Telemetry, check
+from cmf_mj.pilot.telemetry_check import Telemetry, check_telemetry
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
@@ -204,10 +204,10 @@ def fly_live(
     """Fly what comes to a UDP port for some seconds.
 
     Before anything moves, what comes within the `trial` [s] is checked; an error that is found is
-    refused in the words of `check`. The others are those of `fly`, the `options` of `serve`.
+    refused in its words. The others are those of `fly`, the `options` of `serve`.
     """
     telemetry, _ = listen(form, port, trial, bind=bind)
-    if errors := check(telemetry).errors:
+    if errors := check_telemetry(telemetry).errors:
         raise InputError(f"{form} at port {port}: {'; '.join(errors)}")
     carried = load_cab(cab)
     plant = Hexapod(carried, hydraulics)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
+from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY, to_si
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, interpolated
 
@@ -105,13 +105,12 @@ DOUBTS = (
 """Errors of attitude, rate and force that are looked for; the first of each is none."""
 
 
-def check(telemetry: Telemetry) -> TelemetryVerdict:
+def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
     """Say what is wrong with telemetry, in words, and what could not be seen."""
-    errors = _time_errors(telemetry.time)
-    if any(said.endswith("ms?") for said in errors):
-        telemetry = telemetry._replace(time=1e-3 * telemetry.time)
-    rising = np.diff(telemetry.time, prepend=-np.inf) > 0.0
-    kept = Telemetry._make(values[rising] for values in telemetry)
+    errors, unit = _time_errors(telemetry.time)
+    telemetry = telemetry._replace(time=to_si(unit, telemetry.time))
+    rows = _longest_rising(telemetry.time)
+    kept = Telemetry._make(values[rows] for values in telemetry)
     if kept.time.size < 2 or kept.time[-1] - kept.time[0] < 4.0 * _MEAN:
         return TelemetryVerdict((*errors, f"less than {4.0 * _MEAN:g} s of data"), ())
     misfit, prices = _misfits(kept), ([doubt.price for doubt in doubts] for doubts in DOUBTS)
@@ -137,17 +136,29 @@ def _said(way: tuple[int, ...]) -> list[str]:
     return [doubts[k].said for doubts, k in zip(DOUBTS, way, strict=True) if k]
 
 
-def _time_errors(time: Array) -> list[str]:
+def _time_errors(stamps: Array) -> tuple[list[str], str]:
+    """Errors of time stamps, and the unit in which they seem to be: s, ms or us."""
+    usual = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
+    unit = "s" if usual <= 1.0 else "ms" if usual < 1e3 else "us"
+    time, step = to_si(unit, stamps), to_si(unit, usual)
     steps, errors = np.diff(time), list[str]()
-    usual = float(np.median(steps)) if steps.size else 0.0
     if (steps <= 0.0).any():
         row = int((steps <= 0.0).argmax()) + 1
         errors.append(f"time does not rise at row {row}, {time[row]:g} s")
-    for row in np.flatnonzero(steps > max(_GAP * usual, _LEAST_GAP))[:3]:
-        errors.append(f"a gap of {steps[row]:.3g} s after {time[row]:g} s; usual: {usual:.3g} s")
-    if usual > 1.0:
-        errors.append(f"time steps are {usual:g} s: is time in ms?")
-    return errors
+    for row in np.flatnonzero(steps > max(_GAP * step, _LEAST_GAP))[:3]:
+        errors.append(f"a gap of {steps[row]:.3g} s after {time[row]:g} s; usual: {step:.3g} s")
+    if unit != "s":
+        errors.append(f"time steps are {usual:g} s: is time in {unit}?")
+    return errors, unit
+
+
+def _longest_rising(time: Array) -> NDArray[np.bool_]:
+    """Which rows are of the longest stretch whose times rise, (N,); a clock set back ends one."""
+    latest = np.maximum.accumulate(time)
+    rising = np.diff(latest, prepend=-np.inf) > 0.0
+    stretch = np.cumsum(latest - time > _LEAST_GAP)
+    longest = np.bincount(stretch[rising], minlength=1).argmax()
+    return np.asarray(rising & (stretch == longest))
 
 
 def _misfits(sent: Telemetry) -> Array:
@@ -178,8 +189,8 @@ def _misfits(sent: Telemetry) -> Array:
         if known:
             pushed = [np.log(_rms(values) + _FLOOR["force"]).sum() for values in apart]
         else:  # on the whole nothing rises or falls; along and across it may do what it likes
-            level = Rotation.from_euler("ZYX", angles[: len(_mean(rate)), ::-1])
-            rises = (level.apply(_mean(values))[:, 2].mean() for values in apart)
+            level = Rotation.from_euler("ZYX", angles[:, ::-1])
+            rises = (level.apply(values)[:, 2].mean() for values in apart)
             pushed = [np.log(_FLOOR["vertical"] + abs(rise)) for rise in rises]
         rows.append(np.add.outer(turned, pushed))
     return np.array(rows)

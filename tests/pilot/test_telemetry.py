@@ -17,7 +17,7 @@ from cmf_mj import InputError
 from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.motion import gravity_in_body
 from cmf_mj.pilot.telemetry import decode, flight_of, fly_live, read_telemetry, telemetry_of
-from cmf_mj.pilot.telemetry_check import Telemetry, check
+from cmf_mj.pilot.telemetry_check import Telemetry, check_telemetry
 
 G, DEGREE = 9.80665, math.pi / 180.0
 
@@ -172,9 +172,9 @@ EXCITED: dict[str, tuple[Spoil, str]] = {
 @pytest.mark.parametrize("name", flight_names())
 def test_each_error_is_found_and_none_in_the_clean_flight(name: str) -> None:
     sent = shipped(name)
-    assert check(sent).errors == ()
+    assert check_telemetry(sent).errors == ()
     for error, (spoil, words) in ERRORS.items():
-        said = check(spoil(sent)).errors
+        said = check_telemetry(spoil(sent)).errors
         assert len(said) == 1 and words in said[0], (error, said)
 
 
@@ -183,9 +183,9 @@ def test_what_a_flight_cannot_show_is_said_and_the_rest_is_found() -> None:
     shown = dict.fromkeys(EXCITED, 0)
     for name in flight_names():
         sent = shipped(name)
-        unseen = check(sent).unseen
+        unseen = check_telemetry(sent).unseen
         for error, (spoil, words) in EXCITED.items():
-            found = any(words in said for said in check(spoil(sent)).errors)
+            found = any(words in said for said in check_telemetry(spoil(sent)).errors)
             assert found == (not any(words in doubt for doubt in unseen)), (name, error)
             shown[error] += found
     assert min(shown.values()) >= 3
@@ -196,7 +196,7 @@ def test_flights_sent_as_packets_are_clean_and_come_back(form: str) -> None:
     for name in flight_names():
         received, refused = telemetry_of(form, iter(as_packets(name, form)))
         sent = shipped(name)
-        assert refused == 0 and check(received).errors == ()
+        assert refused == 0 and check_telemetry(received).errors == ()
         flown = flight_of(received, form, name).motion
         np.testing.assert_allclose(flown.specific_force, sent.specific_force, atol=5e-5)
         np.testing.assert_allclose(flown.attitude[:, :2], sent.attitude[:, :2], atol=1e-6)
@@ -206,21 +206,51 @@ def test_without_speed_and_height_units_and_gravity_are_still_told() -> None:
     for name in ("engine_failure", "take_off", "turn"):
         unknown = np.full(shipped(name).time.size, np.nan)
         sent = shipped(name)._replace(speed=unknown, height=unknown)
-        assert check(sent).errors == ()
+        assert check_telemetry(sent).errors == ()
         for error in ("g", "deg/s", "deg", "no gravity", "gravity twice", "z up"):
             spoil, words = ERRORS[error]
-            assert any(words in said for said in check(spoil(sent)).errors), (name, error)
+            assert any(words in said for said in check_telemetry(spoil(sent)).errors), (name, error)
 
 
-def test_times_that_do_not_rise_or_are_in_ms_are_told() -> None:
+def test_times_that_do_not_rise_are_told() -> None:
     sent = shipped("turn")
     back = sent.time.copy()
     back[100] = back[98]
-    assert "time does not rise at row 100" in check(sent._replace(time=back)).errors[0]
-    assert any("in ms" in said for said in check(sent._replace(time=1e3 * sent.time)).errors)
-    assert check(Telemetry._make(values[:40] for values in sent)).errors == (
+    assert "time does not rise at row 100" in check_telemetry(sent._replace(time=back)).errors[0]
+    assert check_telemetry(Telemetry._make(values[:40] for values in sent)).errors == (
         "less than 4 s of data",
     )
+
+
+@pytest.mark.parametrize("name", ["turn", "take_off", "engine_failure"])
+def test_a_clock_that_is_set_back_is_the_only_error(name: str) -> None:
+    """What comes after is not joined to what was 12 s earlier."""
+    sent = shipped(name)
+    back = sent.time - np.where(np.arange(sent.time.size) < 0.6 * sent.time.size, 0.0, 12.0)
+    (error,) = check_telemetry(sent._replace(time=back)).errors
+    assert "time does not rise at row" in error
+
+
+@pytest.mark.parametrize(("unit", "size"), [("ms", 1e-3), ("us", 1e-6)])
+def test_times_in_another_unit_are_told_and_nothing_else_is(unit: str, size: float) -> None:
+    sent = shipped("turn")
+    told = f"time steps are {0.0125 / size:g} s: is time in {unit}?"
+    assert check_telemetry(sent._replace(time=sent.time / size)).errors == (told,)
+    gap = _interrupted(sent)
+    (found, last) = check_telemetry(gap._replace(time=gap.time / size)).errors
+    assert found == check_telemetry(gap).errors[0] and last == told
+
+
+def test_forces_are_turned_by_the_attitude_of_their_own_time() -> None:
+    """Pushed to and fro sideways in inertial space while rolling: nothing rises or falls."""
+    time = np.arange(0.0, 20.0, 0.0125)
+    roll, swing = 0.5 * np.cos(math.pi * time), 5.0 * np.sin(math.pi * time)
+    zero, unknown = np.zeros_like(time), np.full_like(time, np.nan)
+    attitude = np.column_stack([roll, zero, zero])
+    pushed = np.column_stack([zero, swing * np.cos(roll), -swing * np.sin(roll)])
+    rate = np.column_stack([-0.5 * math.pi * np.sin(math.pi * time), zero, zero])
+    force = pushed - gravity_in_body(attitude)
+    assert check_telemetry(Telemetry(time, force, rate, attitude, unknown, unknown)).errors == ()
 
 
 def test_a_csv_with_units_is_read(tmp_path: Path) -> None:
