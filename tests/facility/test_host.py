@@ -23,6 +23,7 @@ from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.play import Arrivals, feed, upsample
 from cmf_mj.control.dcu.state import make_dcu, resting
 from cmf_mj.core.compiled import allocating
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.handover import (
     NEVER,
     capacity_for,
@@ -35,6 +36,7 @@ from cmf_mj.facility.host.handover import (
 from cmf_mj.facility.host.stream import (
     HostFrame,
     HostStream,
+    HostTiming,
     differentiate,
     from_command,
     make_stream,
@@ -53,6 +55,7 @@ from cmf_mj.facility.host.udp import (
     UdpReceiver,
     decode_frame,
     encode_frame,
+    parse_target,
     send_stream,
 )
 from cmf_mj.facility.operation import account
@@ -529,11 +532,28 @@ def test_deadlines_are_absolute() -> None:
     assert report.duration == pytest.approx(199 / 80.0 + 0.001)
 
 
+@pytest.mark.parametrize("timing", [HostTiming(stutter=0.05), HostTiming(jitter=0.1)])
+def test_the_duration_sent_counts_from_the_first_datagram(timing: HostTiming) -> None:
+    """Measured where the datagrams are sent: by a clock that only sleeping moves."""
+    now, sent = 0.0, list[float]()
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+        sent.append(now)
+
+    with UdpReceiver() as receiver:
+        to = receiver.address
+        report = send_stream(wave(10), *to, timing=timing, clock=lambda: now, sleep=sleep)
+    assert report.duration == pytest.approx(sent[-1] - sent[0])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"port": 70000}, "port: 70000"),
         ({"host_port": -1}, "host_port: -1"),
+        ({"host_port": 0}, "host_port: 0 is refused; allowed: 1 to 65535"),
         ({"host": "localhost"}, "host: 'localhost' is not an IPv4 address"),
         ({"bind": "::1"}, "bind: '::1'"),
         ({"bind": "192.0.2.1"}, "bind: '192.0.2.1' is no address of this machine"),
@@ -542,6 +562,15 @@ def test_deadlines_are_absolute() -> None:
 def test_bad_sockets_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         UdpReceiver(**arguments)  # type: ignore[arg-type]
+
+
+def test_bad_ports_to_send_from_and_to_are_refused_by_name() -> None:
+    for source, port, message in ((70000, 2048, "source_port: 70000"), (0, 0, "port: 0")):
+        with pytest.raises(InputError, match=message):
+            send_stream(wave(8), "127.0.0.1", port, source_port=source)
+    for port in ("0", "70000", "9" * 5000, "+1", ""):
+        with pytest.raises(InputError, match="^to: "):
+            parse_target(f"127.0.0.1:{port}")
 
 
 def test_a_port_in_use_is_an_error_at_once() -> None:

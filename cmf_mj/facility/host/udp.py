@@ -94,8 +94,8 @@ class HostPort:
 
     def __init__(self, port: int, host: str, host_port: int | None, bind: str, wait: float) -> None:
         """Open it, for the host's IPv4 address and, if it is given, port; waits so long [s]."""
-        if not 0 <= (host_port or 0) <= 65535:
-            raise InputError(f"host_port: {host_port} is refused; allowed: 0 to 65535")
+        if host_port is not None:
+            check_port("host_port", host_port, 1)
         check_address("host", host)
         self._host, self._host_port, self._socket = host, host_port, open_socket(port, bind)
         self._socket.settimeout(wait)
@@ -200,8 +200,7 @@ def open_socket(port: int, bind: str) -> socket.socket:
 
     Raises `OSError` for a port that is taken.
     """
-    if not 0 <= port <= 65535:
-        raise InputError(f"port: {port} is refused; allowed: 0 to 65535")
+    check_port("port", port, 0)
     check_address("bind", bind)
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with contextlib.suppress(OSError):  # as much as the system and our rights allow
@@ -244,8 +243,8 @@ def send_stream(
     From `source_port`, 0 for a free one. Each deadline is start + time[k] - time[0]: absolute, so
     that no lateness adds up.
     """
-    if not 1 <= port <= 65535:
-        raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
+    check_port("port", port, 1)
+    check_port("source_port", source_port, 0)
     check_address("address", address)
     stream, deadlines = timing.keep(stream)
     datagrams = [encode_frame(stream.row(index)) for index in range(stream.time.size)]
@@ -261,7 +260,7 @@ def send_stream(
             lateness[index] = clock() - deadline
     return SendReport(
         frames=len(datagrams),
-        duration=float(deadlines[-1] + lateness[-1] - lateness[0]),
+        duration=float(deadlines[-1] - deadlines[0] + lateness[-1] - lateness[0]),
         mean_lateness=float(lateness.mean()),
         worst_lateness=float(lateness.max()),
     )
@@ -270,10 +269,17 @@ def send_stream(
 def parse_target(text: str) -> tuple[str, int]:
     """Address and port of `127.0.0.1:2048`."""
     address, colon, port = text.rpartition(":")
-    if not (colon and port.isascii() and port.isdigit()):
+    if not (colon and port.isascii() and port.isdigit() and len(port) <= 5):
         raise InputError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
+    check_port("to", int(port), 1)
     check_address("to", address)
     return address, int(port)
+
+
+def check_port(name: str, port: int, least: int) -> None:
+    """Refuse what is no port; `least` is 0 where that takes a free one."""
+    if not least <= port <= 65535:
+        raise InputError(f"{name}: {port} is refused; allowed: {least} to 65535")
 
 
 def check_address(name: str, address: str) -> None:
