@@ -271,7 +271,7 @@ def parse_target(text: str) -> tuple[str, int]:
     address, colon, port = text.rpartition(":")
     if not (colon and port.isascii() and port.isdigit() and len(port) <= 5):
         raise InputError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
-    check_port("to", int(port), 1)
+    check_port("to: port", int(port), 1)
     check_address("to", address)
     return address, int(port)
 
