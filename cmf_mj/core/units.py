@@ -79,6 +79,11 @@ _NAMES = {
 Value = TypeVar("Value", float, np.ndarray)
 
 
+def known(unit: str) -> bool:
+    """Whether `factor` knows a unit."""
+    return unit in _FACTORS or all(part in _FACTORS for part in unit.split("/"))
+
+
 def factor(unit: str) -> float:
     """What one `unit` is in SI; known units may be joined by `/`, as in `in/s/%`.
 

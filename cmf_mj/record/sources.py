@@ -1,16 +1,18 @@
 """Columns and clocks of recordings that others made: CSV, Parquet, HDF5 and MAT files.
 
 A column is a name and numbers, NaN where there is none; dates and times of day are seconds from the
-first. An array of rows by columns, as HDF5 and MAT files hold, gives `name_1`, `name_2` and so on;
-a table in a table gives `table.name`, a group of HDF5 `group/name`, a structure of MATLAB
+earliest. An array of rows by columns, as HDF5 and MAT files hold, gives `name_1`, `name_2` and so
+on; a table in a table gives `table.name`, a group of HDF5 `group/name`, a structure of MATLAB
 `structure.name`. A CSV file may have text above its header, units in a row below it, any of the
-separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`; the
-last `# cmf_mj {...}` has metadata as JSON.
+separators comma, semicolon, tab and blanks, a decimal comma, and comments that begin with `#`, of
+which the last above the numbers may be the header; the last `# cmf_mj {...}` has metadata as JSON.
 """
 
+import csv
 import io
 import re
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from statistics import mode
 from typing import Any, NamedTuple
@@ -21,6 +23,7 @@ import pyarrow.compute
 import pyarrow.csv
 from numpy.typing import NDArray
 
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, reason, require, unknown_name
 from cmf_mj.core.files import read_table
 from cmf_mj.core.settings import check_file, parsed_json
@@ -29,9 +32,10 @@ Array = NDArray[np.float64]
 
 _NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "-", "#N/A", "-nan", "-nan(ind)", "1.#QNAN"]
 _NUMBER = r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?"
-_SHOWN = re.compile(rf"{_NUMBER}|[+-]?inf|[0-9][-0-9:./T ]*Z?")  #: A number, date or time of day.
-_UNIT = re.compile(r"[\[(].*[\])]|[a-zA-Z°%]{1,4}(/s(\^?2|²)?)?|1|-|")
-_LOOKED_AT = 200  #: Lines in which the header of a CSV file is looked for.
+_CELL = re.compile(rf"{_NUMBER}|[+-]?inf|(?i:-?nan)|[0-9][-0-9:./T ]*Z?")
+"""A number, date or time of day."""
+_COMMENT = re.compile(r"\s*#(?!N/A)")  #: How a line begins that is a comment.
+_HEADER_LINES = 200  #: Lines in which the header of a CSV file is looked for.
 _CLOCK = r"^[0-9]{2}:[0-9]{2}:[0-9]{2}([.][0-9]+)?$"  #: A time of day.
 
 _OFF, _STEP = 0.4, 0.6
@@ -66,39 +70,39 @@ def read_source(path: str | Path) -> Source:
         raise InputError(f"{source}: ending {source.suffix!r} is not one of {', '.join(_READERS)}")
     try:
         return reader(source)
-    except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
+    except (OSError, ValueError, TypeError, KeyError, csv.Error, pa.ArrowException) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source}: cannot be read: {reason(error)}") from error
 
 
 def _source(path: Path, columns: Iterator[_Column], **more: Any) -> Source:
-    """The columns that are as long as most are."""
+    """A source of the columns whose length is the commonest; the others are dropped."""
     found = list(columns)
     lengths = [values.size for *_, values in found]
     if not lengths:
         raise InputError(f"{path}: has no column of numbers")
     usual = max(set(lengths), key=lambda size: (lengths.count(size), size))
-    kept = {name: values for name, _, values in found if values.size == usual}
-    return Source(path, kept, {name: unit for name, unit, _ in found}, **more)
+    kept = [column for column in found if column[2].size == usual]
+    unit_of = {name: unit for name, unit, _ in kept}
+    return Source(path, {name: values for name, _, values in kept}, unit_of, **more)
 
 
 def _csv(path: Path) -> Source:
+    """Read a CSV file: its first row of numbers, names and units above it, rows, metadata."""
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
     every = text.splitlines()
-    lines = [line for line in every if line.strip() and line.lstrip()[0] != "#"]
-    separator, first = _cut(path, lines[:_LOOKED_AT])
+    lines = [line for line in every if line.strip() and not _COMMENT.match(line)]
+    separator, first = _find_rows(path, lines[:_HEADER_LINES])
     width = len(_cells(lines[first], separator))
+    comments = [line for line in every[: every.index(lines[first])] if _COMMENT.match(line)]
     above = [_cells(line, separator) for line in lines[max(first - 2, 0) : first]]
-    above = [cells for cells in above if len(cells) == width]
-    units = [""] * width
-    if len(above) == 2 and all(_UNIT.fullmatch(cell) for cell in above[1]):
-        units = [cell.strip("[]() ") for cell in above.pop()]
-    header = above[-1] if above else [""] * width
+    beside = [_cells(_COMMENT.sub("", line), separator) for line in comments]
+    header, stated = _header(above, width) or _header(beside, width) or ([""] * width,) * 2
     names = [name or f"column_{k + 1}" for k, name in enumerate(header)]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: header: {twice[0]!r} names {len(twice)} columns")
@@ -111,8 +115,8 @@ def _csv(path: Path) -> Source:
         pyarrow.csv.ParseOptions(delimiter=separator or "\t"),
         pyarrow.csv.ConvertOptions(null_values=_NULLS, decimal_point=decimal),
     )
-    stated = dict(zip(names, units, strict=True))
-    columns = ((name, stated[name] or unit, values) for name, unit, values in _of_table(table))
+    unit_of = dict(zip(names, stated, strict=True))
+    columns = ((name, unit_of[name] or unit, values) for name, unit, values in _of_table(table))
     remarks = [line.removeprefix(REMARK) for line in every if line.startswith(REMARK)]
     metadata = parsed_json(remarks[-1], f"{path}: {REMARK.strip()}") if remarks else {}
     if not isinstance(metadata, dict):
@@ -121,25 +125,55 @@ def _csv(path: Path) -> Source:
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    return [cell.strip().strip('"') for cell in line.split(separator)]
+    if separator is None:
+        return [cell.strip('"') for cell in line.split()]
+    reader = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return [cell.strip() for cell in next(reader)]
 
 
-def _cut(path: Path, lines: list[str]) -> tuple[str | None, int]:
-    """The separator, None for blanks, and the first line of which half and more are numbers."""
+def _find_rows(path: Path, lines: list[str]) -> tuple[str | None, int]:
+    """The separator, None for blanks, and the first of two rows of numbers, or the only one."""
     for separator in ("\t", ";", ",", None):
         rows = [_cells(line, separator) for line in lines]
         width = mode([len(row) for row in rows if len(row) > 1] or [0])
-        for first, row in enumerate(rows):
-            numbers = sum(bool(_SHOWN.fullmatch(cell)) or cell in _NULLS for cell in row)
-            if width > 1 and len(row) == width and numbers > 0.5 * width:
-                return separator, first
-    raise InputError(f"{path}: no row of numbers within the first {_LOOKED_AT} lines")
+        full = [number for number, row in enumerate(rows) if len(row) == width > 1]
+        numeric = [_is_numeric(rows[number]) for number in full]
+        for number, both in zip(full, pairwise([*numeric, True]), strict=True):
+            if all(both):
+                return separator, number
+    raise InputError(f"{path}: no row of numbers within the first {_HEADER_LINES} lines")
+
+
+def _is_numeric(row: list[str]) -> bool:
+    """Whether more cells are numbers than text; an empty one is neither."""
+    numbers = [cell for cell in row if _CELL.fullmatch(cell)]
+    return len(numbers) > sum(cell not in (*_NULLS, *numbers) for cell in row)
+
+
+def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]] | None:
+    """Names and units of the columns by the last of these lines that are as wide as a row.
+
+    Of two, the lower has units if `core.units` knows one of them or if one stands there twice, and
+    if the upper has text, and no number, wherever the lower has a unit.
+    """
+    none: list[str] = []
+    *_, upper, lower = none, none, *(cells for cells in lines if len(cells) == width)
+    marks = [cell.strip("[]() ") for cell in lower]
+    known = any(map(units.known, marks)) or len({*filter(None, marks)}) < sum(map(bool, marks))
+    if upper and known and all(name or not mark for name, mark in zip(upper, marks, strict=True)):
+        if not any(map(_CELL.fullmatch, upper)):
+            return upper, marks
+    return (lower, [""] * width) if lower else None
 
 
 def _of_table(table: pa.Table) -> Iterator[_Column]:
     for field, column in zip(table.schema, table.columns, strict=True):
         unit = (field.metadata or {}).get(b"unit", b"").decode()
-        if pa.types.is_time(column.type):
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        if pa.types.is_date(column.type):
+            column = column.cast(pa.timestamp("ms"))
+        if pa.types.is_time(column.type) or pa.types.is_large_string(column.type):
             column = column.cast(pa.string())
         if pa.types.is_string(column.type):  # times of day, or numbers with something between them
             text = pa.compute.utf8_trim_whitespace(column)
@@ -156,7 +190,8 @@ def _of_table(table: pa.Table) -> Iterator[_Column]:
             ticks = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
             ticks = pa.compute.subtract(ticks, pa.compute.min(ticks))
             column, unit = pa.compute.multiply(ticks.cast(pa.float64()), 1e-9), "s"
-        if pa.types.is_nested(column.type) or pa.types.is_boolean(column.type):
+        numeric = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+        if not any(is_kind(column.type) for is_kind in numeric):
             continue
         numbers = pa.compute.fill_null(column.cast(pa.float64()), np.nan)
         yield field.name, unit, np.array(numbers.to_numpy())
