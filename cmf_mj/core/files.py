@@ -72,8 +72,8 @@ def claimed(folder: Path) -> Iterator[Path]:
     """A folder that this run alone writes to; made, and removed again if it stays empty.
 
     The lock is the system's and on the folder itself, so that it ends with the process however
-    that ends. What a killed run left half-written is removed. A file system without locks gives
-    none.
+    that ends. What a process that has ended left half-written is removed. A file system without
+    locks gives none.
     """
     check_target(folder / "any", "out")
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
@@ -104,9 +104,23 @@ def claimed(folder: Path) -> Iterator[Path]:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what writers that no longer live have begun in a folder and in those below it."""
+    """Remove what this process and those that have ended began here and one folder below."""
     for partial in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
-        partial.unlink(missing_ok=True)
+        _, number, _ = partial.name.rsplit(".", 2)
+        if number.isdecimal() and not _is_another(int(number)):
+            partial.unlink(missing_ok=True)
+
+
+def _is_another(process: int) -> bool:
+    """Whether another process may have this number; on Windows, where to ask ends it, all may."""
+    try:
+        if fcntl:
+            os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # of another user, or no number of a process
+        return True
+    return process != os.getpid()
 
 
 def write_text(target: Path, text: str) -> Path:
@@ -124,7 +138,7 @@ def write_json(target: Path, content: Mapping[str, Any]) -> Path:
 def write_csv(
     target: Path, header: Iterable[str], rows: Iterable[Iterable[object]], digits: int = 9
 ) -> Path:
-    """Write rows as CSV below a header, floats to so many significant digits."""
+    """Write a CSV file to read, floats with so many digits; `write_table` keeps every digit."""
     with whole_file(target) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
@@ -136,7 +150,10 @@ def write_csv(
 
 
 def write_table(table: pa.Table, target: Path) -> Path:
-    """Write a table as CSV or Parquet, by the name's end; numbers read back bit for bit."""
+    """Write a table as CSV or Parquet, by the name's end, doubles with every digit.
+
+    CSV does not keep types: 1.0 comes back as an integer, single precision as double.
+    """
     if target.suffix == ".parquet":
         return write_parquet(table, target)
     if target.suffix != ".csv":
@@ -165,10 +182,9 @@ def write_parquet(
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV or Parquet file, by the name's end; one of this project is as it was written.
+    """Read a CSV or Parquet file, by the name's end; Parquet of this project is as it was written.
 
-    Names of CSV columns may have capitals, and blanks about them; here they have not. A unit in
-    brackets behind a name stays as it is.
+    Names of CSV columns are lower-cased and stripped, but not a unit in brackets behind them.
     """
     if path.suffix == ".parquet":
         return _read_parquet(path)
@@ -207,7 +223,10 @@ def _read_parquet(path: Path) -> pa.Table:
 
 
 def _digest(table: pa.Table) -> bytes:
-    """SHA-256 of the names, types and values of the columns, and of the header."""
+    """SHA-256 of names, types and values of the columns, and of the header with its units.
+
+    Metadata of single columns, which this project does not write, are not in it.
+    """
     header = sorted((k, v) for k, v in (table.schema.metadata or {}).items() if k != _DIGEST)
     digest = hashlib.sha256(repr((header, table.num_rows)).encode())
     for name, column in zip(table.column_names, table.columns, strict=True):

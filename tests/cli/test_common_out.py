@@ -36,7 +36,7 @@ def test_a_folder_is_of_one_run_and_free_after_any_end_of_it(tmp_path: Path, num
     assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
     said = cmf("report", "linear", "--out", out, code=2)
     assert said.count("\n") == 1 and f"{str(out)!r} is refused: another run writes to it" in said
-    (out / ".table.csv.99.part").write_text("half")
+    (out / f".table.csv.{holder.pid}.part").write_text("half")
     holder.send_signal(number)
     holder.communicate(timeout=30)
     with claimed(out):

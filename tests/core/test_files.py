@@ -1,0 +1,38 @@
+"""What a folder of one run clears of others, and what tables keep of numbers and names."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+
+from cmf_mj.core.files import claimed, read_table, write_table
+
+
+def test_only_half_written_files_of_processes_that_ended_go(tmp_path: Path) -> None:
+    """At the start and at the end of a run, in the folder and in one below it."""
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (tmp_path / "a").mkdir()
+    names = [f".table.csv.{ended.pid}.part", f".table.csv.{os.getppid()}.part", ".my.notes.part"]
+    begun = [folder / name for folder in (tmp_path, tmp_path / "a") for name in names]
+    for again in (True, False):
+        for path in begun:
+            path.write_text("half")
+        with claimed(tmp_path):
+            if again:
+                assert [path.name for path in begun if path.exists()] == 2 * names[1:]
+                begun[0].write_text("half")
+        assert [path.name for path in begun if path.exists()] == 2 * names[1:]
+
+
+def test_csv_keeps_every_digit_of_doubles_but_no_types_and_capitals(tmp_path: Path) -> None:
+    third = pa.array([1.0 / 3.0, 2.0], pa.float64())
+    table = pa.table(
+        {"Time [S]": third, "n": third.cast(pa.float32()), "one": pa.array([1.0, 2.0])}
+    )
+    back = read_table(write_table(table, tmp_path / "x.csv"))
+    assert back["time [S]"].to_pylist() == third.to_pylist()
+    assert [str(kind) for kind in back.schema.types] == ["double", "double", "int64"]
+    assert read_table(write_table(table, tmp_path / "x.parquet")).equals(table)
