@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from cmf_mj.core.errors import CmfError, InputError, check_name, reason
+from cmf_mj.core.errors import CmfError, InputError, reason
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,17 +21,18 @@ if TYPE_CHECKING:
     from cmf_mj.electronics.chain import ElectronicsSettings
     from cmf_mj.plant.cylinder import Contact
 
-_SAID = 2000  # characters of an error, in which a refused value may be a whole file
+_LONGEST_MESSAGE = 2000
+"""Characters of an error that are printed; a refused value may be a whole file."""
 
-TEXT_WIDTH = 120
-"""Width for tables that fold their text, where the terminal is narrower or there is none."""
+TEXT_WIDTH = 120  #: Least width of what is printed [characters], in narrower terminals too.
 
 
 def refuse(error: Exception) -> NoReturn:
     """Print one clear error and leave with status 2."""
-    said = str(error)
-    said = said if len(said) <= _SAID else f"{said[:_SAID]} ..."
-    typer.secho(f"cmf: {said}", err=True, fg=typer.colors.RED)
+    message = str(error)
+    if len(message) > _LONGEST_MESSAGE:
+        message = f"{message[:_LONGEST_MESSAGE]} ..."
+    typer.secho(f"cmf: {message}", err=True, fg=typer.colors.RED)
     raise SystemExit(2)
 
 
@@ -77,13 +79,16 @@ def claim(context: typer.Context, folder: Path) -> Path:
     return folder
 
 
-def explicit(context: typer.Context, name: str) -> bool:
-    """Whether an option was given and is not its default."""
-    given = context.get_parameter_source(name)
-    return given is None or not given.name.startswith("DEFAULT")
+def given_by_user(context: typer.Context, name: str) -> bool:
+    """Whether the user gave an option, even with the value of its default.
+
+    An option of unknown source was not read from a command line: whoever set it meant it.
+    """
+    source = context.get_parameter_source(name)
+    return source is None or not source.name.startswith("DEFAULT")
 
 
-def target(file: Path | None) -> Path | None:
+def check_writable(file: Path | None) -> Path | None:
     """Refuse a file that cannot be written, before the work for it."""
     from cmf_mj.core.files import check_target
 
@@ -91,25 +96,29 @@ def target(file: Path | None) -> Path | None:
 
 
 def show(*parts: RenderableType, unfolded: bool = False) -> None:
-    """Print tables and text, never narrower than a line, or so wide that no cell is folded.
+    """Print tables and text at least `TEXT_WIDTH` wide; if `unfolded`, so wide that no cell folds.
 
     In a terminal that is narrower than a table, its groups of columns come one below the other.
     """
     from rich.console import Console
 
-    console, width = Console(), TEXT_WIDTH
+    from cmf_mj.core.result import Table
+
+    console, width, endless = Console(), TEXT_WIDTH, Console(width=1000)
     if unfolded:
         tables = [part for part in parts if not isinstance(part, str)]
-        width = max(Console(width=1000).measure(table).maximum for table in tables)
-    room = console.width if console.is_terminal else width
+        widths = (endless.measure(table).maximum for table in tables)
+        width = max(widths, default=TEXT_WIDTH)
+    available = console.width if console.is_terminal else width
     if console.width < width:
         console = Console(width=width)
-    apart: list[RenderableType] = []
+    printed: list[RenderableType] = []
     for part in parts:
-        split = getattr(part, "parts", None)
-        narrow = split is not None and Console(width=1000).measure(part).maximum > room
-        apart += split() if narrow and split else [part]
-    for part in apart:
+        if isinstance(part, Table) and endless.measure(part).maximum > available:
+            printed += part.column_groups()
+        else:
+            printed.append(part)
+    for part in printed:
         console.print(part, markup=not isinstance(part, str))  # tables escape their own
 
 
@@ -121,10 +130,12 @@ def written(paths: Sequence[Path], folder: Path | None = None) -> str:
 
 
 @contextmanager
-def progress_bar(work: str = "running", *, seconds: bool = False) -> Iterator[Callable[..., None]]:
-    """A bar on the error stream; call what it gives with (done, in all): cases, or `seconds`.
+def progress_bar(
+    work: str = "running", *, seconds: bool = False, compiles: bool = True
+) -> Iterator[Callable[..., None]]:
+    """A bar on the error stream; yields `update(done, total, now=work)`.
 
-    A third argument is what it does now.
+    Shows done of total, or with `seconds` the time elapsed; `now` is what it does now.
     """
     from rich import progress
     from rich.console import Console
@@ -133,8 +144,8 @@ def progress_bar(work: str = "running", *, seconds: bool = False) -> Iterator[Ca
     columns = (progress.TimeElapsedColumn(),) if seconds else counts
     text, console = progress.TextColumn("{task.description}", markup=False), Console(stderr=True)
     with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
-        first = "" if work == "drawing" else ", the first time after a minute or two of compiling"
-        task = bar.add_task(work + first, total=None)
+        begun = f"{work}, compiling first takes a minute or two" if compiles else work
+        task = bar.add_task(begun, total=None)
         try:
             yield lambda done, total, now=work: bar.update(
                 task, completed=done, total=total, description=now
@@ -144,28 +155,28 @@ def progress_bar(work: str = "running", *, seconds: bool = False) -> Iterator[Ca
             raise
 
 
-def quantity(field: str, text: str) -> tuple[float, str]:
-    """A number and its unit, such as `1 in^2`; `field` is its name in errors."""
+def quantity_option(field: str, text: str) -> tuple[float, str]:
+    """A number and its unit, "1" if it has none, of text such as `1 in^2`; errors name `field`."""
     number, _, unit = text.strip().partition(" ")
     try:
-        return float(number), unit.strip() or "1"
+        value = float(number)
     except ValueError:
-        message = f"{field}: {text!r} is not a number and a unit, such as '0.33 in'"
-        raise InputError(message) from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{field}: {text!r} is not a finite number and a unit, such as '0.33 in'")
+    return value, unit.strip() or "1"
 
 
-def in_si(dof: str, amplitude: str | None) -> float | None:
+def amplitude_option(dof: str, text: str | None) -> float | None:
     """An amplitude of the command line, such as `3 deg`, in SI."""
-    from cmf_mj.core import units
-    from cmf_mj.machine.geometry import by_kind
+    from cmf_mj.signals.signal import amplitude_in_si
 
-    if amplitude is None:
+    if text is None:
         return None
-    value, unit = quantity("amplitude", amplitude)
+    value, unit = quantity_option("amplitude", text)
     if unit == "1":
-        raise InputError(f"amplitude: {amplitude!r} has no unit; such as '{amplitude.strip()} in'")
-    check_name("amplitude: unit", unit, by_kind(dof, ("in", "m", "mm"), ("deg", "rad")))
-    return units.to_si(unit, value)
+        raise InputError(f"amplitude: {text!r} has no unit; such as '{text.strip()} in'")
+    return amplitude_in_si(dof, (value, unit))
 
 
 def friction_option(text: str | None) -> Contact | None:
@@ -185,14 +196,16 @@ def pose_option(text: str) -> NDArray[np.float64]:
 
     try:
         values = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"pose: {text!r} must be six numbers with commas between") from error
-    if len(values) != 6:
-        raise InputError(f"pose: {text!r} has {len(values)} numbers; six are needed")
+    except ValueError:
+        values = []
+    if len(values) != 6 or not np.isfinite(values).all():
+        raise InputError(
+            f"pose: {text!r} is refused; allowed: six finite numbers with commas between"
+        )
     return np.array([units.to_si(dof_unit(i), v) for i, v in enumerate(values)])
 
 
-def noise_choice(noise: bool) -> ElectronicsSettings | None:
+def noise_option(noise: bool) -> ElectronicsSettings | None:
     """Noisy sensors, converters and servo electronics, or ideal ones."""
     from cmf_mj.electronics.chain import ElectronicsSettings
 

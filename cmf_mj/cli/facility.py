@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
@@ -49,7 +49,7 @@ def _start(begin: str, noise: bool) -> dict[str, Any]:
     return {
         "begin": State[BEGIN[begin]],
         "requests": [(0.0, Request.ENGAGE)],
-        "electronics": noise_choice(noise),
+        "electronics": noise_option(noise),
     }
 
 
@@ -246,7 +246,7 @@ def export_command(
 
     if what == "law":
         return show(written(export_law(law, out, cab), out))
-    built, noisy = make_plant(plant, cab, hydraulics), noise_choice(noise)
+    built, noisy = make_plant(plant, cab, hydraulics), noise_option(noise)
     if what == "library":
         paths = export_library(built, law, out, electronics=noisy)
     else:

@@ -11,7 +11,7 @@ from typer import Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, file, new_file
 from cmf_mj.core.errors import InputError
 
@@ -61,7 +61,7 @@ def fly_command(
     port, flown = (0, load_flight(flight)) if form is None else (_port(flight), None)
     if flown is None and len(loaded) != 1:
         raise InputError(f"laws: {len(loaded)} for live telemetry; allowed: one")
-    how: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "electronics": noise_choice(noise)}
+    how: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "electronics": noise_option(noise)}
     length = seconds if flown is None else float(flown.motion.time[-1])
     rides, paths = [], []
     for law in loaded:
@@ -113,7 +113,7 @@ def learn_command(
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
     machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN)]  # type: ignore[arg-type]
     plants = [cmf_mj.Hexapod(cab, hydraulics), *machines]
-    run: dict[str, Any] = {"electronics": noise_choice(noise), "trials": trials, "seed": seed}
+    run: dict[str, Any] = {"electronics": noise_option(noise), "trials": trials, "seed": seed}
     with progress_bar(f"learning {flight}") as update:
         learnt = learn(asked, law, plants, progress=update, **run)
     paths = report.save_learning(learnt, out)

@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 import cmf_mj
-from cmf_mj.cli.common import claim, explicit, target
+from cmf_mj.cli.common import check_writable, claim, given_by_user
 from cmf_mj.core.errors import InputError, check_name
 
 
@@ -98,7 +98,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     from cmf_mj.plant.parameters import hydraulics_of
 
     machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
-    own = machine.name != CMF and not explicit(ctx, field)
+    own = machine.name != CMF and not given_by_user(ctx, field)
     if field == "hydraulics":
         return hydraulics_of(machine, None if own else names)
     if field in ("law", "laws"):
@@ -136,7 +136,7 @@ argument = partial(choice, make=Argument)  #: As `choice`, for an argument.
 size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 """Options of a number with its unit, and of a file; `help` says of what."""
 
-new_file = partial(file, callback=target)  #: Option of a file to write.
+new_file = partial(file, callback=check_writable)  #: Option of a file to write.
 
 _machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
 

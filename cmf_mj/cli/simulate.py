@@ -12,13 +12,13 @@ from typer import Context, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import (
+    amplitude_option,
     app,
     claim,
-    explicit,
-    in_si,
-    noise_choice,
+    given_by_user,
+    noise_option,
     progress_bar,
-    quantity,
+    quantity_option,
     show,
     written,
 )
@@ -94,7 +94,10 @@ def compare_command(
     from cmf_mj.show import comparison as report
 
     built = {"plants": plants, "cab": cab, "hydraulics": hydraulics, "quick": quick}
-    changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
+    changed = {
+        "amplitude": amplitude_option("heave", amplitude),
+        "electronics": noise_option(noise),
+    }
     how: dict[str, Any] = {**built, **changed, "jobs": jobs}
     with progress_bar() as update:
         folder = out / "records" if records else None
@@ -118,7 +121,7 @@ def events_of(
     """Events of the command line; of several kinds, valves once both and once the first."""
     from cmf_mj.plant.events import default_event
 
-    amount = None if size is None else quantity("size", size)
+    amount = None if size is None else quantity_option("size", size)
     if len(kinds) == 1:
         return [default_event(kinds[0], at, leg=leg, valve=valve, size=amount)]
     if amount is not None or valve is not None:
@@ -156,7 +159,7 @@ def failure_command(
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.failure import run_failures
 
-    events, sine = events_of(event, at, leg, valve, size), in_si(dof, amplitude)
+    events, sine = events_of(event, at, leg, valve, size), amplitude_option(dof, amplitude)
     case = make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=sine)
     limits = thresholds if protection else None
     results = run_failures(
@@ -195,7 +198,7 @@ def capacity_command(
 
     plant = cmf_mj.Hexapod(cab, hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI
-    demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency, machine)
+    demand = manoeuvre(signal, dof, amplitude_option(dof, amplitude), frequency, machine)
     result = capacity(demand, plant, law, least_pressure=least)
     paths = report.save_capacity(result, plant, dofs, out)
     show(report.capacity_result(result).turned, asymptotes.envelope(plant, dofs), written(paths))
@@ -235,7 +238,7 @@ def video_command(
     from cmf_mj.show.film import FilmSettings, film
     from cmf_mj.show.flight import saved_traces
 
-    given = [name for name in ("fps", "width", "height") if explicit(context, name)]
+    given = [name for name in ("fps", "width", "height") if given_by_user(context, name)]
     if given and file.suffix == ".html":
         text = "a page is as large as its window and draws as fast as its browser"
         raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4")
@@ -263,7 +266,7 @@ def video_command(
     traces = saved_traces(files) if len(files) == len(names) else []
     if traces:
         look = look._replace(strip=300)
-    with progress_bar("drawing") as progress:
+    with progress_bar("drawing", compiles=False) as progress:
         path = film(records, file, look, titles=titles, traces=traces, progress=progress)
     show(f"written: {path}")
 

@@ -103,7 +103,7 @@ class Table:
             [number(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows
         ]
 
-    def parts(self) -> list["Table"]:
+    def column_groups(self) -> list["Table"]:
         """A table a group of columns, the first ones before each, for a terminal that is narrow.
 
         A group is a title of two lines and those after it whose first line is empty.

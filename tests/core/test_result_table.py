@@ -95,11 +95,11 @@ def test_a_narrow_terminal_has_groups_of_columns_one_below_the_other() -> None:
     heads = ("law", "dof", "hexapod\n-90", "\n-3 dB", "published\n-90", "\nof")
     rows = [("velocity", "surge", 2.5, 4.4, None, "h"), ("velocity", "heave", 2.7, 3.9, 2.9, "h")]
     table = Table("laws", heads, rows, caption="h: hardware", grouped=True)
-    first, last = table.parts()
+    first, last = table.column_groups()
     assert first.header == ["law", "dof", "hexapod\n-90", "\n-3 dB"]
     assert last.header == ["law", "dof", "published\n-90", "\nof"]
     assert [[*a, *b[2:]] for a, b in zip(first.rows, last.rows, strict=True)] == [
         list(row) for row in rows
     ]
     assert (first.title, first.caption, last.title, last.caption) == ("laws", "", "", "h: hardware")
-    assert TABLE.parts() == [TABLE]
+    assert TABLE.column_groups() == [TABLE]

@@ -155,6 +155,8 @@ def test_text_with_brackets_is_printed_as_it_stands(capsys: pytest.CaptureFixtur
     """Titles are free text, and rich has markup of its own."""
     show("written to a[/b]c: [bold]x")
     assert capsys.readouterr().out == "written to a[/b]c: [bold]x\n"
+    show("text alone", unfolded=True)
+    assert capsys.readouterr().out == "text alone\n"
 
 
 TEXT = st.text(max_size=80) | st.text(st.sampled_from("ab/\\.. -_,+[]\x00\n~:é"), max_size=70)
