@@ -150,7 +150,7 @@ def flight_command(
         span = float(received.time[-1] - received.time[0])
         show(f"{received.time.size} samples in {span:.1f} s, {refused} datagrams of other form")
         show(*(f"ERROR: {error}" for error in verdict.errors))
-        show(*(f"these data cannot show whether {doubt}" for doubt in verdict.unseen))
+        show(*(f"these data cannot show whether {error}" for error in verdict.unseen))
         if verdict.errors:
             raise typer.Exit(1)
         show("no error found")

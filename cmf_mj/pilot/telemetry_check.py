@@ -9,14 +9,14 @@ Eq 2.2 and the heading as the direction of the path,
 
 If speed and height are unknown, the only thing known of a is that its mean has no vertical part.
 
-Each `Doubt` is a change that would mend an error, such as another sign. Of all changes of attitude,
-rate and force together the least
+Each `Correction` would mend one error, such as a wrong sign. Of all corrections of attitude, rate
+and force together the one is taken with the least
 
-    sum over the axes of ln(r + r0),  plus ln 2 for each change
+    sum over the axes of ln(r + r0),  plus ln 2 for each correction
 
-is taken, r being the rms of what does not fit on an axis: a change has to halve what does not fit,
-one from degrees has to quarter it. A doubt that would not matter on these data is one that they
-cannot show.
+where r is the rms of what does not fit on an axis: a correction has to halve that on one axis, one
+from degrees has to quarter it. One that alters the sum by less than ln 2 is reported as an error
+that these data cannot show.
 """
 
 from typing import NamedTuple
@@ -33,12 +33,14 @@ Array = NDArray[np.float64]
 
 _RATE = 20.0  #: At which telemetry is compared [Hz].
 _MEAN = 1.0
-"""Of the moving mean before that [s]: faster motion is at the station, not on the path."""
-_FLOOR = {"rate": 0.003, "force": 0.15, "vertical": 0.5}
-"""r0: what does not count [rad/s, m/s^2]; the last without speed and height."""
-_CHANGE = np.log(2.0)
-_GAP, _LEAST_GAP = 3.0, 0.1
-"""Intervals are gaps that are longer than this many of the median, and than this [s]."""
+"""Length of the moving mean over which misfits are compared [s]: faster motion is at the station,
+not on the path."""
+_SHORTEST = 4.0 * _MEAN  #: Least length of telemetry [s].
+_TOLERANCE = {"rate": 0.003, "force": 0.15, "vertical": 0.5}
+"""r0: misfits that do not count [rad/s, m/s^2, m/s^2]; the last without speed and height."""
+_LEAST_GAIN = np.log(2.0)  #: By which a correction has to lower the sum.
+_GAP_FACTOR, _LEAST_GAP = 3.0, 0.1
+"""Intervals are gaps that are longer than this many times the median [-], and than this [s]."""
 
 
 class Telemetry(NamedTuple):
@@ -48,19 +50,19 @@ class Telemetry(NamedTuple):
     specific_force: Array  #: [m/s^2], (N, 3).
     angular_rate: Array  #: [rad/s], (N, 3).
     attitude: Array  #: Roll, pitch, yaw [rad], (N, 3).
-    speed: Array  #: Along the path [m/s], NaN where unknown, (N,).
-    height: Array  #: [m], NaN where unknown, (N,).
+    speed: Array  #: Along the path [m/s], (N,). One NaN, of speed or height, drops the whole path.
+    height: Array  #: Up [m], NaN where unknown, (N,).
 
 
-class Doubt(NamedTuple):
+class Correction(NamedTuple):
     """A change of a channel that would mend an error."""
 
-    said: str  #: The error, in words.
+    error: str  #: In words.
     matrix: Array  #: From values to values, (3, 3).
     gravity: float = 0.0  #: How many times gravity in the attitude is added.
-    price: float = 1.0  #: In `_CHANGE`; a unit's is higher, since what is small fits easily.
+    price: float = 1.0  #: [ln 2]. Of degrees 2, since smaller numbers leave smaller misfits.
 
-    def mend(self, values: Array, attitude: Array) -> Array:
+    def apply(self, values: Array, attitude: Array) -> Array:
         """The channel without the error, each (N, 3)."""
         return values @ self.matrix.T + self.gravity * gravity_in_body(attitude)
 
@@ -72,37 +74,38 @@ class TelemetryVerdict(NamedTuple):
     unseen: tuple[str, ...]  #: Errors that these data could not show.
 
 
-def _axes(what: str, *names: str) -> list[Doubt]:
-    """No change of a channel, and those of its axes."""
-    one = np.eye(3)
+_ONE = np.eye(3)
+
+
+def _axis_errors(channel: str, *axes: str) -> list[Correction]:
+    """No error, the sign of each axis, the swap of each pair."""
     signs = [
-        Doubt(f"{what} {name} has the wrong sign", one - 2.0 * np.outer(axis, axis))
-        for name, axis in zip(names, one, strict=True)
+        Correction(f"{channel} {name} has the wrong sign", _ONE - 2.0 * np.outer(axis, axis))
+        for name, axis in zip(axes, _ONE, strict=True)
     ]
     swaps = [
-        Doubt(f"{what} {names[i]} and {names[k]} are swapped", one[order])
+        Correction(f"{channel} {axes[i]} and {axes[k]} are swapped", _ONE[order])
         for i, k, order in ((0, 1, [1, 0, 2]), (1, 2, [0, 2, 1]), (0, 2, [2, 1, 0]))
     ]
-    return [Doubt("", one, price=0.0), *signs, *swaps]
+    return [Correction("", _ONE, price=0.0), *signs, *swaps]
 
 
-_ONE = np.eye(3)
 _DEGREES = (
-    Doubt("the angles are in deg, not in rad", DEGREE * _ONE, price=2.0),
-    Doubt("the angular rates are in deg/s, not in rad/s", DEGREE * _ONE, price=2.0),
+    Correction("the angles are in deg, not in rad", DEGREE * _ONE, price=2.0),
+    Correction("the angular rates are in deg/s, not in rad/s", DEGREE * _ONE, price=2.0),
 )
-DOUBTS = (
-    [*_axes("the angle of", "roll", "pitch", "yaw"), _DEGREES[0]],
-    [*_axes("the angular rate", "p", "q", "r"), _DEGREES[1]],
+CORRECTIONS = (
+    [*_axis_errors("the angle of", "roll", "pitch", "yaw"), _DEGREES[0]],
+    [*_axis_errors("the angular rate", "p", "q", "r"), _DEGREES[1]],
     [
-        *_axes("the specific force", "x", "y", "z"),
-        Doubt("the specific force is in g, not in m/s^2", STANDARD_GRAVITY * _ONE),
-        Doubt("gravity is left out: these are accelerations", _ONE, -1.0),
-        Doubt("gravity is in twice", _ONE, 1.0),
-        Doubt("all three specific forces have the wrong sign", -_ONE),
+        *_axis_errors("the specific force", "x", "y", "z"),
+        Correction("the specific force is in g, not in m/s^2", STANDARD_GRAVITY * _ONE),
+        Correction("gravity is left out: these are accelerations", _ONE, -1.0),
+        Correction("gravity is in twice", _ONE, 1.0),
+        Correction("all three specific forces have the wrong sign", -_ONE),
     ],
 )
-"""Errors of attitude, rate and force that are looked for; the first of each is none."""
+"""Of attitude, rate and force, A, R and F of them; the first of each changes nothing."""
 
 
 def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
@@ -111,29 +114,32 @@ def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
     telemetry = telemetry._replace(time=to_si(unit, telemetry.time))
     rows = _longest_rising(telemetry.time)
     kept = Telemetry._make(values[rows] for values in telemetry)
-    if kept.time.size < 2 or kept.time[-1] - kept.time[0] < 4.0 * _MEAN:
-        return TelemetryVerdict((*errors, f"less than {4.0 * _MEAN:g} s of data"), ())
-    misfit, prices = _misfits(kept), ([doubt.price for doubt in doubts] for doubts in DOUBTS)
-    cost = misfit + _CHANGE * sum(np.ix_(*prices))
-    ways = [tuple(way) for way in np.argwhere(cost < cost.min() + _CHANGE)]
-    best, *others = sorted(ways, key=lambda way: cost[way])
-    if len(_said(best)) == 1:  # what fits as well is as likely
-        alike = [said[0] for said in map(_said, [best, *others]) if len(said) == 1]
-        errors.append(" or ".join(alike))
+    if kept.time.size < 2 or kept.time[-1] - kept.time[0] < _SHORTEST:
+        return TelemetryVerdict((*errors, f"less than {_SHORTEST:g} s of data"), ())
+    misfit = _misfits(kept)
+    prices = ([one.price for one in corrections] for corrections in CORRECTIONS)
+    price_a, price_r, price_f = np.ix_(*prices)
+    cost = misfit + _LEAST_GAIN * (price_a + price_r + price_f)
+    cheapest = [tuple(one) for one in np.argwhere(cost < cost.min() + _LEAST_GAIN)]
+    best, *others = sorted(cheapest, key=lambda combination: cost[combination])
+    if len(_errors_of(best)) == 1:  # what fits as well is as likely
+        alike = map(_errors_of, [best, *others])
+        errors.append(" or ".join(found[0] for found in alike if len(found) == 1))
     else:
-        errors += _said(best)
+        errors += _errors_of(best)
     unseen = []
-    for channel, doubts in enumerate(DOUBTS):
-        for number, doubt in enumerate(doubts):
-            tried = (*best[:channel], number, *best[channel + 1 :])
-            if number not in (0, best[channel]) and misfit[tried] - misfit[best] < _CHANGE:
-                unseen.append(doubt.said)
+    for channel, corrections in enumerate(CORRECTIONS):
+        for number, correction in enumerate(corrections):
+            changed = (*best[:channel], number, *best[channel + 1 :])
+            worse = misfit[changed] - misfit[best]
+            if number not in (0, best[channel]) and worse < _LEAST_GAIN:
+                unseen.append(correction.error)
     return TelemetryVerdict(tuple(errors), tuple(unseen))
 
 
-def _said(way: tuple[int, ...]) -> list[str]:
-    """The errors of attitude, rate and force, by their places in `DOUBTS`."""
-    return [doubts[k].said for doubts, k in zip(DOUBTS, way, strict=True) if k]
+def _errors_of(combination: tuple[int, ...]) -> list[str]:
+    """The errors of attitude, rate and force, by their places in `CORRECTIONS`."""
+    return [found[k].error for found, k in zip(CORRECTIONS, combination, strict=True) if k]
 
 
 def _time_errors(stamps: Array) -> tuple[list[str], str]:
@@ -145,7 +151,7 @@ def _time_errors(stamps: Array) -> tuple[list[str], str]:
     if (steps <= 0.0).any():
         row = int((steps <= 0.0).argmax()) + 1
         errors.append(f"time does not rise at row {row}, {time[row]:g} s")
-    for row in np.flatnonzero(steps > max(_GAP * step, _LEAST_GAP))[:3]:
+    for row in np.flatnonzero(steps > max(_GAP_FACTOR * step, _LEAST_GAP))[:3]:
         errors.append(f"a gap of {steps[row]:.3g} s after {time[row]:g} s; usual: {step:.3g} s")
     if unit != "s":
         errors.append(f"time steps are {usual:g} s: is time in {unit}?")
@@ -162,38 +168,47 @@ def _longest_rising(time: Array) -> NDArray[np.bool_]:
 
 
 def _misfits(sent: Telemetry) -> Array:
-    """Sum of ln(r + r0) over the six axes for each change of attitude, rate and force."""
+    """Sum of ln(r + r0) over the axes for each correction of attitude, rate, force, (A, R, F)."""
     time = sent.time - sent.time[0]
     even = np.arange(0.0, time[-1], 1.0 / _RATE)
-    rate, force, path = (
-        interpolated(even, time, values)
-        for values in (
-            sent.angular_rate,
-            sent.specific_force,
-            np.column_stack([sent.speed, sent.height]),
-        )
-    )
-    known = bool(np.isfinite(path).all())
-    rows = []
-    for attitude in DOUBTS[0]:
-        angles = np.unwrap(attitude.mend(sent.attitude, sent.attitude), axis=0)
+    rate = interpolated(even, time, sent.angular_rate)
+    force = interpolated(even, time, sent.specific_force)
+    path = interpolated(even, time, np.column_stack([sent.speed, sent.height]))
+    known = path if np.isfinite(path).all() else None
+    misfits = []
+    for attitude in CORRECTIONS[0]:
+        angles = np.unwrap(attitude.apply(sent.attitude, sent.attitude), axis=0)
         angles = interpolated(even, time, angles)
-        rates, forces = _expected(even, angles, path if known else None)
-        turned = []
-        for doubt in DOUBTS[1]:
-            rms = _rms(doubt.mend(rate, angles) - rates)
-            if attitude is _DEGREES[0] and doubt is _DEGREES[1]:
-                rms /= DEGREE  # if both shrink alike, nothing fits better
-            turned.append(np.log(rms + _FLOOR["rate"]).sum())
-        apart = [doubt.mend(force, angles) - forces for doubt in DOUBTS[2]]
-        if known:
-            pushed = [np.log(_rms(values) + _FLOOR["force"]).sum() for values in apart]
-        else:  # on the whole nothing rises or falls; along and across it may do what it likes
-            level = Rotation.from_euler("ZYX", angles[:, ::-1])
-            rises = (level.apply(values)[:, 2].mean() for values in apart)
-            pushed = [np.log(_FLOOR["vertical"] + abs(rise)) for rise in rises]
-        rows.append(np.add.outer(turned, pushed))
-    return np.array(rows)
+        rates, forces = _expected(even, angles, known)
+        in_deg = attitude is _DEGREES[0]
+        rate_costs = _rate_costs(rate, rates, angles, in_deg=in_deg)
+        force_costs = _force_costs(force, forces, angles, path_known=known is not None)
+        misfits.append(np.add.outer(rate_costs, force_costs))
+    return np.array(misfits)
+
+
+def _rate_costs(rate: Array, expected: Array, angles: Array, *, in_deg: bool) -> list[Array]:
+    """Sum of ln(r + r0) over p, q, r for each correction of rates (K, 3), (R,)."""
+    costs = []
+    for correction in CORRECTIONS[1]:
+        rms = _rms(correction.apply(rate, angles) - expected)
+        if in_deg and correction is _DEGREES[1]:
+            rms /= DEGREE  # both in rad, not deg, shrinks the misfit: compare it in the same unit
+        costs.append(np.log(rms + _TOLERANCE["rate"]).sum())
+    return costs
+
+
+def _force_costs(force: Array, expected: Array, angles: Array, *, path_known: bool) -> list[Array]:
+    """Sum of ln(r + r0) over x, y, z for each correction of forces (K, 3), (F,).
+
+    If the path is unknown, of its acceleration only the mean along the vertical is, which is 0.
+    """
+    misfits = [correction.apply(force, angles) - expected for correction in CORRECTIONS[2]]
+    if path_known:
+        return [np.log(_rms(values) + _TOLERANCE["force"]).sum() for values in misfits]
+    to_level = Rotation.from_euler("ZYX", angles[:, ::-1])
+    sinks = (to_level.apply(values)[:, 2].mean() for values in misfits)
+    return [np.log(_TOLERANCE["vertical"] + abs(sink)) for sink in sinks]
 
 
 def _expected(time: Array, angles: Array, path: Array | None) -> tuple[Array, Array]:
@@ -202,21 +217,17 @@ def _expected(time: Array, angles: Array, path: Array | None) -> tuple[Array, Ar
     pose[:, 3:], velocity[:, 3:] = angles, np.gradient(angles, 1.0 / _RATE, axis=0)
     if path is not None:  # which goes where the nose points: north, east, down
         speed, height = path.T
-        climb = np.gradient(height, 1.0 / _RATE)
-        level, heading = np.sqrt(np.maximum(speed**2 - climb**2, 0.0)), angles[:, 2]
-        along = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
+        climb, heading = np.gradient(height, 1.0 / _RATE), angles[:, 2]
+        horizontal_speed = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
+        north, east = horizontal_speed * np.cos(heading), horizontal_speed * np.sin(heading)
+        along = np.column_stack([north, east, -climb])
         acceleration[:, :3] = np.gradient(along, 1.0 / _RATE, axis=0)
     stream = make_stream(time, pose, velocity, acceleration)
     motion = PilotMotion.from_platform(stream, np.zeros(3))
     return motion.angular_rate, motion.specific_force
 
 
-def _mean(values: Array) -> Array:
-    """Moving mean without its ends."""
-    window = np.lib.stride_tricks.sliding_window_view(values, round(_MEAN * _RATE), axis=0)
-    return np.asarray(window.mean(axis=-1))
-
-
 def _rms(values: Array) -> Array:
-    """Root mean square of the moving mean, by axis."""
-    return np.asarray(np.sqrt((_mean(values) ** 2).mean(axis=0)))
+    """Root mean square of the moving mean, by axis, (3,)."""
+    windows = np.lib.stride_tricks.sliding_window_view(values, round(_MEAN * _RATE), axis=0)
+    return np.asarray(np.sqrt((windows.mean(axis=-1) ** 2).mean(axis=0)))

@@ -186,7 +186,7 @@ def test_what_a_flight_cannot_show_is_said_and_the_rest_is_found() -> None:
         unseen = check_telemetry(sent).unseen
         for error, (spoil, words) in EXCITED.items():
             found = any(words in said for said in check_telemetry(spoil(sent)).errors)
-            assert found == (not any(words in doubt for doubt in unseen)), (name, error)
+            assert found == (not any(words in one for one in unseen)), (name, error)
             shown[error] += found
     assert min(shown.values()) >= 3
 
