@@ -43,7 +43,7 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
+from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, TiltCoordinated
 
 Array = NDArray[np.float64]
 Matrices = tuple[Array, Array, Array, Array]
@@ -123,7 +123,7 @@ def rotation_filter(axis: HighPass) -> Matrices:
     return a, b, c, d
 
 
-def low_pass_filter(axis: Tilted) -> Matrices:
+def low_pass_filter(axis: TiltCoordinated) -> Matrices:
     """Specific force to its low-passed part and two derivatives."""
     wn, zeta = axis.low_pass_frequency.si, axis.low_pass_damping.si
     a = np.array([[0.0, 1.0], [-(wn**2), -2.0 * zeta * wn]])

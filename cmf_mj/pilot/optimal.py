@@ -37,7 +37,7 @@ from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.classical import Filter, Matrices, at_work, push_sample, settle
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
-from cmf_mj.pilot.washout_settings import OptimalSettings, TiltingSizes
+from cmf_mj.pilot.washout_settings import OptimalSettings, TiltCost
 
 Matrix = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def washout_modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
     path, pushed = np.diag([1.0, 1.0], 1), np.array([[0.0], [0.0], [1.0]])
     turn, turned = np.diag([1.0], 1), np.array([[0.0], [1.0]])
 
-    def tilting(sizes: TiltingSizes, sign: float) -> WashoutMode:
+    def tilting(sizes: TiltCost, sign: float) -> WashoutMode:
         chain = (linalg.block_diag(path, [[0.0]]), linalg.block_diag(pushed, [[1.0]])[:, ::-1])
         kept = (
             _si(sizes, "rate_error", "force_error"),

@@ -22,10 +22,9 @@ from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import history, hold, settled
-from cmf_mj.core.quantity import Kind, Quantity
+from cmf_mj.core.quantity import Acceleration, AngularSpeed, Kind, Quantity, Ratio, Time
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.washout_settings import Force, Rate, Ratio, Time
 
 QUANTITIES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Specific force along, angular rate about the body axes."""
@@ -54,12 +53,12 @@ class Otoliths(Settings):
 class Thresholds(Settings):
     """Smallest motion noticed, along and about each body axis."""
 
-    x: Force
-    y: Force
-    z: Force
-    roll: Rate
-    pitch: Rate
-    yaw: Rate
+    x: Acceleration
+    y: Acceleration
+    z: Acceleration
+    roll: AngularSpeed
+    pitch: AngularSpeed
+    yaw: AngularSpeed
 
     @property
     def si(self) -> NDArray[np.float64]:

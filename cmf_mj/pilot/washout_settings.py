@@ -1,10 +1,11 @@
 """Parameters of the washouts, read from `washouts.toml` or a file of the user.
 
-A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, status and source.
+A set is a table with `kind`, `classical`, `optimal` or `predictive`; its numbers have unit, status
+and source.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import tomlkit
@@ -13,7 +14,19 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
-from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.quantity import (
+    Acceleration,
+    Angle,
+    AngularSpeed,
+    Corner,
+    Kind,
+    Length,
+    Quantity,
+    Ratio,
+    Speed,
+    Time,
+    positive_in,
+)
 from cmf_mj.core.settings import Loader, Name, Settings, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
@@ -23,33 +36,25 @@ WASHOUTS = ("simona", "reid_nahon", "optimal", "predictive")  #: Names of the sh
 _FILE = Path(__file__).with_name("washouts.toml")
 
 Gain = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]
-Ratio = Annotated[Quantity, positive_in("1")]
-Corner = Annotated[Quantity, positive_in("rad/s", "Hz")]
-Break = Annotated[Quantity, AfterValidator(Kind(("rad/s", "Hz"), zero=True).check)]
-Force = Annotated[Quantity, positive_in("m/s^2", "g")]
-Rate = Annotated[Quantity, positive_in("rad/s", "deg/s")]
-Angle = Annotated[Quantity, positive_in("rad", "deg")]
+CornerOrZero = Annotated[Quantity, AfterValidator(Kind(("rad/s", "Hz"), zero=True).check)]
 AngleIntegral = Annotated[Quantity, positive_in("rad s", "deg s")]
-Distance = Annotated[Quantity, positive_in("m", "in")]
-DistanceIntegral = Annotated[Quantity, positive_in("m s")]
-Speed = Annotated[Quantity, positive_in("m/s", "in/s")]
-Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
-Time = Annotated[Quantity, positive_in("s")]
-Price = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
+LengthIntegral = Annotated[Quantity, positive_in("m s")]
+UsableShare = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
+PricePerSecond = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
 
 
 class Inputs(Settings):
-    """Limits on what a washout takes in, after the gains; both kinds have them."""
+    """Limits on what a washout takes in, after the gains; all kinds have them."""
 
-    force_limit: Force  #: Largest specific force, less that of level rest, along each axis.
-    rate_limit: Rate  #: Largest angular rate about each axis.
+    force_limit: Acceleration  #: Largest specific force, less that of level rest, along each axis.
+    rate_limit: AngularSpeed  #: Largest angular rate about each axis.
 
 
 class TiltInputs(Inputs):
     """Limits of a classical washout, tilt coordination included."""
 
-    tilt_force_limit: Force  #: Largest specific force that tilt imitates.
-    tilt_rate: Rate  #: Largest rate of the tilt angle.
+    tilt_force_limit: Acceleration  #: Largest specific force that tilt imitates.
+    tilt_rate: AngularSpeed  #: Largest rate of the tilt angle.
     tilt_recovery: Time  #: Time constant with which a tilt that was held back joins its demand.
 
 
@@ -65,10 +70,10 @@ class ThirdOrder(HighPass):
     """Gain, second-order and first-order high-pass of heave."""
 
     gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
-    break_frequency: Break  #: Corner of the first-order high-pass; 0 leaves it out.
+    break_frequency: CornerOrZero  #: Corner of the first-order high-pass; 0 leaves it out.
 
 
-class Tilted(ThirdOrder):
+class TiltCoordinated(ThirdOrder):
     """Gain and filters of surge or sway, which tilt coordination completes."""
 
     low_pass_frequency: Corner  #: Natural frequency of the low-pass before tilt coordination.
@@ -96,8 +101,8 @@ class ClassicalSettings(_Set):
     _gains: ClassVar = tuple((dof, "gain") for dof in DOFS)
     kind: Literal["classical"]
     inputs: TiltInputs
-    surge: Tilted
-    sway: Tilted
+    surge: TiltCoordinated
+    sway: TiltCoordinated
     heave: ThirdOrder
     roll: HighPass
     pitch: HighPass
@@ -106,47 +111,49 @@ class ClassicalSettings(_Set):
     @model_validator(mode="after")
     def _tilt_in_range(self) -> "ClassicalSettings":
         for dof, axis in (("surge", self.surge), ("sway", self.sway)):
-            zeta, most = min(axis.low_pass_damping.si, 0.99), STANDARD_GRAVITY
-            # Largest output of the low-pass over its largest input: the L1 norm of its response.
-            most *= np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
-            if not (limit := self.inputs.tilt_force_limit).si < most:
-                fault = f"{limit} must be less than {most:.3g} m/s^2: the low-pass of {dof} may"
-                raise InputError(f"inputs.tilt_force_limit: {fault} overshoot to 1 g")
+            zeta, limit = min(axis.low_pass_damping.si, 0.99), self.inputs.tilt_force_limit
+            # Largest input of the low-pass over its largest output: 1 / L1 of its impulse response.
+            share = np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
+            if not limit.si < (most := STANDARD_GRAVITY * share):
+                raise InputError(
+                    f"inputs.tilt_force_limit: {limit} must be less than {most:.3g} m/s^2: "
+                    f"the low-pass of {dof} may overshoot to 1 g"
+                )
         return self
 
 
-class RotationSizes(Settings):
-    """Sizes at which each part of the cost of yaw counts one (Bryson's rule)."""
+class RotationCost(Settings):
+    """Gain, noise model, sizes at which each part of the cost of yaw is one (Bryson's rule)."""
 
     gain: Gain  #: Share of the aircraft's angular rate.
-    rate_error: Rate  #: Error of the rate sensed.
+    rate_error: AngularSpeed  #: Error of the rate sensed.
     angle_integral: AngleIntegral
     angle: Angle
-    rate: Rate  #: Rate of the simulator.
+    rate: AngularSpeed  #: AngularSpeed of the simulator.
     rate_bandwidth: Corner
     """Corner of the first-order noise as which the aircraft's rate is modelled."""
 
 
-class TranslationSizes(Settings):
-    """Sizes of heave, likewise."""
+class TranslationCost(Settings):
+    """Gain, noise model, sizes at which each part of the cost of heave is one (Bryson's rule)."""
 
     gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
-    force_error: Force  #: Error of the specific force sensed.
-    position_integral: DistanceIntegral
-    position: Distance
+    force_error: Acceleration  #: Error of the specific force sensed.
+    position_integral: LengthIntegral
+    position: Length
     velocity: Speed
-    acceleration: Force  #: Acceleration of the simulator.
+    acceleration: Acceleration  #: Acceleration of the simulator.
     force_bandwidth: Corner
     """Corner of the first-order noise as which the aircraft's specific force is modelled."""
 
 
-class TiltingSizes(TranslationSizes):
-    """Sizes of surge with pitch, or sway with roll, likewise."""
+class TiltCost(TranslationCost):
+    """Those of surge or sway, and of the pitch or roll that is planned with it."""
 
     rate_gain: Gain  #: Share of the aircraft's angular rate.
-    rate_error: Rate  #: Error of the rate sensed.
+    rate_error: AngularSpeed  #: Error of the rate sensed.
     angle: Angle
-    rate: Rate  #: Rate of the simulator.
+    rate: AngularSpeed  #: AngularSpeed of the simulator.
     rate_bandwidth: Corner
     """Corner of the first-order noise as which the aircraft's rate is modelled."""
 
@@ -155,36 +162,37 @@ class OptimalSettings(_Set):
     """An optimal washout."""
 
     _gains: ClassVar = (
-        *(("pitch_surge", "gain"), ("roll_sway", "gain"), ("heave", "gain")),
-        *(("roll_sway", "rate_gain"), ("pitch_surge", "rate_gain"), ("yaw", "gain")),
-    )
+        ("pitch_surge", "gain"), ("roll_sway", "gain"), ("heave", "gain"),
+        ("roll_sway", "rate_gain"), ("pitch_surge", "rate_gain"), ("yaw", "gain"),
+    )  # fmt: skip
     kind: Literal["optimal"]
     inputs: Inputs
-    pitch_surge: TiltingSizes
-    roll_sway: TiltingSizes
-    yaw: RotationSizes
-    heave: TranslationSizes
+    pitch_surge: TiltCost
+    roll_sway: TiltCost
+    yaw: RotationCost
+    heave: TranslationCost
 
 
 class Prediction(Settings):
     """Horizon and constraints of a predictive washout."""
 
-    reference: Literal["constant", "guess", "known"]  #: What is taken of the aircraft ahead.
-    knots: int = Field(ge=2, le=60)  #: Of the horizon.
-    iterations: int = Field(ge=1)  #: Of the solver, at most.
-    horizon: Time
-    guess_time: Time  #: T of the guess.
-    guess_lag: Time  #: Time constant of its slope.
-    guess_fade: Time  #: T_f, with which it fades.
-    share: Share  #: Of travel, speed and acceleration, of legs and pose, that a plan may use.
-    tilt_rate: Rate  #: Largest rate against or beyond the aircraft's, in roll and pitch.
-    price: Ratio  #: Of passing a limit of legs or pose by all of itself, in units of the cost.
-    tilt_price: Ratio  #: Likewise of passing the tilt rate.
-    approach: Time  #: T_n, with which legs and pose come near to limits of travel and speed.
-    foresight: Gain  #: What is added to it for each second ahead.
-    smoothing: Time  #: In which a rate or acceleration of its size may build up: no plan rings.
-    false_cue: Ratio  #: Specific force sensed against or beyond the aircraft's, over its threshold.
-    false_price: Price  #: Of passing it by a threshold for a second.
+    reference: Literal["constant", "guess", "known"]
+    """The aircraft ahead: as it is now, on along its slope, or as the flight says."""
+    knots: int = Field(ge=2, le=60)  #: Instants of the horizon at which a plan is made.
+    iterations: int = Field(ge=1)  #: Most iterations of the solver in a frame.
+    horizon: Time  #: H, how far ahead is planned.
+    guess_time: Time  #: T, the time in which a guess follows the slope.
+    guess_lag: Time  #: Time constant of the low-pass on the slope of a guess.
+    guess_fade: Time  #: T_f, the time constant with which a guess fades.
+    share: UsableShare  #: Of travel, speed and acceleration of legs and pose, what a plan may use.
+    tilt_rate: AngularSpeed  #: R, largest rate against or beyond the aircraft's in roll and pitch.
+    price: Ratio  #: Linear price of passing a limit of legs or pose by its full size [cost].
+    tilt_price: Ratio  #: Linear price of passing the tilt rate by its full size [cost].
+    approach: Time  #: T_k now, the time constant of coming near to a limit of travel or speed.
+    foresight: Gain  #: Growth of T_k for each second ahead [s/s].
+    smoothing: Time  #: Time in which a rate or acceleration may build up to its size in the cost.
+    false_cue: Ratio  #: S over the threshold of the specific force sensed.
+    false_price: PricePerSecond  #: Price of passing S by one threshold for a second [cost/s].
 
 
 class PredictiveSettings(OptimalSettings):
@@ -194,27 +202,35 @@ class PredictiveSettings(OptimalSettings):
     prediction: Prediction
 
 
-WashoutSettings = ClassicalSettings | OptimalSettings | PredictiveSettings
-"""Parameters of any washout."""
+WashoutSettings = ClassicalSettings | OptimalSettings
+"""Parameters of any washout; predictive ones are optimal ones with more."""
 
-_KINDS: dict[str, Any] = {"optimal": OptimalSettings, "predictive": PredictiveSettings}
+_KINDS: dict[str, type[WashoutSettings]] = {
+    "classical": ClassicalSettings,
+    "optimal": OptimalSettings,
+    "predictive": PredictiveSettings,
+}
+
+_BASES = {"classical": "simona", "optimal": "optimal", "predictive": "predictive"}
+"""Shipped set that a saved one of each kind changes."""
 
 
 def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSettings:
     """Load the parameters of a washout.
 
-    `source` is `simona`, `reid_nahon` or `optimal`; a TOML file with `base` naming one of them and
-    one table of changes, merged table by table; or parameters already loaded.
+    `source` is one of `WASHOUTS`; a TOML file with `base` naming one of them and one table of
+    changes, merged table by table; or parameters already loaded.
     """
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source
     sets = Loader(Settings, _FILE, what="washout", names=WASHOUTS, fixed=("kind",))
     table, where = sets.table(source)
-    return validated(_KINDS.get(table["kind"], ClassicalSettings), table, where)
+    return validated(_KINDS[table["kind"]], table, where)
 
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
-    base = settings.kind if settings.kind in _KINDS else "simona"
     table = settings.model_dump(mode="json", exclude={"name", "kind"})
-    return write_text(Path(path), tomlkit.dumps({"base": base, settings.name: table}))
+    return write_text(
+        Path(path), tomlkit.dumps({"base": _BASES[settings.kind], settings.name: table})
+    )
