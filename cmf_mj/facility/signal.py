@@ -32,7 +32,6 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import composite, single
-from cmf_mj.signals.composite import quintic
 from cmf_mj.signals.signal import (
     Command,
     Duration,
@@ -157,7 +156,7 @@ class LayeredDemand:
             since = frames - layer.start
             new = layer.motion(since)
             s = np.clip(since / max(layer.fade, 1), 0.0, 1.0)
-            weight = quintic(s)[:, None]
+            weight = single.quintic(s)[:, None]
             blend = poses + weight * (new - poses)
             begun, over = (since >= 0)[:, None], (since >= layer.fade)[:, None]
             poses = np.where(over, new, np.where(begun, blend, poses))

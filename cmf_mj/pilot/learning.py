@@ -52,7 +52,7 @@ from cmf_mj.pilot.fly import RECORD_EVERY, low_passed
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
-from cmf_mj.signals.composite import quintic
+from cmf_mj.signals.single import quintic
 
 SHARE, CORNER, SLOWEST = 0.6, 6.0, 0.9
 """Of what was missed, what the next trial makes up; corner of Q, where it is one half [Hz]; largest

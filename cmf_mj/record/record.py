@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -162,8 +162,7 @@ class Record:
         """The signal, refused if it is not of one kind."""
         signal = self.signal
         if not isinstance(signal, kind):
-            needed = kind.model_fields["kind"].annotation
-            name = str(get_args(needed)[0]).replace("_", " ")
+            name = kind.kind_name().replace("_", " ")
             subject = f"{name} are" if name.endswith("s") else f"a {name} is"
             raise InputError(f"record: its command is a {signal.kind}; {subject} needed")
         return signal

@@ -4,16 +4,14 @@ A dwell is a stretch of whole cycles at one frequency and full amplitude, cut ou
 
     settle | fade in, transient, dwell, fade out | settle | fade in, ... | settle
 
-`frames` of a `Dwell` is cycles / frequency to the nearest frame, so fit a sine and a cosine to it,
-not Fourier lines.
-
-Two more stand here: `signal_of`, the registry of all signals, from which records make theirs again,
-and `quintic`, the blend of least jerk that paths and hand-overs of the demand share.
+`KINDS` is the registry of all signals, from which `signal_of` makes that of a record again.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import product
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +36,8 @@ from cmf_mj.signals.signal import (
     Wait,
     along,
     amplitude_in_si,
+    check_fade,
     check_highest,
-    check_length,
     command_of,
     plain,
 )
@@ -51,6 +49,7 @@ from cmf_mj.signals.single import (
     Pulse,
     Sine,
     Step,
+    quintic,
     raised_cosine,
 )
 
@@ -64,63 +63,70 @@ ROUNDS = (
 """Frequencies of the seven channels in the five rounds [Hz], Table 2-3."""
 
 
-def _in_sequence(
-    signal: "SevenSines | SteppedSines", tones: Sequence[tuple[float, float]], transient: float = 0
-) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-    """History and dwells of (frequency [Hz], amplitude) tones."""
-    rate, fade, cycles = signal.rate, signal.fade, signal.cycles
-    rest = np.zeros(round(signal.settle * rate))
-    before = round((fade + transient) * rate)
-    after = round(fade * rate)
-    pieces, dwells, length = [rest], list[Dwell](), rest.size
-    for frequency, amplitude in tones:
-        frames = round(cycles / frequency * rate)
-        dwells.append(Dwell(length + before, frames, frequency, amplitude, cycles))
-        samples = before + frames + after
-        time = (np.arange(samples) - before) / rate
-        edges = raised_cosine(samples, fade, rate)
-        tone = amplitude * np.sin(2.0 * np.pi * frequency * time) * edges
-        pieces += [tone, rest]
-        length += samples + rest.size
-    return np.concatenate(pieces), tuple(dwells)
+class DwelledSines(OneAxis):
+    """Sines in sequence, each with a dwell."""
 
-
-class SevenSines(SingleSignal):
-    """One round of the facility's seven-channel generator (Table 2-3): seven sines in sequence.
-
-    The report takes 0.33 in and 0.2 deg. It does not say whether the channels run together. The
-    record lengths in its Appendix A say they do not: 177.4, 75.5, 66.0, 62.7 and 62.6 s for the
-    five heave rounds are 5.4 times the sum of the round's seven periods (22.25, 3.53, 1.65, 1.06,
-    0.78 s) and 57.3 s, within 1.1 s. Seven sines together, each as long as the slowest, miss by up
-    to 4.4 s; seven of 0.33 in near 10 Hz would also add up to some 19 g. The defaults, derived
-    from these lengths, make rounds of 169, 76, 66, 63 and 62 s.
-    """
-
-    kind: Literal["seven_sines"]
-    number: Annotated[int, Field(ge=1, le=5)]  #: Round, 1 to 5.
     cycles: Count = 5  #: Whole cycles of a dwell.
     fade: Duration = 1.0  #: Before and after each dwell [s].
     settle: Duration = 5.5  #: Rest before, between and after the sines [s].
 
+    @abstractmethod
+    def _tones(self) -> list[tuple[float, float]]:
+        """Frequency [Hz] and amplitude [m or rad] of each sine."""
+
+    @property
+    def _before(self) -> float:
+        """Time from the start of a sine to its dwell [s]."""
+        return self.fade
+
     @property
     def length(self) -> float:
         """Length of the table [s]."""
-        around = 2.0 * self.fade + self.settle
-        return self.settle + sum(self.cycles / f + around for f in ROUNDS[self.number - 1])
+        around = self._before + self.fade + self.settle
+        return self.settle + sum(self.cycles / f + around for f, _ in self._tones())
 
-    def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-        return _in_sequence(self, [(f, self.size) for f in ROUNDS[self.number - 1]])
+    def _edges(self) -> tuple[int, int, int]:
+        """Frames of a sine before its dwell, after it, and of the rest that follows."""
+        before, after, rest = self._before, self.fade, self.settle
+        return round(before * self.rate), round(after * self.rate), round(rest * self.rate)
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
-        """One a sine."""
-        return self._made()[1]
+        """One for each sine."""
+        before, after, rest = self._edges()
+        dwells, start = list[Dwell](), rest + before
+        for frequency, amplitude in self._tones():
+            frames = round(self.cycles / frequency * self.rate)
+            dwells.append(Dwell(start, frames, frequency, amplitude, self.cycles))
+            start += frames + after + rest + before
+        return tuple(dwells)
 
     def _history(self, seed: int) -> NDArray[np.float64]:
-        return self._made()[0]
+        before, after, rest = self._edges()
+        pieces = [np.zeros(rest)]
+        for dwell in self.dwells:
+            time = np.arange(-before, dwell.frames + after) / self.rate
+            edges = raised_cosine(time.size, self.fade, self.rate)
+            tone = dwell.amplitude * np.sin(2.0 * np.pi * dwell.frequency * time) * edges
+            pieces += [tone, pieces[0]]
+        return np.concatenate(pieces)
 
 
-class SteppedSines(OneAxis):
+class SevenSines(DwelledSines, SingleSignal):
+    """One round of the facility's seven-channel generator (Table 2-3).
+
+    Seven sines in sequence; defaults from the record lengths of Appendix A. The report takes
+    0.33 in and 0.2 deg.
+    """
+
+    kind: Literal["seven_sines"]
+    number: Annotated[int, Field(ge=1, le=5)]  #: Number of the round, 1 to 5.
+
+    def _tones(self) -> list[tuple[float, float]]:
+        return [(f, self.size) for f in ROUNDS[self.number - 1]]
+
+
+class SteppedSines(DwelledSines):
     """Each frequency at each amplitude, for describing functions."""
 
     kind: Literal["stepped_sines"]
@@ -134,11 +140,8 @@ class SteppedSines(OneAxis):
     settle: Duration = 1.0  #: Rest before, between and after the sines [s].
 
     @property
-    def length(self) -> float:
-        """Length of the table [s]."""
-        around = self.transient + 2.0 * self.fade + self.settle
-        once = sum(self.cycles / frequency + around for frequency in self.frequencies)
-        return self.settle + len(self.amplitudes) * once
+    def _before(self) -> float:
+        return self.fade + self.transient
 
     def _check(self) -> None:
         self._sizes()
@@ -149,32 +152,24 @@ class SteppedSines(OneAxis):
     def _sizes_in_si(self) -> dict[str, Any]:
         return {"amplitudes": self._sizes()}
 
-    def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
-        return _in_sequence(self, list(product(self.frequencies, self._sizes())), self.transient)
-
-    @property
-    def dwells(self) -> tuple[Dwell, ...]:
-        """One a sine."""
-        return self._made()[1]
-
-    def _history(self, seed: int) -> NDArray[np.float64]:
-        return self._made()[0]
+    def _tones(self) -> list[tuple[float, float]]:
+        return list(product(self.frequencies, self._sizes()))
 
 
 class FadedSines(Signal):
     """A test profile: sines one after the other, along each degree of freedom in turn.
 
-    Each has its time with its fades and ends at rest at neutral. Rotations have `rotation` times
-    the amplitudes of translations.
+    Each lasts `duration` with its fades and ends at rest at neutral.
     """
 
     kind: Literal["faded_sines"]
     frequencies: Annotated[tuple[Frequency, ...], Field(min_length=1)]  #: One after the other [Hz].
-    amplitudes: Annotated[tuple[float, ...], Field(min_length=1)]  #: One a frequency [m].
+    amplitudes: Annotated[tuple[float, ...], Field(min_length=1)]  #: One for each frequency [m].
     dofs: Annotated[tuple[Dof, ...], Field(min_length=1)]  #: One after the other.
-    rotation: float = 0.7  #: Of rotations over translations [rad/m].
+    rotation: float = 0.7
+    """Amplitude of a rotation over that of a translation [rad/m]."""
     duration: Duration = 23.0  #: Length of a sine with its fades [s].
-    fade: Duration = 6.0  #: Of both ends of a sine [s].
+    fade: Duration = 6.0  #: Fade at each end [s].
 
     @property
     def length(self) -> float:
@@ -185,8 +180,9 @@ class FadedSines(Signal):
         if len(self.amplitudes) != len(self.frequencies):
             raise InputError(
                 f"amplitudes: {len(self.amplitudes)} for {len(self.frequencies)} frequencies; "
-                "allowed: one a frequency"
+                "allowed: one for each"
             )
+        check_fade(self.fade, self.duration)
         check_highest("amplitudes", *self.amplitudes, *(self.rotation * a for a in self.amplitudes))
 
     def command(self, seed: int = 0) -> Command:
@@ -221,8 +217,8 @@ class OrthogonalMultisines(Lines):
     @classmethod
     def _by_name(cls, amplitudes: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
         if not isinstance(amplitudes, Mapping):
-            if len(amplitudes) != len(DOFS):
-                raise InputError(f"{len(amplitudes)} values are given; allowed: 6 or names")
+            if not isinstance(amplitudes, Sequence) or len(amplitudes) != len(DOFS):
+                raise InputError("must be six values or a mapping by name")
             amplitudes = dict(zip(DOFS, amplitudes, strict=True))
         for name in amplitudes:
             dof_index(name)
@@ -258,10 +254,10 @@ class OrthogonalMultisines(Lines):
 
 
 class AccelerationStep(OneAxis):
-    """A demand whose acceleration steps to `acceleration`, holds, and is taken back.
+    """A demand whose acceleration steps to `acceleration`.
 
-    Constant acceleration for `hold` [s], then the opposite for the same time: the demand ends at
-    rest, acceleration x hold^2 away.
+    It is held for `hold` [s], to the nearest frame, then reversed for the same time: the demand
+    ends at rest, acceleration x hold^2 away.
     """
 
     kind: Literal["acceleration_step"]
@@ -275,15 +271,17 @@ class AccelerationStep(OneAxis):
         return 2.0 * (self.at + self.hold)
 
     def _check(self) -> None:
-        if round(self.hold * self.rate) < 2 or not self.acceleration:
-            raise InputError(f"acceleration: {self.acceleration} over {self.hold} s is no step")
+        if round(self.hold * self.rate) < 2:
+            raise InputError(f"hold: {self.hold} s must be two frames or more, {2 / self.rate} s")
+        if not self.acceleration:
+            raise InputError("acceleration: 0 is refused; allowed: any other number")
         check_highest("acceleration", self.acceleration * self.hold**2)
 
     def _history(self, seed: int) -> NDArray[np.float64]:
         rest = round(self.at * self.rate)
         time = np.arange(1, round(self.hold * self.rate) + 1) / self.rate
         rise = 0.5 * self.acceleration * time**2
-        end = self.acceleration * self.hold**2
+        end = self.acceleration * time[-1] ** 2
         fall = np.append(end - rise[-2::-1], end)
         return np.concatenate([np.zeros(rest), rise, fall, np.full(rest, end)])
 
@@ -307,7 +305,6 @@ class Waypoints(Signal):
                 f"times: {len(self.times)} for {len(self.poses)} poses; allowed: one a pose, at "
                 "least 2"
             )
-        check_length(self.length)
         _rising(np.array(self.times))
         for pose in self.poses:
             check_highest("poses", *pose)
@@ -331,7 +328,7 @@ _KINDS: tuple[type[Signal], ...] = (
 `ScenarioSignal` of `facility/signal.py`, since some have other defaults there.
 `OrthogonalMultisines` is not in it: it is made by studies that measure all degrees of freedom in
 one run, not by scenario files."""
-KINDS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in _KINDS}
+KINDS = {kind.kind_name(): kind for kind in _KINDS}
 """The same by the name of their kind."""
 
 
@@ -341,22 +338,17 @@ def signal_of(description: Mapping[str, Any]) -> Signal:
     `Other` where the kind is not known, or where the description is not whole.
     """
     table = plain({"kind": ""} | dict(description))
-    kind = KINDS.get(table["kind"], Other)
-    known = {name: value for name, value in table.items() if name in kind.model_fields}
-    try:
-        return validated(kind, known if kind is not Other else table, "command")
-    except InputError:
-        return Other(**table)
+    kind = KINDS.get(str(table["kind"]))
+    if kind is not None:
+        known = {name: value for name, value in table.items() if name in kind.model_fields}
+        with suppress(InputError):
+            return validated(kind, known, "command")
+    return validated(Other, table, "command")
 
 
 def _rising(when: NDArray[np.float64]) -> None:
     if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
         raise InputError(f"times: {when.tolist()} must be at least two numbers that rise from 0 s")
-
-
-def quintic(s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From 0 to 1 with no velocity and no acceleration at either end: s^3 (10 - 15 s + 6 s^2)."""
-    return s**3 * (10.0 - s * (15.0 - 6.0 * s))
 
 
 def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[np.float64]:

@@ -66,6 +66,12 @@ def check_length(seconds: float, rate: int = RATE) -> None:
         raise InputError(f"length: {seconds:g} s of the signal is refused: at most {most:g} s")
 
 
+def check_fade(fade: float, duration: float) -> None:
+    """Refuse fades [s] at both ends that leave no full amplitude between them."""
+    if 2.0 * fade > duration:
+        raise InputError(f"fade: {fade} s must be at most half the duration of {duration} s")
+
+
 def check_highest(field: str, *sizes: float) -> None:
     """Refuse demands [m or rad] that no machine follows."""
     for size in sizes:
@@ -106,7 +112,10 @@ def amplitude_in_si(dof: str, amplitude: float | tuple[float, str]) -> float:
 
 
 class Dwell(NamedTuple):
-    """Whole cycles of one frequency at full amplitude; the phase is zero at the start."""
+    """Whole cycles of one frequency at full amplitude; the phase is zero at the start.
+
+    Their length is a whole number of frames, so fit a sine and a cosine to it, not Fourier lines.
+    """
 
     start: int  #: Index of the first control frame.
     frames: int  #: Cycles / frequency, to the nearest frame.
@@ -120,6 +129,11 @@ class Signal(Settings):
 
     kind: str  #: Name of the kind of signal.
     rate: Rate = RATE  #: Of the machine's control law [Hz]: poses a second.
+
+    @classmethod
+    def kind_name(cls) -> str:
+        """Its `kind` in files."""
+        return str(get_args(cls.model_fields["kind"].annotation)[0])
 
     @model_validator(mode="after")
     def _checked(self) -> Self:
@@ -318,7 +332,7 @@ def command_of(signal: type[Signal]) -> Callable[..., Command]:
     Settings without a default go by position or by name, those with one by name only.
     """
     fields = {name: field for name, field in signal.model_fields.items() if name != "kind"}
-    (kind,) = get_args(signal.model_fields["kind"].annotation)
+    kind = signal.kind_name()
     parameters = [
         Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
         if field.is_required()

@@ -25,6 +25,7 @@ from cmf_mj.signals.signal import (
     Signal,
     SingleSignal,
     Wait,
+    check_fade,
     command_of,
 )
 
@@ -40,6 +41,11 @@ def raised_cosine(
     left = samples / rate - time if fade_out else np.inf
     edge = np.minimum(time, left) / fade if fade > 0.0 else np.ones(samples)
     return 0.5 * (1.0 - np.cos(np.pi * np.clip(edge, 0.0, 1.0)))
+
+
+def quintic(s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From 0 to 1 with no velocity and no acceleration at either end: s^3 (10 - 15 s + 6 s^2)."""
+    return s**3 * (10.0 - s * (15.0 - 6.0 * s))
 
 
 def _time(duration: float, rate: int) -> NDArray[np.float64]:
@@ -184,6 +190,7 @@ class Chirp(SingleSignal):
     def _check(self) -> None:
         if self.stop <= self.start:
             raise InputError(f"stop: {self.stop} Hz must be above start, {self.start} Hz")
+        check_fade(self.fade, self.duration)
 
     def _history(self, seed: int) -> NDArray[np.float64]:
         start, stop = self.band
@@ -218,10 +225,7 @@ class Noise(SingleSignal):
         return self.duration + 2.0 * self.settle
 
     def _check(self) -> None:
-        if 2.0 * self.fade > self.duration:
-            raise InputError(
-                f"fade: {self.fade} s must be at most half the duration of {self.duration} s"
-            )
+        check_fade(self.fade, self.duration)
         if not self._inside().any():
             raise InputError(
                 f"stop: no multiple of {1 / self.duration} Hz lies in {self.start} to {self.stop} "

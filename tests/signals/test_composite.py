@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import signals
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals import composite
@@ -93,6 +94,10 @@ def test_description_of_another_kind_keeps_what_it_says():
     other = composite.signal_of({"kind": "chirp", "dof": "heave", "settle": 0.5})
     assert (other.kind, other.axis, other.lead, other.band) == ("chirp", "heave", 0.5, None)
     assert composite.signal_of({"signal": "leg extensions"}).described()["signal"]
+    assert composite.signal_of({"kind": "new", "size": 3}).described() == {"kind": "new", "size": 3}
+    for wrong in ({"kind": "x", "rate": "fast"}, {"kind": "step", "rate": "fast"}, {"kind": {}}):
+        with pytest.raises(InputError, match="command: (rate|kind): .* is refused"):
+            composite.signal_of(wrong)
     with pytest.raises(ValueError, match="signal: 'chirp' cannot be made again"):
         other.command()
 
@@ -275,6 +280,30 @@ def test_stepped_sines_keep_their_amplitude_through_the_transient():
     np.testing.assert_allclose(result, 0.1 * np.sin(4.0 * np.pi * time), rtol=0.0, atol=1e-13)
 
 
+# Acceleration steps and faded sines
+
+
+@pytest.mark.parametrize("hold", [0.3, 0.5, 0.5002])
+def test_an_acceleration_step_keeps_its_acceleration_whatever_its_hold(hold):
+    """To the size asked for, also where the hold is no whole number of frames."""
+    history = heave(signals.acceleration_step("heave", 1.0, hold=hold))
+    assert np.abs(np.diff(history, 2)).max() * RATE**2 == pytest.approx(1.0, rel=1e-6)
+    assert history[-1] == history[-2] == pytest.approx((round(hold * RATE) / RATE) ** 2, rel=1e-12)
+
+
+def test_fades_leave_the_amplitude_its_time():
+    """Between them a sine reaches its amplitude; fades of more than half the time never would."""
+    sines = ([0.5, 1.0], [0.1, 0.2], ["heave", "roll"])
+    pose = signals.faded_sines(*sines, duration=4.0, fade=1.5).pose
+    assert np.abs(pose).max(axis=0)[[2, 3]] == pytest.approx([0.2, 0.7 * 0.2], rel=1e-6)
+    for made in (
+        lambda: signals.faded_sines(*sines, duration=4.0, fade=6.0),
+        lambda: signals.chirp("heave", 0.1, duration=4.0, fade=6.0),
+    ):
+        with pytest.raises(InputError, match="fade: 6.0 s must be at most half the duration"):
+            made()
+
+
 # Refusals
 
 
@@ -297,7 +326,10 @@ def test_stepped_sines_out_of_range_are_named(frequencies, amplitudes, options, 
 @pytest.mark.parametrize(
     ("amplitudes", "options", "message"),
     [
-        ((0.1, 0.2), {}, "amplitudes: .* is refused: 2 values are given; allowed: 6 or names"),
+        *(
+            (wrong, {}, "amplitudes: .* is refused: must be six values or a mapping by name")
+            for wrong in ((0.1, 0.2), 0.1, None)
+        ),
         ({"up": 0.1}, {}, "dof: 'up' is not one of surge, sway, heave, roll, pitch, yaw"),
         ((0.0,) * 6, {}, "amplitudes: all are 0"),
         (
@@ -308,7 +340,7 @@ def test_stepped_sines_out_of_range_are_named(frequencies, amplitudes, options, 
     ],
 )
 def test_orthogonal_multisines_out_of_range_are_named(amplitudes, options, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(InputError, match=message):
         composite.orthogonal_multisines(amplitudes, **options)
 
 

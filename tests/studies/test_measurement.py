@@ -59,8 +59,10 @@ def test_acceleration_step_moves_at_constant_acceleration() -> None:
     assert history[-1] == pytest.approx(0.2 * 0.25, rel=1e-12)
     assert history[-1] == history[-2]
     assert np.abs(second).max() < 0.2001  # also where it turns round, and at its ends
-    with pytest.raises(ValueError, match="acceleration: 0.0 over 0.5 s is no step"):
+    with pytest.raises(ValueError, match="acceleration: 0 is refused; allowed: any other number"):
         acceleration_step("surge", 0.0, hold=0.5)
+    with pytest.raises(ValueError, match=r"hold: 0.0005 s must be two frames or more, 0.00097"):
+        acceleration_step("surge", 0.2, hold=0.0005)
 
 
 def test_delay_of_a_slow_step_is_that_of_the_phase(dwells: Record) -> None:

@@ -32,7 +32,7 @@ from cmf_mj.show.studio.live import LiveSession, Mark, View
 from cmf_mj.signals.signal import SingleSignal
 
 SIGNALS: dict[str, type[SingleSignal]] = {
-    get_args(signal.model_fields["kind"].annotation)[0]: signal
+    signal.kind_name(): signal
     for signal in get_args(get_args(ScenarioSignal)[0])
     if issubclass(signal, SingleSignal)
 }
