@@ -87,6 +87,7 @@ def fly_command(
             f"host frames held back; host to legs "
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms",
             *([] if ride.plans is None else [f"{ride.law}: {ride.plans}"]),
+            *([f"{ride.refused} datagrams of other form"] if ride.refused else []),
         )
     show(f"written to {out}: {len(paths)} files")
 

@@ -58,6 +58,7 @@ class FlightResult(NamedTuple):
     loop_delay: float  #: From there to the legs, likewise [s]: a mean over the flight's band.
     operation: Operation  #: Record and account of the run.
     plans: str | None = None  #: See `Washout.plans`.
+    refused: int = 0  #: Datagrams of live telemetry that were not of its format.
 
     @property
     def washout_error(self) -> CueingError:

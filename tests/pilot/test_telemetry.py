@@ -8,15 +8,25 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cmf_mj import InputError
+from cmf_mj.facility.host.stream import HostFrame
+from cmf_mj.facility.host.udp import LOOPBACK
 from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.motion import gravity_in_body
-from cmf_mj.pilot.telemetry import decode, flight_of, fly_live, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry import (
+    _Host,
+    decode,
+    flight_of,
+    fly_live,
+    read_telemetry,
+    telemetry_of,
+)
 from cmf_mj.pilot.telemetry_check import Telemetry, check_telemetry
 
 G, DEGREE = 9.80665, math.pi / 180.0
@@ -77,7 +87,7 @@ def test_golden_packets_give_body_axes(motion: str, form: str) -> None:
         "beamng": beamng(of_beamng, rates, attitude),
         "csv": ",".join(map(str, (1.5, *np.ravel(body)))).encode(),
     }
-    np.testing.assert_allclose(decode(form, sent[form])[1:10], np.ravel(body), atol=2e-6)
+    np.testing.assert_allclose(decode(form, sent[form])[1:4], body, atol=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -93,6 +103,12 @@ def test_golden_packets_give_body_axes(motion: str, form: str) -> None:
         ("csv", b"1,2,3"),
         ("csv", b"1,2,3,4,5,6,7,8,9,ten"),
         ("csv", b"\xff"),
+        ("csv", b"inf,2,3,4,5,6,7,8,9,10"),
+        ("csv", b"1,2,3,4,5,6,7,8,9,10,inf,12"),
+        ("csv", b"1,2,3,4,5,6,7,8,9,10,nan,-inf"),
+        ("beamng", beamng((0.0, 0.0, 0.0), path=(math.inf, 0.0))),
+        ("xplane", xplane((0.0, G, 0.0), path=(1.0, math.inf))),
+        ("form", b""),
     ],
 )
 def test_a_datagram_of_another_form_is_refused(form: str, data: bytes) -> None:
@@ -298,12 +314,16 @@ def test_live_telemetry_drives_the_cab_and_bad_telemetry_does_not() -> None:
     """At rest with a brake that is pulled slowly and let go: real time, some seconds."""
     pulled = [1.0 - math.cos(2 * math.pi * k / 800) for k in range(800)]
     port = free_port()
-    ended = sending([xplane((0.0, G, pull)) for pull in pulled], port)
+    packets = [xplane((0.0, G, pull)) for pull in pulled]
+    ended = sending(
+        [packet for k in range(8) for packet in (*packets[100 * k :][:100], b"?")], port
+    )
     try:
         ride = flown(port)
         assert ride.fault is None
         assert ride.stream.time.size > 100
         assert ride.operation.counts["accepted"] > 0
+        assert ride.refused >= 3  # of 4.5 s and 2 s, one in 101
     finally:
         ended.set()
     port = free_port()
@@ -313,3 +333,35 @@ def test_live_telemetry_drives_the_cab_and_bad_telemetry_does_not() -> None:
             fly_live("xplane", port, seconds=2.0, trial=4.5)
     finally:
         ended.set()
+
+
+def attended(arrivals: dict[int, float], steps: int) -> list[float]:
+    """Force x that a live host makes, 80 steps a second, of rows of a force at some steps."""
+    washout = SimpleNamespace(frame=lambda force, rate: HostFrame(0, 0.0, *np.zeros((3, 6))))
+    host = _Host("csv", 0, LOOPBACK, washout)  # type: ignore[arg-type]
+    made = []
+    with host.socket, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for step in range(steps):
+            if step in arrivals:
+                line = f"{step / 80},{arrivals[step]},0,{-G},0,0,0,0,0,0"
+                sender.sendto(line.encode(), host.socket.getsockname())
+            before = len(host.rows)
+            host.attend(SimpleNamespace(frame=round(step * 25.6), rate=2048))  # type: ignore[arg-type]
+            made += [row.specific_force[0] for row in host.rows[before:]]
+    assert host.refused == 0
+    return made
+
+
+def test_after_a_gap_no_slope_is_left() -> None:
+    """8 m/s^3 for 0.5 s, nothing for 2.5 s, then a force of 0: it stays 0."""
+    rising = {step: 0.1 * step for step in range(40)}
+    made = attended({**rising, 240: 0.0}, 248)
+    assert made[38] == pytest.approx(3.8, abs=0.01) and len(made) < 140
+    assert made[-8:] == [0.0] * 8
+
+
+def test_a_slope_is_extrapolated_between_samples() -> None:
+    """f + slope T (1 - exp(-age / T)) with T = 0.15 s, in the steps after the last sample."""
+    made = attended({step: 0.1 * step for step in range(40)}, 44)
+    ages = np.arange(1, 5) / 80.0
+    np.testing.assert_allclose(made[-4:], 3.9 + 8.0 * 0.15 * (1 - np.exp(-ages / 0.15)), rtol=0.01)
