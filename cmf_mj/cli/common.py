@@ -72,10 +72,10 @@ app = typer.Typer(
 
 def claim(context: typer.Context, folder: Path) -> Path:
     """Keep the folder of results for this run until the command ends, however it ends."""
-    from cmf_mj.core.files import claimed
+    from cmf_mj.core.files import exclusive_folder
 
     if not context.resilient_parsing:
-        context.find_root().with_resource(claimed(folder))
+        context.find_root().with_resource(exclusive_folder(folder))
     return folder
 
 

@@ -101,7 +101,7 @@ def serve_command(
 ) -> None:
     """Run the facility in real time on host frames from the network."""
     from cmf_mj.control.states import State
-    from cmf_mj.core.files import in_folder
+    from cmf_mj.core.files import plain_path
     from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.stream import unit_doubts
     from cmf_mj.facility.host.udp import UdpReceiver
@@ -140,7 +140,7 @@ def serve_command(
             except KeyboardInterrupt:
                 if held and held[0].frame:
                     record = cmf_mj.Record(*held[0].history(), held[0].describe())
-                    print(f"written: {record.save(in_folder(out, 'record.parquet'))}", flush=True)
+                    print(f"written: {record.save(plain_path(out, 'record.parquet'))}", flush=True)
                 raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
     paths = report.save_operation(operation, out, received, refused)
@@ -210,7 +210,7 @@ def replay_command(
     out: options.Out = Path("out/replay"),
 ) -> None:
     """Run the control law open loop on recorded feedback; compare the compensator's output."""
-    from cmf_mj.core.files import in_folder
+    from cmf_mj.core.files import plain_path
     from cmf_mj.facility.replay import replay
     from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import operation as report
@@ -219,7 +219,7 @@ def replay_command(
     record = read_mapped(recording)
     replayed = replay(record, law or None)
     name = f"{recording.stem}_{replayed.law}.png"
-    path = save_figure(report.replay_figure(replayed), in_folder(out, name))
+    path = save_figure(report.replay_figure(replayed), plain_path(out, name))
     show(report.replay_summary(replayed), f"written: {path}")
 
 
@@ -239,7 +239,7 @@ def export_command(
     out: options.Out = Path("out/export"),
 ) -> None:
     """Leave Python: the machine as a C library or an FMU, or a law alone as C source."""
-    from cmf_mj.core.files import in_folder
+    from cmf_mj.core.files import plain_path
     from cmf_mj.export.fmu import export_fmu
     from cmf_mj.export.library import export_law, export_library
     from cmf_mj.plant.hexapod import make_plant
@@ -250,5 +250,5 @@ def export_command(
     if what == "library":
         paths = export_library(built, law, out, electronics=noisy)
     else:
-        paths = [export_fmu(built, law, in_folder(out, "cmf.fmu"), fmi=fmi, electronics=noisy)]
+        paths = [export_fmu(built, law, plain_path(out, "cmf.fmu"), fmi=fmi, electronics=noisy)]
     show(written(paths, out))

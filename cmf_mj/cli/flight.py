@@ -48,7 +48,7 @@ def fly_command(
     out: options.Out = Path("out/fly"),
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
-    from cmf_mj.core.files import in_folder
+    from cmf_mj.core.files import plain_path
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.fly import fly
@@ -72,7 +72,7 @@ def fly_command(
             else:
                 ride = fly(flown.motion, law, **watched)
         rides.append(ride)
-        folder = in_folder(out, ride.law)
+        folder = plain_path(out, ride.law)
         paths += save_operation(ride.operation, folder)
         paths += report.save_ride(ride, folder)
     paths += report.save_flights(rides, out)

@@ -29,7 +29,6 @@ except ImportError:  # Windows has no locks of folders
     fcntl = None  # type: ignore[assignment]
 
 _DIGEST = b"cmf_mj_sha256"
-_FLOAT = pa.float64()
 
 
 @contextmanager
@@ -44,38 +43,45 @@ def whole_file(target: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def in_folder(folder: Path, name: str) -> Path:
-    """A file or folder of this name in a folder; refused where the name leads anywhere else."""
-    plain = name and Path(name).name == name and name[0] != "." and name.isprintable()
-    if not plain or DEVICE.match(name):
+def plain_path(folder: Path, name: str) -> Path:
+    """The path of a plain file name in a folder; refused where the name leads anywhere else."""
+    named = Path(name).name == name and not name.startswith(".") and name.isprintable()
+    if not name or not named or DEVICE.match(name):
         raise InputError(f"file: {name!r} is refused: must be a plain name, without a folder")
     return folder / name
 
 
-def check_target(target: Path, field: str = "file") -> Path:
-    """A file that can be written, found out without writing it; its folder may be missing yet."""
+def check_folder(folder: Path) -> Path:
+    """A folder for the option `out` in which files can be written; it may be missing yet."""
+    return check_target(folder / "any", "out", folder).parent
+
+
+def check_target(target: Path, field: str = "file", shown: Path | None = None) -> Path:
+    """A file that can be written, found out without writing it; its folder may be missing yet.
+
+    A refusal names the `field`, and the path `shown` if it is not the target.
+    """
     try:
         there = next(path for path in target.absolute().parents if os.path.exists(path))
-        fault = "is a folder" if target.is_dir() else ""
+        fault = "is a folder; allowed: a file" if target.is_dir() else ""
         if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
             fault = f"{there} is not a folder that can be written to"
     except (OSError, ValueError) as error:
         fault = reason(error)
     if fault:
-        place = target.parent if field == "out" else target
-        raise InputError(f"{field}: {str(place)!r} is refused: {fault}")
+        raise InputError(f"{field}: {str(shown or target)!r} is refused: {fault}")
     return target
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[Path]:
+def exclusive_folder(folder: Path) -> Iterator[Path]:
     """A folder that this run alone writes to; made, and removed again if it stays empty.
 
     The lock is the system's and on the folder itself, so that it ends with the process however
     that ends. What a process that has ended left half-written is removed. A file system without
     locks gives none.
     """
-    check_target(folder / "any", "out")
+    check_folder(folder)
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     held = -1
     try:
@@ -241,13 +247,14 @@ def _digest(table: pa.Table) -> bytes:
 
 
 def read_column(
-    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = _FLOAT
+    path: Path, table: pa.Table, name: str, kind: pa.DataType | str | None = "double"
 ) -> NDArray[Any]:
-    """A column of numbers of a table read from `path`, as `kind`; None leaves its own type."""
+    """A column of numbers of a table read from `path`, cast to `kind`; None: no cast."""
     if table.column_names.count(name) != 1:
         there = table.column_names
-        fault = "twice" if name in there else "missing"
-        raise InputError(f"{path}: {name}: column is {fault}; it has {str(there)[:1000]}")
+        fault = "there twice" if name in there else "missing"
+        said = f"column is {fault}; columns of the file: {', '.join(there)[:1000]}"
+        raise InputError(f"{path}: {name}: {said}")
     column = table[name]
     if column.null_count:
         row = column.is_null().to_pylist().index(True)

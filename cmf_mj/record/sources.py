@@ -36,12 +36,11 @@ _CELL = re.compile(rf"{_NUMBER}|[+-]?inf|(?i:-?nan)|[0-9][-0-9:./T ]*Z?")
 """A number, date or time of day."""
 _COMMENT = re.compile(r"\s*#(?!N/A)")  #: How a line begins that is a comment.
 _HEADER_LINES = 200  #: Lines in which the header of a CSV file is looked for.
-_CLOCK = r"^[0-9]{2}:[0-9]{2}:[0-9]{2}([.][0-9]+)?$"  #: A time of day.
+_CLOCK = r"^[0-9]{2}:[0-9]{2}:[0-9]{2}([.][0-9]+)?$"  #: Pattern of a time of day, for pyarrow.
 
-_OFF, _STEP = 0.4, 0.6
-"""How far a stamp may lie from its sample, and an interval from the usual, in samples."""
+_MAX_STAMP_ERROR, _MAX_INTERVAL_ERROR = 0.4, 0.6  #: In samples.
 REMARK = "# cmf_mj "  #: How the comment with the metadata of a CSV file begins.
-_GAP = 3.0  #: Intervals, in usual ones, from which on a resampled recording has a gap.
+_GAP_INTERVALS = 3.0  #: Longest interval of a resampled recording, in medians.
 
 _Column = tuple[str, str, Array]  #: Name, unit where the file states one, numbers.
 
@@ -53,7 +52,7 @@ class Source(NamedTuple):
     columns: Mapping[str, Array]  #: Name to numbers, (N,).
     units: Mapping[str, str]  #: Name to unit, empty where the file states none.
     metadata: Mapping[str, Any] = {}  #: What a CSV file says of itself.
-    ended: bool = True  #: Whether its last line has an end, else it may be cut off.
+    ended: bool = True  #: False if the last line has no line end and may be cut off.
 
     def column(self, name: str) -> Array:
         """A column by name; refused with the most similar one."""
@@ -116,7 +115,9 @@ def _csv(path: Path) -> Source:
         pyarrow.csv.ConvertOptions(null_values=_NULLS, decimal_point=decimal),
     )
     unit_of = dict(zip(names, stated, strict=True))
-    columns = ((name, unit_of[name] or unit, values) for name, unit, values in _of_table(table))
+    columns = (
+        (name, unit_of[name] or unit, values) for name, unit, values in _table_columns(table)
+    )
     remarks = [line.removeprefix(REMARK) for line in every if line.startswith(REMARK)]
     metadata = parsed_json(remarks[-1], f"{path}: {REMARK.strip()}") if remarks else {}
     if not isinstance(metadata, dict):
@@ -166,7 +167,7 @@ def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]] |
     return (lower, [""] * width) if lower else None
 
 
-def _of_table(table: pa.Table) -> Iterator[_Column]:
+def _table_columns(table: pa.Table) -> Iterator[_Column]:
     for field, column in zip(table.schema, table.columns, strict=True):
         unit = (field.metadata or {}).get(b"unit", b"").decode()
         if pa.types.is_dictionary(column.type):
@@ -197,51 +198,51 @@ def _of_table(table: pa.Table) -> Iterator[_Column]:
         yield field.name, unit, np.array(numbers.to_numpy())
 
 
-def _hdf5(path: Path, between: str = "/") -> Source:
+def _hdf5(path: Path, joint: str = "/") -> Source:
     with require("h5py", "hdf5").File(path, "r") as file:
-        return _source(path, _of_tree("", file, between))
+        return _source(path, _tree_columns("", file, joint))
 
 
 def _mat(path: Path) -> Source:
     from scipy.io import loadmat
 
     try:
-        return _source(path, _of_tree("", loadmat(path, simplify_cells=True), "."))
+        return _source(path, _tree_columns("", loadmat(path, simplify_cells=True), "."))
     except NotImplementedError:  # version 7.3 is HDF5
         return _hdf5(path, ".")
 
 
-def _of_tree(name: str, item: Any, between: str, unit: str = "") -> Iterator[_Column]:
+def _tree_columns(name: str, item: Any, joint: str, unit: str = "") -> Iterator[_Column]:
     """Columns of arrays, whose longer axis is time, in groups, structures and tables."""
     if isinstance(item, Mapping):
         for key in item:
             if key[:1] not in ("#", "_"):
-                yield from _of_tree(f"{name}{between}{key}" if name else key, item[key], between)
+                yield from _tree_columns(f"{name}{joint}{key}" if name else key, item[key], joint)
         return
     about = getattr(item, "attrs", {})
     stated = about.get("unit", about.get("units", unit))
     unit = stated.decode() if isinstance(stated, bytes) else str(stated)
     array = np.asarray(item)
     for part in array.dtype.names or ():
-        yield from _of_tree(f"{name}.{part}", array[part], between, unit)
+        yield from _tree_columns(f"{name}.{part}", array[part], joint, unit)
     if array.dtype.kind in "biuf" and array.size > 1:
         array = np.squeeze(array).astype(float)
         if array.ndim == 1:
             yield name, unit, array
         elif array.ndim == 2:
-            legs = array if array.shape[0] < array.shape[1] else array.T
-            yield from ((f"{name}_{k + 1}", unit, leg.copy()) for k, leg in enumerate(legs))
+            columns = array if array.shape[0] < array.shape[1] else array.T
+            yield from ((f"{name}_{k + 1}", unit, one.copy()) for k, one in enumerate(columns))
 
 
 _READERS = {
     **dict.fromkeys((".csv", ".txt"), _csv),
-    ".parquet": lambda path: _source(path, _of_table(read_table(path))),
+    ".parquet": lambda path: _source(path, _table_columns(read_table(path))),
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
     ".mat": _mat,
 }
 
 
-def _steps(time: Array) -> Array:
+def _intervals(time: Array) -> Array:
     """Intervals of time stamps [s], refused with the row where they do not rise."""
     if time.size < 2:
         raise InputError(f"time: has {time.size} samples; allowed: at least 2")
@@ -257,10 +258,10 @@ def _steps(time: Array) -> Array:
 def even_clock(time: Array) -> tuple[Array, float]:
     """Even times of stamps [s], (N,), and their rate [Hz].
 
-    The rate is the one with the fewest digits that is as close to the stamps as a straight line.
-    Stamps that are not even are refused with the row.
+    The rate with the fewest digits whose largest error is at most 1.2 times that of the best
+    straight line. Stamps that are not even are refused with the row.
     """
-    steps, count = _steps(time), np.arange(time.size)
+    steps, count = _intervals(time), np.arange(time.size)
     usual = float(np.median(steps))
     slope, start = np.polyfit(count, time - time[0], 1) if time.size > 2 else (usual, 0.0)
     best = float(np.abs(time - time[0] - start - slope * count).max())
@@ -272,7 +273,10 @@ def even_clock(time: Array) -> tuple[Array, float]:
         if worst <= max(1.2 * best, 1e-9 * time.size / rate):
             break
     row = int(np.abs(steps - usual).argmax()) + 1
-    if worst > _OFF / rate or abs(steps[row - 1] - 1.0 / rate) > _STEP / rate:
+    if (
+        worst > _MAX_STAMP_ERROR / rate
+        or abs(steps[row - 1] - 1.0 / rate) > _MAX_INTERVAL_ERROR / rate
+    ):
         raise InputError(
             f"time: row {row + 1}, {time[row]:.9g} s, is {steps[row - 1]:.6g} s after the row "
             f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"
@@ -284,27 +288,27 @@ def even_clock(time: Array) -> tuple[Array, float]:
 def resampled(time: Array, values: Array, rate: float, bridge: float) -> tuple[Array, Array]:
     """Even times [s] and histories (n, N) at them, on straight lines, without a filter.
 
-    Where stamps are farther apart than `bridge` [s] and three usual intervals, there is NaN.
+    NaN inside an interval longer than `bridge` [s] and than three median intervals.
     """
-    steps = _steps(time)
+    steps = _intervals(time)
     count = int(np.floor((time[-1] - time[0]) * rate * (1.0 + 1e-12))) + 1
     even = time[0] + np.arange(count) / rate
     after = np.clip(np.searchsorted(time, even, side="left"), 1, time.size - 1)
-    wide = steps[after - 1] > max(bridge, _GAP * float(np.median(steps)))
+    wide = steps[after - 1] > max(bridge, _GAP_INTERVALS * float(np.median(steps)))
     lost = wide & (even > time[after - 1]) & (even < time[after])
     return even, np.array([np.where(lost, np.nan, np.interp(even, time, one)) for one in values])
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and one past the last of each run of what is true."""
+    """Start and end (exclusive) of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def bridged(values: Array, most: float = np.inf) -> tuple[Array, int]:
-    """A history with gaps of at most so many samples filled by straight lines, and their samples.
+def bridged(values: Array, longest: float = np.inf) -> tuple[Array, int]:
+    """A history with gaps up to the longest filled by straight lines, and samples so filled.
 
-    Gaps at an end are filled, with its nearest number, where any length may be.
+    A gap at either end is filled with the nearest number, only if `longest` is infinite.
     """
     missing, at = np.isnan(values), np.arange(values.size)
     if not missing.any() or missing.all():
@@ -312,6 +316,6 @@ def bridged(values: Array, most: float = np.inf) -> tuple[Array, int]:
     fill = np.zeros(values.size, dtype=bool)
     for first, end in runs(missing):
         inside = first > 0 and end < values.size
-        fill[first:end] = end - first <= most and (inside or most == np.inf)
+        fill[first:end] = end - first <= longest and (inside or longest == np.inf)
     lines = np.interp(at, at[~missing], values[~missing])
     return np.where(fill, lines, values), int(fill.sum())

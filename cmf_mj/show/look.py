@@ -21,7 +21,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.published import Published
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
+from cmf_mj.core.files import plain_path, whole_file, write_csv, write_json
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
@@ -299,7 +299,7 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, content in files.items():
-        path = in_folder(folder, name)
+        path = plain_path(folder, name)
         if isinstance(content, Figure):
             path = save_figure(content, path, dpi)
         elif isinstance(content, list):

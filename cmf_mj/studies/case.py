@@ -31,7 +31,7 @@ from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
-from cmf_mj.core.files import in_folder
+from cmf_mj.core.files import plain_path
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.simulate import simulate
@@ -214,8 +214,8 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     """
     sweep, step = case.sweep_and_step()
     if records is not None:
-        sweep.save(in_folder(records, f"{case.label}-chirp.parquet"))
-        step.save(in_folder(records, f"{case.label}-step.parquet"))
+        sweep.save(plain_path(records, f"{case.label}-chirp.parquet"))
+        step.save(plain_path(records, f"{case.label}-step.parquet"))
     response = sweep_response(sweep, segment=case.segment)
     measures = joined(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))

@@ -25,7 +25,7 @@ from scipy import optimize
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
-from cmf_mj.core.files import in_folder, write_text
+from cmf_mj.core.files import plain_path, write_text
 from cmf_mj.core.result import Field
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns, cube
@@ -182,7 +182,7 @@ def certify(
     swing = []
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
         changes = box.changes(factor * min(scale, LARGEST) * point[None])
-        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, box, changes)
+        case = save_case(plain_path(folder, name), name, plant, law, pose.pose, box, changes)
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
     tried = limit, float((every > 0.0).mean()), float(every.min()), pose.pose
@@ -289,7 +289,7 @@ def save_case(
     own = plant.machine.recorded()
     modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
     known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
-    save_law(known_law, in_folder(folder, "law.toml"))
+    save_law(known_law, plain_path(folder, "law.toml"))
     steps = [
         {"kind": "step", "dof": dof, "amplitude": [float(SMALL * size), unit], "at": 0.5}
         for dof, size, unit in zip(DOFS, REPORT_AMPLITUDES, 3 * ("m",) + 3 * ("rad",), strict=True)

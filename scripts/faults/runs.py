@@ -28,7 +28,7 @@ from cmf_mj.cli.machine import new_command
 from cmf_mj.control.law import load_law
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import RunError
-from cmf_mj.core.files import claimed
+from cmf_mj.core.files import exclusive_folder
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host import moog, udp
 from cmf_mj.facility.operation import Operation, serve
@@ -290,7 +290,7 @@ def _saved(record: Record, plan: Plan) -> str:
             record.save(target)
         if target.exists():
             return "a record that was not whole took its name"
-        with claimed(target.parent):
+        with exclusive_folder(target.parent):
             record.save(target)
         for again in (False, True):
             if again:
@@ -300,7 +300,7 @@ def _saved(record: Record, plan: Plan) -> str:
             for channel, values in record.channels.items():
                 if loaded[channel].tobytes() != values.tobytes():
                     return f"{channel} came back with other bits"
-            with claimed(target.parent):
+            with exclusive_folder(target.parent):
                 left = [path.name for path in target.parent.iterdir()]
             if left != [target.name]:
                 return f"the next process found {left}"

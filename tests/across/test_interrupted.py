@@ -18,7 +18,7 @@ from fuzzing import commands
 from lengths import examples
 from PIL import Image
 
-from cmf_mj.core.files import claimed, read_table
+from cmf_mj.core.files import exclusive_folder, read_table
 from cmf_mj.record.sources import REMARK, read_source
 
 ENDS = 1  #: How often the long search ends each command.
@@ -73,7 +73,7 @@ def end(words: str, number: int, after: float, folder: Path) -> tuple[int, set[s
     assert not partial or number == signal.SIGKILL, partial
     # A journal is appended to; its reader drops a torn line.
     assert all(whole(path) for path in left - partial if path.suffix != ".jsonl")
-    with claimed(out):
+    with exclusive_folder(out):
         assert not list(out.rglob(".*.part"))
     assert {path.name for path in folder.iterdir()} <= {"files", "out"}
     return process.returncode, {path.name for path in left}

@@ -12,14 +12,14 @@ from shared import cmf
 
 from cmf_mj import core
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import check_target, claimed
+from cmf_mj.core.files import check_target, exclusive_folder
 from cmf_mj.show.look import new_figure, save_figure
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from cmf_mj.core.files import claimed
-with claimed(Path(sys.argv[1])):
+from cmf_mj.core.files import exclusive_folder
+with exclusive_folder(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -39,18 +39,18 @@ def test_a_folder_is_of_one_run_and_free_after_any_end_of_it(tmp_path: Path, num
     (out / f".table.csv.{holder.pid}.part").write_text("half")
     holder.send_signal(number)
     holder.communicate(timeout=30)
-    with claimed(out):
+    with exclusive_folder(out):
         assert list(out.iterdir()) == []
-        with pytest.raises(InputError, match="another run writes to it"), claimed(out):
+        with pytest.raises(InputError, match="another run writes to it"), exclusive_folder(out):
             pass
-    with claimed(out):
+    with exclusive_folder(out):
         pass
 
 
 def test_a_refused_run_leaves_no_folder(tmp_path: Path) -> None:
     assert "'fast'" in cmf("report", "linear", "--laws", "fast", "--out", tmp_path / "a/b", code=2)
     assert list(tmp_path.iterdir()) == []
-    with claimed(tmp_path / "kept" / "out") as folder:
+    with exclusive_folder(tmp_path / "kept" / "out") as folder:
         (folder / "result").write_text("")
     assert (tmp_path / "kept" / "out" / "result").exists()
 

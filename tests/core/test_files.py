@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from cmf_mj.core.files import claimed, read_table, write_table
+from cmf_mj.core.files import exclusive_folder, read_table, write_table
 
 
 def test_only_half_written_files_of_processes_that_ended_go(tmp_path: Path) -> None:
@@ -20,7 +20,7 @@ def test_only_half_written_files_of_processes_that_ended_go(tmp_path: Path) -> N
     for again in (True, False):
         for path in begun:
             path.write_text("half")
-        with claimed(tmp_path):
+        with exclusive_folder(tmp_path):
             if again:
                 assert [path.name for path in begun if path.exists()] == 2 * names[1:]
                 begun[0].write_text("half")

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from cmf_mj import InputError, load_law
 from cmf_mj.cli.common import app, show
 from cmf_mj.control.law import law_names
-from cmf_mj.core.files import in_folder
+from cmf_mj.core.files import plain_path
 from cmf_mj.core.settings import checked_name, validated
 from cmf_mj.electronics.converter import load_converters
 from cmf_mj.electronics.sensors import load_sensors
@@ -56,9 +56,9 @@ BAD = {
 @pytest.mark.parametrize("device", ["con", "Prn", "AUX", "nul", "com1", "LPT9"])
 def test_a_file_is_no_device_of_windows(device: str, ending: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be a plain name"):
-        in_folder(tmp_path, device + ending)
+        plain_path(tmp_path, device + ending)
     for name in ("connie", "nullen", "com", "lpt10"):
-        assert in_folder(tmp_path, name + ending).parent == tmp_path
+        assert plain_path(tmp_path, name + ending).parent == tmp_path
         assert checked_name(name) == name
 
 
@@ -148,7 +148,7 @@ def test_a_name_made_past_the_check_still_leaves_no_folder(tmp_path: Path) -> No
     with pytest.raises(
         InputError, match=r"file: 'single_legs-hardware-../../x-heave.*' is refused"
     ):
-        in_folder(tmp_path, f"{case.label}-chirp.parquet")
+        plain_path(tmp_path, f"{case.label}-chirp.parquet")
 
 
 def test_text_with_brackets_is_printed_as_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,7 +176,7 @@ def test_what_is_accepted_never_leaves_a_folder(
         return
     label = "-".join(["single_legs", *accepted, "heave"])
     for name in (*accepted, f"{label}-chirp.parquet"):
-        path = in_folder(folder, name)
+        path = plain_path(folder, name)
         assert path.parent == folder and path.resolve().parent == folder.resolve()
         partial = path.with_name(f".{name}.{2**22}.part")
         partial.write_text("")
@@ -190,7 +190,7 @@ def test_what_is_accepted_never_leaves_a_folder(
 def test_whatever_becomes_a_path_stays_in_its_folder(name: str) -> None:
     folder = Path("/somewhere/out")
     try:
-        path = in_folder(folder, name)
+        path = plain_path(folder, name)
     except InputError:
         return
     assert path.parent == folder and path.name == name and name not in ("", ".", "..")

@@ -183,7 +183,7 @@ def test_a_file_of_poses_alone_in_any_order(tmp_path: Path) -> None:
         ("time,surge\n0,0\n", "sway: column is missing"),
         ("time,surge,sway,heave,roll,pitch,yaw\n0,0,0,,0,0,0\n", "heave: row 1 is empty"),
         ("time,surge,sway,heave,roll,pitch,yaw\n0,0,0,up,0,0,0\n", "heave: is not a column"),
-        ("time,time,surge\n0,0,0\n", "time: column is twice"),
+        ("time,time,surge\n0,0,0\n", "time: column is there twice"),
         ("time,surge,sway,heave,roll,pitch,yaw\n1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n", "frame 1: 1.0"),
         ("", "cannot be read"),
     ],

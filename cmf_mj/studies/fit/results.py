@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.control.law import load_law
-from cmf_mj.core.files import in_folder, write_csv, write_parquet, write_text
+from cmf_mj.core.files import plain_path, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.sensors import SensorSettings
@@ -101,13 +101,13 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     """Write all files of a fit; gives the machine's."""
     where = Path(folder)
     table = numbers(posterior)
-    write_csv(in_folder(where, "numbers.csv"), table.header, table.rows)
+    write_csv(plain_path(where, "numbers.csv"), table.header, table.rows)
     drawn = physical(posterior, posterior.samples(SAMPLES))
     columns = dict(zip(paths(posterior), drawn.T, strict=True))
-    write_parquet(pa.table(columns), in_folder(where, "samples.parquet"))
-    write_text(in_folder(where, "box.toml"), tomlkit.dumps(box(posterior)))
+    write_parquet(pa.table(columns), plain_path(where, "samples.parquet"))
+    write_text(plain_path(where, "box.toml"), tomlkit.dumps(box(posterior)))
     if any(path.startswith("electronics.") for path in paths(posterior)):
-        write_text(in_folder(where, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
+        write_text(plain_path(where, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
     return save_machine(posterior, where) if posterior.campaign.plant.cab_parameters else where
 
 
@@ -122,7 +122,7 @@ def save_machine(posterior: Posterior, where: Path) -> Path:
     table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
     name = f"{machine.name}_fitted".replace(" ", "_")
     law = load_law(posterior.campaign.settings.law or machine.law)
-    save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), in_folder(where, "law.toml"))
+    save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), plain_path(where, "law.toml"))
     bodies = cab.model_dump(mode="json", exclude_none=True)
     station = machine.cabs[cab.base].model_dump(mode="json")["station"]
     parts = ("mass", "centre_of_mass", "inertia")
@@ -138,7 +138,7 @@ def save_machine(posterior: Posterior, where: Path) -> Path:
         "legs": table["legs"] | bodies["legs"],
     }
     return write_text(
-        in_folder(where, "machine.toml"), tomlkit.dumps(_identified(posterior, table))
+        plain_path(where, "machine.toml"), tomlkit.dumps(_identified(posterior, table))
     )
 
 
