@@ -25,12 +25,7 @@ from cmf_mj.analysis.measurable import (
     dof_history,
     least_demand,
 )
-from cmf_mj.analysis.periodic import (
-    matrix_response,
-    periodic_response,
-    sine_response,
-    stitch,
-)
+from cmf_mj.analysis.periodic import matrix_response, periodic_response, sine_response, stitch
 from cmf_mj.analysis.spectra import (
     SEGMENT,
     Estimate,

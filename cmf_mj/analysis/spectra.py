@@ -188,11 +188,7 @@ def welch_response(
 
 
 def report_response(
-    x: ArrayLike,
-    y: ArrayLike,
-    rate: float,
-    *,
-    band: tuple[float, float] | None = None,
+    x: ArrayLike, y: ArrayLike, rate: float, *, band: tuple[float, float] | None = None
 ) -> Estimate:
     """The report's estimator (Appendix A, FRFunction): the mean of H1 and H2 over 7 segments.
 

@@ -10,14 +10,7 @@ from typer import Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import (
-    app,
-    friction_option,
-    pose_option,
-    progress_bar,
-    show,
-    written,
-)
+from cmf_mj.cli.common import app, friction_option, pose_option, progress_bar, show, written
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 

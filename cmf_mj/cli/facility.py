@@ -85,8 +85,7 @@ def serve_command(
     bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
     host: Annotated[str, Option(help="the only host whose datagrams are taken")] = "127.0.0.1",
     host_port: Annotated[
-        int | None,
-        Option(min=1, max=65535, help="its only port; default any program of that host"),
+        int | None, Option(min=1, max=65535, help="its only port; default any program of that host")
     ] = None,
     protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,

@@ -94,9 +94,7 @@ def check_command(machine: Machine) -> None:
 
 @machines.command("build")
 def build_command(
-    machine: Machine,
-    cab: SomeCab = None,
-    out: options.Out = Path("out/machine"),
+    machine: Machine, cab: SomeCab = None, out: options.Out = Path("out/machine")
 ) -> None:
     """Write the MJCF of a machine with a cab: the scene and the files that it includes."""
     from cmf_mj.cli.common import written

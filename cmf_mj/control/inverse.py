@@ -88,10 +88,7 @@ class Inverse(NamedTuple):
 
 
 def make_inverse(
-    valves: Valves,
-    omega: NDArray[np.float64],
-    modes: Modes | None,
-    machine: Machine,
+    valves: Valves, omega: NDArray[np.float64], modes: Modes | None, machine: Machine
 ) -> Inverse:
     """Compile the inverse for legs of these frequencies [rad/s], (n,), or the modes of a cab."""
     legs, geometry, inertia, spring = omega.size, machine.geometry, np.zeros((MODES, MODES)), 1.0

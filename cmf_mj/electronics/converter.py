@@ -26,15 +26,7 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import (
-    Acceleration,
-    Kind,
-    Length,
-    Pressure,
-    Quantity,
-    Speed,
-    Voltage,
-)
+from cmf_mj.core.quantity import Acceleration, Kind, Length, Pressure, Quantity, Speed, Voltage
 from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.core.units import FRAME
 

@@ -17,6 +17,5 @@ __all__ = ["MachineEnv", "ObservedQuantity"]
 
 if "cmf_mj/Hexapod-v0" not in gymnasium.registry:
     gymnasium.register(
-        "cmf_mj/Hexapod-v0",
-        entry_point="cmf_mj.environments.environment:HexapodEnv",
+        "cmf_mj/Hexapod-v0", entry_point="cmf_mj.environments.environment:HexapodEnv"
     )

@@ -123,11 +123,7 @@ def _compiler() -> str:
     return compiler
 
 
-def export_law(
-    law: str | Path | Law,
-    out: Path,
-    cab: str | Path | Cab | None = None,
-) -> list[Path]:
+def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = None) -> list[Path]:
     """Write a law as C into a folder; the files written.
 
     A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area

@@ -169,9 +169,7 @@ def _hosted(
 
 
 def _advance(
-    session: Session,
-    progress: Callable[[float], None] | None,
-    attend: Attendant | None = None,
+    session: Session, progress: Callable[[float], None] | None, attend: Attendant | None = None
 ) -> None:
     """Run a session to its end, by default a second at a time."""
     shown = 0
@@ -197,9 +195,7 @@ def _operation(
 
 
 def account(
-    operation: Operation,
-    received: int | None = None,
-    datagrams: Mapping[str, int] | None = None,
+    operation: Operation, received: int | None = None, datagrams: Mapping[str, int] | None = None
 ) -> dict[str, int]:
     """What became of the host's frames, counted.
 

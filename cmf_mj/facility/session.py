@@ -371,9 +371,7 @@ class Session:
         out = self._recorder.out
         return out[np.arange(first, last) % out.shape[0]]
 
-    def history(
-        self,
-    ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
+    def history(self) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
         """Times, channels and units of all rows so far that are kept.
 
         Those of a run that has ended are read-only, and a record takes them without a copy.

@@ -32,15 +32,7 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import composite, single
-from cmf_mj.signals.signal import (
-    Command,
-    Duration,
-    Motion,
-    Signal,
-    Wait,
-    check_length,
-    commanded,
-)
+from cmf_mj.signals.signal import Command, Duration, Motion, Signal, Wait, check_length, commanded
 
 
 class HeldStep(single.Step):

@@ -236,12 +236,7 @@ class Missed(NamedTuple):
 
 
 def missed(
-    reference: HostStream,
-    demand: HostStream,
-    law: Law,
-    plant: Hexapod,
-    seed: int,
-    **options: Any,
+    reference: HostStream, demand: HostStream, law: Law, plant: Hexapod, seed: int, **options: Any
 ) -> Missed:
     """Fly a demand, with noise of its own; what it missed of the reference."""
     noise = options.get("electronics", ElectronicsSettings())

@@ -53,12 +53,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.oil import density, make_oil
-from cmf_mj.plant.parameters import (
-    HydraulicParameters,
-    cap_area,
-    piston_leakage,
-    rod_area,
-)
+from cmf_mj.plant.parameters import HydraulicParameters, cap_area, piston_leakage, rod_area
 
 CAP, ROD = 0, 1  #: Columns of pressures, contents and volumes.
 

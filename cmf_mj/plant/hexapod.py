@@ -302,9 +302,7 @@ def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) ->
     return model
 
 
-def principal_axes(
-    inertia: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Principal moments (3,) [kg m^2] of a tensor (3, 3), and the quaternion of their axes.
 
     A diagonal tensor keeps its axes.

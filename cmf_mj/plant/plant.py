@@ -189,9 +189,7 @@ class Plant:
         null = linalg.null_space(closed, rcond=1e-9) if closed.size else np.eye(self.model.nv)
         return null, moment @ null
 
-    def _jacobians(
-        self,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Jacobian (rows, nv) and gaps (rows,) of the closed loops; moment arms (n, nv)."""
         model, data = self.model, self.data
         rows = data.nefc

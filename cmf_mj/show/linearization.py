@@ -240,9 +240,7 @@ def _axis_text(dof: str) -> str:
 
 
 def save_modes(
-    ranges: Sequence[EnvelopeModes],
-    sweeps: Sequence[Sequence[Sweep]],
-    folder: Path,
+    ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Sweep]], folder: Path
 ) -> list[Path]:
     """Write the figure `modes_sweep.png`, `range_table` and `modes.csv`.
 

@@ -19,13 +19,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import PLANTS
-from cmf_mj.studies.case import (
-    AMPLITUDE,
-    CaseResult,
-    dof_amplitude,
-    make_case,
-    run_case,
-)
+from cmf_mj.studies.case import AMPLITUDE, CaseResult, dof_amplitude, make_case, run_case
 
 MEASURED = (
     *("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db"),

@@ -108,11 +108,7 @@ def path(gain: float, hose: float, laminar: float, drop: float) -> Path:
 
 
 def port_slopes(
-    hydraulics: Hydraulics,
-    leg: int,
-    spools: Matrix,
-    pressures: Matrix,
-    outward: float = 0.5,
+    hydraulics: Hydraulics, leg: int, spools: Matrix, pressures: Matrix, outward: float = 0.5
 ) -> Slopes:
     """Flows and slopes of one actuator.
 

@@ -31,11 +31,7 @@ _SAMPLED = 2_000_000
 
 
 def write_page(
-    reels: Sequence[Reel],
-    span: tuple[float, float],
-    path: Path,
-    speed: float,
-    camera: str,
+    reels: Sequence[Reel], span: tuple[float, float], path: Path, speed: float, camera: str
 ) -> Path:
     """Write reels side by side, within a span of time [s], as one HTML file below 3 MB.
 

@@ -169,10 +169,7 @@ class LiveSession:
     """One run at a time, in real time; beside it, if asked for, the same run with a second law."""
 
     def __init__(
-        self,
-        scenario: Run,
-        show: Callable[[View], None],
-        tell: Callable[[Exception], None],
+        self, scenario: Run, show: Callable[[View], None], tell: Callable[[Exception], None]
     ) -> None:
         """Build the first run, its `duration` left aside; `start` sets it going.
 

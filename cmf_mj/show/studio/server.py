@@ -28,10 +28,7 @@ class Page:
     """A tab with its session."""
 
     def __init__(
-        self,
-        client: viser.ClientHandle,
-        scenario: Run,
-        gone: Callable[[], bool] = lambda: False,
+        self, client: viser.ClientHandle, scenario: Run, gone: Callable[[], bool] = lambda: False
     ) -> None:
         """Build the page and set its session going with a scenario, unless the tab is gone."""
         self._lock = threading.Lock()

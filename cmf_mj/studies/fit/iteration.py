@@ -74,9 +74,8 @@ class Fitter:
 
     def cost(self, x: Array, residuals: Residuals | None) -> float:
         """-ln L with the prior; infinite where the machine cannot do it."""
-        if residuals is None:
-            return np.inf
-        return cost(residuals, self.stage.order) + 0.5 * float(x @ x)
+        prior = 0.5 * float(x @ x)
+        return np.inf if residuals is None else cost(residuals, self.stage.order) + prior
 
     def all(self, points: Sequence[Array]) -> list[Residuals | None]:
         """Residuals at several points, on threads."""

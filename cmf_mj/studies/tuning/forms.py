@@ -95,10 +95,7 @@ _ON_MOTION = ("acceleration", "forward_velocity", "forward_acceleration")
 
 
 def make_template(
-    name: str,
-    title: str,
-    cabs: Sequence[str | Path | Cab] = CABS,
-    friction: Contact | None = None,
+    name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS, friction: Contact | None = None
 ) -> Template:
     """What a search needs besides the form; `friction` as `linearize` takes it."""
     plants = [Hexapod(cab) for cab in cabs]
