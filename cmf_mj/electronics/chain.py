@@ -24,7 +24,6 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.compiled import allocating, compiled, inlined
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Seed, Settings, name_or
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     ConverterSettings,
@@ -37,6 +36,7 @@ from cmf_mj.electronics.sensors import (
     Sensors,
     SensorSettings,
     SensorState,
+    gravity_along,
     load_sensors,
     make_sensors,
     sense,
@@ -45,7 +45,7 @@ from cmf_mj.electronics.sensors import (
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import MachineOrGimbals
-from cmf_mj.machine.leg_motion import LegAxesState, leg_axes_state, make_leg_axes, track, upward
+from cmf_mj.machine.leg_motion import LegAxesState, leg_axes_state, make_leg_axes, track
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
 from cmf_mj.plant.parameters import fitting
@@ -175,7 +175,7 @@ def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def
     """Write g n . up [m/s^2], which accelerometers feel, at measured extensions (6,) [m]."""
     track(axes, state, position)
     for leg in range(6):
-        gravity[leg] = STANDARD_GRAVITY * upward(state, leg)
+        gravity[leg] = gravity_along(state, leg)
 
 
 @allocating

@@ -1,20 +1,28 @@
-"""Sensors of a machine: settings, noise, `make_sensors`, `sensor_state`, and `sense` once a frame.
+"""Sensors of a machine: settings, `make_sensors`, `sensor_state`, and `sense` once a frame.
 
     truth (motion, pressures) -> leg accelerometer's gravity and swing -> channels -> readings
 
-The true motion and what is read are both `LegFeedback`: accelerations are second derivatives of the
-extension until a sensor adds what it feels of gravity.
+A channel reads, with the gain's error e, standard normal noise n (`noise`) and a first-order
+low-pass H, bilinear and pre-warped to its corner,
+
+    y = clip(step((1 + e) H(truth) + bias + sigma n)),    sigma^2 = density^2 rate / 2
+
+A leg accelerometer feels, with n the unit vector along a leg of length L, and d `Sensors.distance`,
+
+    f = d^2 l / dt^2 + g n . up - (L - d) |dn/dt|^2
+
+The true motion, whose acceleration is one mechanical step late, and what is read are both
+`LegFeedback`: accelerations are second derivatives of the extension until a sensor adds gravity.
 
 The true motion comes from the extensions l[k] at t[k] that MuJoCo integrates. Its semi-implicit
 step is a leapfrog with the mean velocity u[k] = (l[k] - l[k-1]) / h to the middle of the step.
-Second order in h at t[k], the acceleration one mechanical step old:
+Second order in h at t[k], the acceleration at t[k-1]:
 
     v[k] = u[k] + (u[k] - u[k-1]) / 2,    a[k-1] = (u[k] - u[k-1]) / h
 """
 
-import hashlib
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +36,7 @@ from cmf_mj.core.quantity import Bias, Corner, Kind, Quantity
 from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.converter import in_steps
+from cmf_mj.electronics.noise import four_normals, key_schedule, stream_key
 from cmf_mj.machine import models
 from cmf_mj.machine.leg_motion import (
     LegAxes,
@@ -42,7 +51,7 @@ from cmf_mj.machine.machine import Machine, load_machine
 SENSOR_SETS = ("ideal", "noisy")  #: Names of the shipped sets.
 
 
-def _in_own_unit(zero: bool = False) -> AfterValidator:
+def _size(zero: bool = False) -> AfterValidator:
     """Validator of a size above 0, or from 0 on, in a unit that the channel checks."""
     return AfterValidator(lambda quantity: Kind((quantity.unit,), zero=zero).check(quantity))
 
@@ -53,11 +62,11 @@ class ChannelSettings(Settings):
     lowest: Quantity | None = None  #: Least reading.
     highest: Quantity | None = None  #: Largest reading.
     bias: Quantity | None = None  #: Constant error, the same for all legs or axes.
-    noise_density: Annotated[Quantity, _in_own_unit(zero=True)] | None = None
-    """One-sided density of the white noise of the output, per root hertz."""
+    noise_density: Annotated[Quantity, _size(zero=True)] | None = None
+    """One-sided density of the white noise of the output, in the channel's unit per root hertz."""
     bandwidth: Corner | None = None  #: -3 dB corner of the first-order lag, below half the rate.
-    resolution: Annotated[Quantity, _in_own_unit()] | None = None  #: Step between readings.
-    gain_errors: list[Bias] = []  #: Relative error of the gain, one a leg or axis; none for none.
+    resolution: Annotated[Quantity, _size()] | None = None  #: Step between readings.
+    gain_errors: list[Bias] = []  #: Relative error e, one a leg or axis; empty: exact.
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":
@@ -109,11 +118,11 @@ class SensorSettings(Settings):
     def quantities(self) -> dict[str, Quantity]:
         """The numbers of all channels, by channel and name."""
         numbers = {channel: getattr(self, channel).quantities() for channel in CHANNELS}
-        return {f"{c} {name}": one for c, given in numbers.items() for name, one in given.items()}
+        return {f"{of} {name}": one for of, given in numbers.items() for name, one in given.items()}
 
 
-CHANNELS = tuple(SensorSettings.model_fields)[2:]
-"""Kinds of sensors, in the order of `LegFeedback`."""
+CHANNELS = tuple(name if "pressure" in name else f"leg_{name}" for name in LegFeedback._fields)
+"""Kinds of sensors, fields of `SensorSettings` in the order of `LegFeedback`."""
 
 
 load_sensors = Loader(
@@ -132,12 +141,12 @@ class SensorChannel(NamedTuple):
 
     low_pass: NDArray[np.float64]  #: Sections (s, 6) of H; none for an unlimited bandwidth.
     gain: NDArray[np.float64]  #: 1 + e of each leg or axis, (n,); none where all are exact.
-    lowest: float  #: Least reading, -inf for none.
-    highest: float  #: Largest reading, inf for none.
-    bias: float
-    deviation: float  #: Standard deviation sigma of the noise in one frame.
-    resolution: float  #: Step between readings, 0 for none.
-    keys: NDArray[np.uint64]  #: Round keys of the noise, (10, 2).
+    lowest: float  #: Least reading [SI], -inf for none.
+    highest: float  #: Largest reading [SI], inf for none.
+    bias: float  #: [SI].
+    deviation: float  #: Standard deviation sigma of the noise in one frame [SI].
+    resolution: float  #: Step between readings [SI], 0 for none.
+    keys: NDArray[np.uint64]  #: Philox keys of the ten rounds, (10, 2).
 
 
 def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> SensorChannel:
@@ -162,7 +171,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
 
 @compiled
 def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
-    """Readings (n,) of one frame, whose number chooses the noise; may overwrite the truth."""
+    """Readings (n,) of a frame, whose number chooses the noise; `reading` may be `truth` itself."""
     count = truth.shape[0]
     filters.filter_all(channel.low_pass, state, truth, reading)
     if channel.gain.shape[0] > 0:
@@ -180,71 +189,6 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
         if channel.resolution > 0.0:
             reading[i] = in_steps(reading[i], channel.resolution) * channel.resolution
         reading[i] = min(max(reading[i], channel.lowest), channel.highest)
-
-
-_ROUNDS = 10
-_WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
-_FIRST = np.uint64(0xD2E7470EE14C6C93)
-_SECOND = np.uint64(0xCA5A826395121157)
-_LOW = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
-_SPARE = np.uint64(11)
-_UNIT = 2.0**-53
-_NONE = np.uint64(0)
-
-
-def stream_key(seed: int, channel: str) -> tuple[int, int]:
-    """Key of a channel's stream: the seed, 0 to 2^64 - 1, and 64 bits of its name's SHA-256."""
-    if not 0 <= seed < 2**64:
-        raise InputError(f"seed: {seed} must be between 0 and 2^64 - 1")
-    return seed, int.from_bytes(hashlib.sha256(channel.encode()).digest()[:8], "little")
-
-
-def key_schedule(key: tuple[int, int]) -> NDArray[np.uint64]:
-    """Keys of the ten rounds, (10, 2)."""
-    rows = [
-        [(part + i * weyl) % 2**64 for part, weyl in zip(key, _WEYL, strict=True)]
-        for i in range(_ROUNDS)
-    ]
-    return np.array(rows, dtype=np.uint64)
-
-
-@compiled
-def _product(one, two):  # type: ignore[no-untyped-def]
-    """High and low word of a product of two words, from products of halves: nothing overflows."""
-    a, b = one >> _HALF, one & _LOW
-    c, d = two >> _HALF, two & _LOW
-    low = b * d
-    cross = a * d + (low >> _HALF)
-    middle = b * c + (cross & _LOW)
-    return a * c + (cross >> _HALF) + (middle >> _HALF), (middle << _HALF) | (low & _LOW)
-
-
-@compiled
-def block(keys, first, second):  # type: ignore[no-untyped-def]
-    """Four words of the counter (first, second, 0, 0), lowest word first."""
-    c0, c1, c2, c3 = first, second, _NONE, _NONE
-    for i in range(keys.shape[0]):
-        high0, low0 = _product(_FIRST, c0)
-        high1, low1 = _product(_SECOND, c2)
-        c0, c1, c2, c3 = high1 ^ c1 ^ keys[i, 0], low1, high0 ^ c3 ^ keys[i, 1], low0
-    return c0, c1, c2, c3
-
-
-@compiled
-def _pair(one, two):  # type: ignore[no-untyped-def]
-    radius = np.sqrt(-2.0 * np.log((np.float64(one >> _SPARE) + 1.0) * _UNIT))
-    angle = 2.0 * np.pi * np.float64(two >> _SPARE) * _UNIT
-    return radius * np.cos(angle), radius * np.sin(angle)
-
-
-@compiled
-def four_normals(keys, frame, group):  # type: ignore[no-untyped-def]
-    """Standard normals of the components 4 group to 4 group + 3 at a frame."""
-    w0, w1, w2, w3 = block(keys, np.uint64(frame), np.uint64(group))
-    n0, n1 = _pair(w0, w1)
-    n2, n3 = _pair(w2, w3)
-    return n0, n1, n2, n3
 
 
 class Sensors(NamedTuple):
@@ -273,9 +217,9 @@ def make_sensors(
     Each channel has its own noise.
     """
     carrier = load_machine(machine)
-    channels: Any = [make_channel(c, getattr(settings, c), rate, seed) for c in CHANNELS]
+    channels = [make_channel(name, getattr(settings, name), rate, seed) for name in CHANNELS]
     return Sensors(
-        LegFeedback(*channels),
+        LegFeedback(*cast("Any", channels)),
         settings.gravity,
         make_leg_axes(carrier),
         carrier.accelerometer_distance,
@@ -299,7 +243,7 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
             "allowed: electronics 'inertial', which feel none"
         )
     axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
-    felt = -STANDARD_GRAVITY * axes.direction[:, 2] if sensors.gravity else 0.0
+    felt = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
     values = truth._replace(acceleration=truth.acceleration + felt)
     return SensorState(
         LegFeedback(
@@ -315,19 +259,25 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
 
 @compiled
 def true_velocity(mean, mean_before):  # type: ignore[no-untyped-def]
-    """v[k] [m/s] from the mean velocities of the last two steps."""
+    """v[k] = (3 u[k] - u[k-1]) / 2 [m/s] from the mean velocities of the last two steps."""
     return 1.5 * mean - 0.5 * mean_before
 
 
 @compiled
 def true_acceleration(mean, mean_before, step):  # type: ignore[no-untyped-def]
-    """a[k-1] [m/s^2] from the mean velocities of the last two steps."""
+    """a[k-1] = (u[k] - u[k-1]) / h [m/s^2], one step late, from the same."""
     return (mean - mean_before) / step
 
 
 @compiled
+def gravity_along(axes, leg):  # type: ignore[no-untyped-def]
+    """Gravity g n . up [m/s^2] along a leg, which its accelerometer feels at rest."""
+    return STANDARD_GRAVITY * upward(axes, leg)
+
+
+@compiled
 def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def]
-    """One frame, whose number chooses the noise; truth and reading stay apart."""
+    """One frame, whose number chooses the noise; `truth` and `reading` must be different arrays."""
     channels, passed = sensors.channels, state.filters
     read(channels.position, passed.position, frame, truth.position, reading.position)
     read(channels.velocity, passed.velocity, frame, truth.velocity, reading.velocity)
@@ -337,13 +287,13 @@ def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def
     if sensors.gravity:
         track(sensors.axes, state.axes, truth.position)
         for leg in range(6):
-            turning = 0.0
+            squared_turn_rate = 0.0
             for i in range(3):
                 change = (state.axes.direction[leg, i] - state.before[leg, i]) * sensors.rate
-                turning += change * change
+                squared_turn_rate += change * change
                 state.before[leg, i] = state.axes.direction[leg, i]
-            felt[leg] += STANDARD_GRAVITY * upward(state.axes, leg)
-            felt[leg] -= (state.axes.length[leg] - sensors.distance) * turning
+            felt[leg] += gravity_along(state.axes, leg)
+            felt[leg] -= (state.axes.length[leg] - sensors.distance) * squared_turn_rate
     read(channels.acceleration, passed.acceleration, frame, felt, felt)
     read(
         channels.cap_pressure, passed.cap_pressure, frame, truth.cap_pressure, reading.cap_pressure

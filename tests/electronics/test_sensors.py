@@ -8,17 +8,14 @@ from scipy import signal, stats
 
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.electronics.noise import four_normals, key_schedule, philox, stream_key
 from cmf_mj.electronics.sensors import (
     CHANNELS,
     ChannelSettings,
     SensorSettings,
-    block,
-    four_normals,
-    key_schedule,
     load_sensors,
     make_sensors,
     sense_history,
-    stream_key,
 )
 
 RATE = 2048.0
@@ -50,7 +47,7 @@ def test_blocks_are_numpys_philox() -> None:
         oracle = np.random.Philox(
             counter=np.array(words, dtype=np.uint64), key=np.array(key, dtype=np.uint64)
         ).random_raw(4)
-        mine = block(key_schedule(key), np.uint64(first), np.uint64(second))
+        mine = philox(key_schedule(key), np.uint64(first), np.uint64(second))
         assert [int(word) for word in mine] == [int(word) for word in oracle]
 
 
