@@ -1,6 +1,7 @@
 """Tables, figures and files of cueing: flights at the station, the objective motion cueing test."""
 
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,9 +21,11 @@ from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError, Sensed
 from cmf_mj.show import look
 
-SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])  #: Plotted units in SI.
-NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")  #: Of specific force and angular rate.
-_LEAST_SPAN = 0.1  #: Of an axis, in its unit, so that round-off shows as the nothing it is.
+MOTION_NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")  #: Of specific force and angular rate.
+_PLOT_UNITS = ("m/s²", "deg/s")  #: Of specific force and angular rate.
+_PLOT_UNIT_SI = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
+"""SI value of one plotted unit, for `MOTION_NAMES`, (6,)."""
+_LEAST_SPAN = 0.1  #: Least height of an axis, in its unit; else round-off would fill it.
 
 
 class DrawnMotion(NamedTuple):
@@ -39,9 +42,9 @@ def motion_panels(*motions: DrawnMotion) -> list[look.Panel]:
     curves = []
     for motion, label, colour, width in motions:
         time = motion.time - motion.time[0]
-        values = np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
+        values = np.hstack([motion.specific_force, motion.angular_rate]) / _PLOT_UNIT_SI
         curves.append([look.Curve(label, time, y, colour, width) for y in values.T])
-    titles = (f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]" for index, name in enumerate(NAMES))
+    titles = (f"{name} [{by_kind(i, *_PLOT_UNITS)}]" for i, name in enumerate(MOTION_NAMES))
     return [look.Panel(*panel) for panel in zip(titles, zip(*curves, strict=True), strict=True)]
 
 
@@ -70,20 +73,22 @@ def perceived_figure(title: str, error: CueingError, first: str, second: str) ->
     drawn = []
     both = (error.aircraft, first, look.GREY), (error.simulator, second, look.BLUE)
     for sensed, label, colour in both:
-        weight = [0.0, 0.0, sensed.specific_force[0, 2]]
-        lighter = sensed._replace(specific_force=sensed.specific_force - weight)
-        drawn.append(DrawnMotion(lighter, label, colour, 1.2))
-    apart = Sensed(error.aircraft.time, error.error[:, 3:], error.error[:, :3])
-    drawn.append(DrawnMotion(apart, "error", look.ORANGE, 0.8))
+        initial_z = [0.0, 0.0, sensed.specific_force[0, 2]]
+        # f_z less its first value
+        relative = sensed._replace(specific_force=sensed.specific_force - initial_z)
+        drawn.append(DrawnMotion(relative, label, colour, 1.2))
+    force, rate = error.error[:, :3], error.error[:, 3:]
+    difference = Sensed(time=error.aircraft.time, angular_rate=rate, specific_force=force)
+    drawn.append(DrawnMotion(difference, "error", look.ORANGE, 0.8))
     figure, panels, _ = motion_axes(f"{title}; shaded: threshold of the error", *drawn)
-    for axis, limit in zip(panels, error.threshold / SCALE, strict=True):
+    for axis, limit in zip(panels, error.threshold / _PLOT_UNIT_SI, strict=True):
         axis.axhspan(-limit, limit, color=look.PALE, zorder=0.0)
         axis.autoscale(axis="y")
     panels[2].set_ylabel("f_z [m/s²]\nless the start")
     return figure
 
 
-_LEGEND = (
+_ERROR_LEGEND = (
     "sensed in flight less sensed in the simulator, machine ideal; thresholds are settings, not "
     "verdicts"
 )
@@ -94,15 +99,15 @@ def error_table(flown: Cue) -> Table:
     error = flown.error
     rows = [
         (
-            *(name, by_kind(i, "m/s^2", "deg/s")),
-            *(values[i] / SCALE[i] for values in (error.threshold, error.peak, error.rms)),
+            *(name, by_kind(i, *_PLOT_UNITS)),
+            *(values[i] / _PLOT_UNIT_SI[i] for values in (error.threshold, error.peak, error.rms)),
             100.0 * error.share_above[i],
         )
         for i, name in enumerate(QUANTITIES)
     ]
     sizes = (("threshold", ".3f"), ("peak", ".3f"), ("rms", ".3f"))
     columns = ("sensed", ("unit", ""), *sizes, ("above", ".1f %"))
-    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _LEGEND)
+    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _ERROR_LEGEND)
 
 
 def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
@@ -158,27 +163,27 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
     return look.save_files(files, folder, 90)
 
 
+_GRAVITY_PER_DEG = STANDARD_GRAVITY * DEGREE  #: Specific force of a small tilt [m/s^2/deg].
 _OMCT_LEGEND = (
     "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "
     "ideal: behind the DCU, machine ideal; laws: at the crew's accelerometer of the machine. Cross "
-    "tests: m/s^2 per deg (the aircraft itself: 0.171) and deg per m/s^2 (the aircraft: 0). No "
-    "boundary of acceptance is known."
+    f"tests: m/s^2 per deg (the aircraft itself: {_GRAVITY_PER_DEG:.3f}) and deg per m/s^2 (the "
+    "aircraft: 0). No boundary of acceptance is known."
 )
 
-UP_TO = 2.0 * np.pi + 0.1
-"""Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
+SHARE_TOP = 2.0 * np.pi + 0.1
+"""Highest frequency of `share_table` [rad/s]: the test's 6.31, which is 1 Hz, and a margin."""
 _ROTATIONS = ("roll", "pitch", "yaw")
 
 
-def unit(place: int) -> tuple[str, float]:
+def _modulus_unit(driven: str, output: str) -> tuple[str, float]:
     """Unit of a test's modulus and what one of it is in SI."""
-    driven, output = TESTS[place]
     if (driven in _ROTATIONS) == (output in _ROTATIONS):
         return "", 1.0
     return ("m/s^2/deg", 1.0 / DEGREE) if driven in _ROTATIONS else ("deg/(m/s^2)", DEGREE)
 
 
-def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _phase_deg(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Phase [deg] unwrapped along the frequencies that have a response, (K,)."""
     known, angle = np.isfinite(response), np.full(response.shape, np.nan)
     angle[known] = np.degrees(np.unwrap(np.angle(response[known])))
@@ -189,51 +194,50 @@ def omct_table(result: Omct) -> Table:
     """Modulus and phase of each test and stage over the frequencies."""
     rows: list[list[str]] = []
     for place, (driven, output) in enumerate(TESTS):
-        name, scale = unit(place)
+        name, scale = _modulus_unit(driven, output)
         for stage, responses in result.responses.items():
             row = responses[place]
             if not np.isfinite(row).any():
                 continue
-            test = name if stage == STAGES[1] else ""
-            if stage == STAGES[0]:
-                test = f"{driven} > {output}"
+            row_title = {STAGES[0]: f"{driven} > {output}", STAGES[1]: name}.get(stage, "")
             sizes = (number(size, ".3f") for size in np.abs(row) / scale)
-            rows.append([test, stage, "mod", *sizes])
-            rows.append(["", "", "deg", *(number(angle, ".0f") for angle in phase(row))])
+            rows.append([row_title, stage, "mod", *sizes])
+            rows.append(["", "", "deg", *(number(angle, ".0f") for angle in _phase_deg(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
     return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND)
 
 
 def share_table(result: Omct) -> Table:
-    """A row a test: the share of each law up to `UP_TO`.
+    """One row per test, one column per law, of frequencies up to `SHARE_TOP`.
 
-    A cell holds least and largest modulus of machine over ideal, or one where they round alike, and
-    the phase [deg] at the last frequency; `*` where anywhere the output has more outside the
-    fundamental than in it.
+    A cell: least to largest modulus of machine over ideal machine, one where they round alike, and
+    phase [deg] at the last frequency; `*` if at any frequency the remainder exceeds the
+    fundamental.
     """
     laws = [name for name in result.responses if name not in STAGES]
-    low = result.frequency <= UP_TO
+    low = result.frequency <= SHARE_TOP
     rows = []
     for place, (driven, output) in enumerate(TESTS):
         shares = [result.share(law)[place][low] for law in laws]
         if any(np.isfinite(share).any() for share in shares):
             cells = [
-                _range(share, bool((result.remainder[law][place][low] > 1.0).any()))
+                _share_cell(share, bool((result.remainder[law][place][low] > 1.0).any()))
                 for law, share in zip(laws, shares, strict=True)
             ]
             rows.append([f"{driven} > {output}", *cells])
     return Table("", ("test", *laws), rows)
 
 
-def _range(share: NDArray[np.complex128], impure: bool) -> str:
+def _share_cell(share: NDArray[np.complex128], remainder_dominates: bool) -> str:
     known = np.isfinite(share)
     if not known.any():
         return "-"
     sizes = np.abs(share[known])
     size = " to ".join(dict.fromkeys(number(value, ".2f") for value in (sizes.min(), sizes.max())))
     lost = "" if known.all() else ", left its bounds"
-    return f"{size}, {number(phase(share)[known][-1], '.0f')}°{'*' if impure else ''}{lost}"
+    last, star = number(_phase_deg(share)[known][-1], ".0f"), "*" if remainder_dominates else ""
+    return f"{size}, {last}°{star}{lost}"
 
 
 def omct_figure(result: Omct) -> Figure:
@@ -243,24 +247,25 @@ def omct_figure(result: Omct) -> Figure:
     rows, wide = -(-len(tested) // 2), 2 * min(len(tested), 2)
     figure = look.new_figure(3.25 * wide, 3.0 * rows + 0.6)
     axes = figure.subplots(rows, wide, sharex=True, squeeze=False)
-    colours = ("#999999", "#000000", *(colour for colour in look.COLOURS if colour != "#000000"))
+    stages = result.responses.items()
+    colours = dict.fromkeys((look.GREY, look.BLACK, *look.COLOURS))  # each once
     for at, place in enumerate(tested):
         driven, output = TESTS[place]
         row, side = divmod(at, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
-        name, scale = unit(place)
-        for index, (stage, responses) in enumerate(result.responses.items()):
-            style: dict[str, Any] = {"color": colours[index % len(colours)], "label": stage}
+        name, scale = _modulus_unit(driven, output)
+        for colour, (stage, responses) in zip(cycle(colours), stages, strict=False):
+            style: dict[str, Any] = {"color": colour, "label": stage}
             style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
-            angle.plot(result.frequency, phase(responses[place]), **style)
+            angle.plot(result.frequency, _phase_deg(responses[place]), **style)
         modulus.set(yscale="log")
         low, high = modulus.get_ylim()
         plain = FuncFormatter(lambda value, _: f"{value:g}")
         modulus.yaxis.set_major_formatter(plain)
         modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if driven != output and driven in _ROTATIONS:
-            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=look.GREY, linestyle=":")
+            modulus.axhline(_GRAVITY_PER_DEG, color=look.GREY, linestyle=":")
         ylabel = f"modulus [{name}]" if name else "modulus"
         modulus.set(title=f"{driven} > {output}", ylabel=ylabel)
         angle.set_ylabel("phase [deg]")
@@ -268,7 +273,7 @@ def omct_figure(result: Omct) -> Figure:
         axis.grid(True, which="both")
         axis.set_visible(axis.has_data())
     for column in axes.T:
-        last = column[sum(axis.has_data() for axis in column) - 1]
+        last = column[sum(axis.has_data() for axis in column) - 1]  # lowest axis that is drawn
         look.frequency_axis(last.xaxis, "rad/s")
         last.tick_params(labelbottom=True)
     look.legend(figure)
@@ -280,7 +285,7 @@ def omct_figure(result: Omct) -> Figure:
 
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
-    """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
+    """Write `omct.csv` (modulus in SI, phases in deg), `omct.md`, `share.md` and `omct.png`."""
     rows = []
     for place, (driven, output) in enumerate(TESTS):
         for stage, responses in result.responses.items():
@@ -288,10 +293,10 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
             columns = {
                 "frequency_rad_s": result.frequency,
                 "modulus_si": np.abs(response),
-                "phase_deg": phase(response),
+                "phase_deg": _phase_deg(response),
                 "remainder": result.remainder[stage][place],
                 "share_modulus": np.abs(share),
-                "share_phase_deg": phase(share),
+                "share_phase_deg": _phase_deg(share),
             }
             of = {"test": f"{driven}>{output}", "stage": stage}
             for at in np.flatnonzero(np.isfinite(response)):

@@ -18,8 +18,7 @@ from cmf_mj.pilot.fly import FlightResult
 from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
-from cmf_mj.show import look
-from cmf_mj.show.cueing import NAMES, DrawnMotion, motion_axes, motion_panels, perceived_figure
+from cmf_mj.show import cueing, look
 from cmf_mj.show.stage import Panels
 
 _MOTIONS = {
@@ -32,9 +31,9 @@ _SCALE = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
 """What is shown of one SI unit: mm or mm/s^2, and deg or deg/s."""
 
 
-def drawn(ride: FlightResult) -> list[DrawnMotion]:
+def drawn(ride: FlightResult) -> list[cueing.DrawnMotion]:
     """Those of a ride."""
-    return [DrawnMotion(getattr(ride, name), *style) for name, style in _MOTIONS.items()]
+    return [cueing.DrawnMotion(getattr(ride, name), *style) for name, style in _MOTIONS.items()]
 
 
 def saved_traces(records: Sequence[Path]) -> list[Panels]:
@@ -46,10 +45,10 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
     if not all(path.exists() for beside in files for path in beside.values()):
         return []
     flights = [
-        [DrawnMotion(load_flight(path).motion, *_MOTIONS[name]) for name, path in beside.items()]
-        for beside in files
+        [cueing.DrawnMotion(load_flight(path).motion, *_MOTIONS[key]) for key, path in one.items()]
+        for one in files
     ]
-    every = list(zip(*(motion_panels(*motions) for motions in flights), strict=True))
+    every = list(zip(*(cueing.motion_panels(*motions) for motions in flights), strict=True))
     moved = [
         any(np.ptp(curve.y) > 0.01 for panel in panels for curve in panel.curves)
         for panels in every
@@ -77,7 +76,7 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
         at = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
         axes.bar(at, error.rms / error.threshold, 0.75 / len(bars), color=colour, label=label)
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
-    axes.set_xticks(range(6), NAMES)
+    axes.set_xticks(range(6), cueing.MOTION_NAMES)
     named = "specific force and angular rate, body axes"
     axes.set(yscale="log", xlabel=named, ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}")
@@ -89,7 +88,7 @@ def flight_table(rides: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
-        for i, name in enumerate(NAMES)
+        for i, name in enumerate(cueing.MOTION_NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
     ideal, still = rides[0].washout_error.rms * _SCALE, ["0"] * 6
@@ -106,9 +105,10 @@ def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
     files: dict[str, Any] = {f"{name}.parquet": getattr(ride, name) for name in _MOTIONS}
     of, sensed = f"{ride.law}, cab {ride.cab}", ("in the aircraft", "in the cab")
-    files["motion.png"] = motion_axes(f"Motion at the pilot's station: {of}", *drawn(ride))[0]
+    title = f"Motion at the pilot's station: {of}"
+    files["motion.png"] = cueing.motion_axes(title, *drawn(ride))[0]
     title = f"Motion sensed by otoliths and canals: {of}"
-    files["perceived.png"] = perceived_figure(title, ride.cueing, *sensed)
+    files["perceived.png"] = cueing.perceived_figure(title, ride.cueing, *sensed)
     return look.save_files(files, folder)
 
 

@@ -23,10 +23,10 @@ from cmf_mj.analysis.published import Published
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import plain_path, whole_file, write_csv, write_json
 
-BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
+BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",
 )  # fmt: skip
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK, "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
 
 FAINT = 0.3  #: Opacity of what is drawn pale.

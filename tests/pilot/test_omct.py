@@ -27,7 +27,7 @@ from cmf_mj.pilot.omct import (
 from cmf_mj.pilot.washout_settings import load_washout, save_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.cueing import omct_table, phase, share_table, unit
+from cmf_mj.show.cueing import _modulus_unit, _phase_deg, omct_table, share_table
 from scripts.flights import with_gains
 
 SIMONA = load_washout()
@@ -156,15 +156,15 @@ def test_report_holds_all_tests_and_units(machine):
     header, lines = table.header, table.cells
     assert header[3:] == ["1"]
     assert [line[0] for line in lines if ">" in line[0]] == ["surge > surge", "surge > pitch"]
-    assert unit(TESTS.index(("surge", "pitch")))[0] == "deg/(m/s^2)"
-    assert unit(TESTS.index(("yaw", "yaw"))) == ("", 1.0)
+    assert _modulus_unit("surge", "pitch")[0] == "deg/(m/s^2)"
+    assert _modulus_unit("yaw", "yaw") == ("", 1.0)
     head, shares = share_table(machine).header, share_table(machine).cells
     assert head == ["test", "velocity"]
     assert [line[0] for line in shares] == ["surge > surge", "surge > pitch"]
     share = machine.share("velocity")[TESTS.index(("surge", "surge")), 0]
     assert shares[0][1] == f"{abs(share):.2f}, {np.degrees(np.angle(share)):.0f}°"
     turning = np.exp(-1j * np.radians([170.0, 190.0, 250.0]))
-    np.testing.assert_allclose(phase(turning), [-170.0, -190.0, -250.0])
+    np.testing.assert_allclose(_phase_deg(turning), [-170.0, -190.0, -250.0])
 
 
 def test_shares_are_told_up_to_1_hz_with_what_is_beside_the_fundamental():
