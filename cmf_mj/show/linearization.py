@@ -104,9 +104,9 @@ def pole_table(study: LinearizationStudy) -> Table:
         still, pair = np.isnan(mode.damping_ratio), pole.imag > 0.0
         text = f"{pole.real:.4g}" + (f" ± {pole.imag:.4g}j" if pair else "")
         numbers = ("0", "0") if still else (text, f"{hertz:.3g}")
-        states = _largest(list(mode.shares), list(mode.shares.values()))
+        states = _largest(list(mode.participation), list(mode.participation.values()))
         shapes = ("", "")
-        if not others and mode.shares["motion"] + mode.shares["oil"] >= _NAMED:
+        if not others and mode.participation["motion"] + mode.participation["oil"] >= _NAMED:
             legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
             shapes = (_largest(DOFS, list(mode.dof_shares)), legs)
         rows.append((*numbers, mode.damping_ratio, str(1 + len(others)), states, *shapes))

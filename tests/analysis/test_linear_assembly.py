@@ -22,7 +22,7 @@ from cmf_mj.analysis.linear.poles import leg_model, modes, reduced
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units
-from cmf_mj.core.errors import NotLinearError
+from cmf_mj.core.errors import InputError, NotLinearError
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
@@ -461,7 +461,7 @@ def test_modes_name_what_takes_part(hexapod: Hexapod) -> None:
     result = Linear(hexapod).modes()
     assert sum(1 if m.pole.imag == 0.0 else 2 for m in result) == linearize(hexapod).nstates
     for mode in result:
-        assert sum(mode.shares.values()) == pytest.approx(1.0, abs=1e-9)
+        assert sum(mode.participation.values()) == pytest.approx(1.0, abs=1e-9)
     ringing = [m for m in result if m.pole.imag > 1.0]
     leading = [DOFS[int(np.argmax(m.dof_shares))] for m in ringing]
     assert leading == ["surge", "sway", "yaw", "heave", "pitch", "roll"]
@@ -470,7 +470,7 @@ def test_modes_name_what_takes_part(hexapod: Hexapod) -> None:
         match = abs(np.vdot(mode.leg_shape, shape))
         match /= np.linalg.norm(mode.leg_shape) * np.linalg.norm(shape)
         assert match > 0.999
-    lags = [m for m in result if m.shares["drive"] > 0.9]
+    lags = [m for m in result if m.participation["drive"] > 0.9]
     assert [m.frequency for m in lags] == pytest.approx([18.85] * 6, rel=1e-3)
     assert {round(m.damping_ratio, 6) for m in lags} == {1.0}
 
@@ -496,6 +496,24 @@ def test_valves_with_other_lags_keep_states_of_their_own() -> None:
         plain(s) * 0.5 * (1.0 + (3.0 * np.pi / (s + 3.0 * np.pi)) / (6 * np.pi / (s + 6 * np.pi)))
     )
     np.testing.assert_allclose(both(s), expected, rtol=1e-9)
+
+
+def test_one_leg_keeps_the_modes_of_the_machine(hexapod: Hexapod) -> None:
+    """The same poles, but for lags of the other legs' valves; the motion is that of all legs."""
+    system = linearize(hexapod)
+    whole, one = modes(system), modes(leg_model(system, 2))
+    ringing = [mode.pole for mode in whole if mode.pole.imag > 1.0]
+    assert [mode.pole for mode in one if mode.pole.imag > 1.0] == pytest.approx(ringing, rel=1e-6)
+    assert {mode.leg_shape.size for mode in one} == {6}
+
+
+def test_modes_of_what_is_no_plant_are_refused(hexapod: Hexapod) -> None:
+    foreign = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], states=["charge"])
+    with pytest.raises(InputError, match="state 'charge' is no plant's; allowed: .* drive, spool"):
+        modes(foreign)
+    alone = leg_model(linearize(SingleLegs("report")), 1)
+    with pytest.raises(InputError, match="jacobian: has 6 legs; allowed: the system's 1"):
+        modes(alone, np.eye(6))
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cmf_mj.analysis.linear.loop import labels, reached
+from cmf_mj.analysis.linear.loop import reached
 from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.record.record import Record
 
 Matrix = NDArray[np.float64]
 
@@ -69,7 +67,7 @@ def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
     )
 
 
-_FAMILIES = {
+_KINDS = {
     "drive": ("drive",),
     "spool": ("spool",),
     "motion": ("leg_position", "leg_velocity"),
@@ -78,7 +76,7 @@ _FAMILIES = {
 }
 """Kinds of state, with the beginnings of their names."""
 
-_STILL = 1e-6  #: Pole [rad/s] of an integrator: round-off of the eigenvalues.
+_INTEGRATOR = 1e-6  #: A pole of smaller modulus [rad/s] is taken as 0: round-off of eigenvalues.
 
 
 class Mode(NamedTuple):
@@ -87,68 +85,55 @@ class Mode(NamedTuple):
     pole: complex  #: [rad/s], of a pair the one above the real axis.
     frequency: float  #: Modulus of the pole [rad/s].
     damping_ratio: float  #: -Re / modulus; 1 for a stable real pole, NaN for an integrator.
-    shares: dict[str, float]  #: Shares of drive, spool, motion, oil and supply, sum 1.
-    leg_shape: NDArray[np.complex128]  #: Leg motion, (n,), the largest 1; zero where no leg moves.
+    participation: dict[str, float]  #: Sums of participation factors by kind of state; sum 1.
+    leg_shape: NDArray[np.complex128]  #: Leg motion s, (n,), the largest 1; 0 where no leg moves.
     dof_shares: Matrix
-    """Shares of the degrees of freedom in the leg motion, (6,); NaN where none are asked for."""
+    """Re(s^H J_j x_j) / |s|^2 of pose x = J^-1 s, (6,), sum 1, may be negative; NaN without J."""
 
 
 def modes(system: control.StateSpace, jacobian: Matrix | None = None) -> tuple[Mode, ...]:
     """All modes of a linearised plant, slowest first.
 
     Of poles that coincide, such as those of uncoupled equal legs, only the space of all is
-    determined, not the shape of one. With the `jacobian` d(legs)/d(pose) (6, 6) they have shares of
-    degrees of freedom.
+    determined, not the shape of one. With the `jacobian` J = d(legs)/d(pose) (6, 6), of a system of
+    six legs, they have shares of degrees of freedom. Raises `InputError` for other systems.
     """
     if not system.isctime(strict=True):
         raise InputError("system: is discrete; a linearised plant, which is continuous, is needed")
-    kinds = [
-        next(k for k, starts in _FAMILIES.items() if n.startswith(starts))
-        for n in system.state_labels
-    ]
+    begins = {start: kind for kind, starts in _KINDS.items() for start in starts}
+    kinds = []
+    for label in system.state_labels:
+        kind = next((kind for start, kind in begins.items() if label.startswith(start)), None)
+        if kind is None:
+            raise InputError(
+                f"system: state {label!r} is no plant's; allowed: those that begin with "
+                f"{', '.join(begins)}"
+            )
+        kinds.append(kind)
+    rows = [i for i, one in enumerate(system.state_labels) if one.startswith("leg_position")]
+    if jacobian is not None and len(rows) != len(jacobian):
+        raise InputError(f"jacobian: has {len(jacobian)} legs; allowed: the system's {len(rows)}")
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
-    poles = np.where(np.abs(poles) < _STILL, 0.0, poles)
+    poles = np.where(np.abs(poles) < _INTEGRATOR, 0.0, poles)
     factors = np.abs(right * np.linalg.inv(right).T)
     factors /= factors.sum(axis=0)
     right = right * scale[:, None]
-    legs = int(system.ninputs)
-    rows = [system.state_labels.index(name) for name in labels(("leg_position",), legs)]
     result = []
     for i in np.argsort(np.abs(poles), kind="stable"):
         if poles[i].imag < 0.0:
             continue
         size = float(np.abs(poles[i]))
         shape = right[rows, i]
-        most = shape[np.argmax(np.abs(shape))]
-        moves = np.abs(most) > 1e-12 * np.abs(right[:, i]).max()
-        shape = shape / most if moves else np.zeros(legs, dtype=complex)
-        damping = float(-poles[i].real / size) if size > _STILL else float("nan")
+        largest = shape[np.argmax(np.abs(shape))]
+        has_motion = np.abs(largest) > 1e-12 * np.abs(right[:, i]).max()
+        shape = shape / largest if has_motion else np.zeros(len(rows), dtype=complex)
+        damping = float(-poles[i].real / size) if size > _INTEGRATOR else float("nan")
         parts = list(zip(factors[:, i], kinds, strict=True))
-        shares = {name: float(sum(f for f, kind in parts if kind == name)) for name in _FAMILIES}
+        sums = {name: float(sum(f for f, kind in parts if kind == name)) for name in _KINDS}
         dofs = np.full(6, np.nan)
-        if jacobian is not None and moves:
+        if jacobian is not None and has_motion:
             along = jacobian * np.linalg.solve(jacobian, shape)
             dofs = np.real(np.conj(shape) @ along) / float(np.sum(np.abs(shape) ** 2))
-        result.append(Mode(complex(poles[i]), size, damping, shares, shape, dofs))
+        result.append(Mode(complex(poles[i]), size, damping, sums, shape, dofs))
     return tuple(result)
-
-
-_TAIL = 4.0  #: Length of the steady oscillation examined [s].
-
-
-def limit_cycle(record: Record) -> tuple[float, float, float]:
-    """Frequency [Hz], amplitude [psi] and largest acceleration [g] of leg 1 at the end of a run.
-
-    The frequency is NaN where the oscillation has died down.
-    """
-    tail = round(_TAIL * record.rate)
-    difference = units.from_si("psi", (record["cap_pressure"] - record["rod_pressure"])[-tail:, 0])
-    acceleration = float(np.abs(record["leg_acceleration"][-tail:, 0]).max())
-    acceleration /= units.STANDARD_GRAVITY
-    swing = difference - difference.mean()
-    amplitude = float(np.ptp(swing)) / 2.0
-    if amplitude < 10.0:
-        return float("nan"), amplitude, acceleration
-    spectrum = np.abs(np.fft.rfft(swing * np.hanning(tail)))
-    return float(np.argmax(spectrum) / _TAIL), amplitude, acceleration

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.linear.poles import limit_cycle
+from cmf_mj.analysis.limit_cycle import limit_cycle
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
@@ -144,7 +144,7 @@ def _computed(result: CaseResult, quantity: PrintedQuantity) -> tuple[float, flo
     """A quantity of a law, NaN where its step rings on, and that of its sweep in any case."""
     stable, field = result.measures.stable, quantity.field
     if field == "oscillation_hz":
-        return limit_cycle(result.step)[0], _NAN
+        return limit_cycle(result.step).frequency, _NAN
     if field == "acceleration_g":
         largest = float(np.abs(result.step["leg_acceleration"]).max())
         return largest / units.STANDARD_GRAVITY, _NAN

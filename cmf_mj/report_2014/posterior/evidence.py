@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.analysis.linear.poles import limit_cycle
+from cmf_mj.analysis.limit_cycle import limit_cycle
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
-from cmf_mj.core.units import RATE
+from cmf_mj.core.units import RATE, STANDARD_GRAVITY
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
@@ -175,7 +175,7 @@ def oscillation_g(
     ratio = supply_pressure / parameters.supply_pressure.value
     changed = _SUPPLY.apply({"ratio": ratio}, parameters)
     case = make_case("force", "heave", "single_legs", hydraulics=changed)
-    return limit_cycle(case.run(case.step(), rate=RATE))[2]
+    return limit_cycle(case.run(case.step(), rate=RATE)).acceleration / STANDARD_GRAVITY
 
 
 def oscillation_likelihood(supply_pressure: Array, simulated: Array) -> Array:
