@@ -7,8 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis import spectra
-from cmf_mj.analysis.spectra import DRIVEN, NEIGHBOURS, Complex, Estimate, Real
+from cmf_mj.analysis.spectra import Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
+
+_DRIVEN = 1e-6
+"""Amplitude over the largest one from which on a line of a periodic input counts as driven."""
+_NEIGHBOURS = 16  #: Lines about a sine from which its noise is taken.
 
 
 class SineFit(NamedTuple):
@@ -75,7 +79,7 @@ def sine_response(x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike)
 
     A constant, the sines and their harmonics up to the third are fitted at once to whole cycles of
     the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a line
-    is the mean power of the residual on the `NEIGHBOURS` lines about it.
+    is the mean power of the residual on the 16 lines nearest about it.
 
     x and y are (N,) in steady state, `frequency` [Hz] a number or (K,). Raises `InputError` for
     frequencies out of range or too close, no whole cycle, no input at one of them.
@@ -119,7 +123,7 @@ def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
     """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
     order = np.arange(power.size)
     free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
-    near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in chosen]
+    near = [free[np.argsort(np.abs(free - line), kind="stable")[:_NEIGHBOURS]] for line in chosen]
     means = [float(power[lines].mean()) if lines.size else np.nan for lines in near]
     return np.array(means), np.array([float(lines.size) for lines in near])
 
@@ -153,7 +157,7 @@ def matrix_response(
     power[0] = 0.0
     share = power / power.max(axis=0)
     frequency = np.arange(share.shape[0]) / period
-    chosen = spectra.lines_within(frequency, band, 0.5 / period) & (share > DRIVEN**2).any(axis=1)
+    chosen = spectra.lines_within(frequency, band, 0.5 / period) & (share > _DRIVEN**2).any(axis=1)
     lines, owner = np.flatnonzero(chosen), np.argmax(share, axis=1)
     if lines.size == 0:
         raise InputError("inputs: no line is driven within the band")

@@ -17,9 +17,9 @@ The bound is the radius r of the circle in the complex plane that holds the true
 where F is the 95 % point of Fisher's distribution, R the correlation between segments that share
 samples, and n = (tr (I-P)R)^2 / tr ((I-P)R)^2 with P = e e^H (Satterthwaite) the averages left for
 the noise. Without overlap R = I, n = S - 1, and this is the bound of Bendat and Piersol, Random
-Data: r^2 = F / (S - 1) (1 - c) S_yy / S_xx. It covers random error only, neither the bias of
-the report's under output noise nor leakage. Frequencies in Hz, a response in the output's unit per
-the input's.
+Data: r^2 = F / (S - 1) (1 - c) S_yy / S_xx. It covers random error only, neither leakage nor
+the bias of the report's estimator under output noise. Frequencies in Hz, a response in the
+output's unit per the input's.
 """
 
 from typing import Literal, NamedTuple
@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError
 
 Estimator = Literal["h1", "report"]
@@ -35,9 +36,6 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 SEGMENT = 20.0  #: Length of Welch's segments [s]: lines every 0.05 Hz.
 CONFIDENCE = 0.95  #: Probability that the true response lies within the bound.
-DRIVEN = 1e-6
-"""Amplitude over the largest one from which on a line of a periodic input counts as driven."""
-NEIGHBOURS = 16  #: Lines about a sine from which its noise is taken.
 
 
 class Estimate(NamedTuple):
@@ -106,7 +104,7 @@ def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -
 
 
 def confidence_radius(variance: Real, averages: ArrayLike) -> Real:
-    """95 % radius of a complex mean of this variance, itself known from n averages; n = 0: inf."""
+    """95 % radius of a complex mean of this variance, estimated from n averages; n = 0: inf."""
     n = np.broadcast_to(np.asarray(averages, dtype=float), variance.shape)
     known = n > 0.0
     safe = np.where(known, n, 1.0)
@@ -116,11 +114,9 @@ def confidence_radius(variance: Real, averages: ArrayLike) -> Real:
 
 
 def as_pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
-    """Input and output as arrays (N,) of one length."""
-    xs, ys = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if xs.ndim != 1 or xs.shape != ys.shape:
-        raise InputError(f"x, y: shapes are {xs.shape}, {ys.shape}; both must be (N,)")
-    return xs, ys
+    """Input and output as arrays (N,) of one length, of finite numbers."""
+    xs = shaped("x", x, None)
+    return xs, shaped("y", y, xs.size)
 
 
 def line_frequencies(size: int, rate: float) -> Real:
@@ -133,14 +129,14 @@ def lines_within(
 ) -> NDArray[np.bool_]:
     """Lines that lie in the band and above a frequency [Hz]."""
     low, high = band if band is not None else (0.0, np.inf)
-    slack = 1e-9 * frequency[-1]
-    return (frequency > above) & (frequency >= low - slack) & (frequency <= high + slack)
+    rounding = 1e-9 * frequency[-1]
+    return (frequency > above) & (frequency >= low - rounding) & (frequency <= high + rounding)
 
 
-def share_of(part: Real, whole: Real, empty: float = 0.0) -> Real:
-    """Part over whole, 0 to 1, and `empty` where there is nothing."""
+def share_of(part: Real, whole: Real, of_nothing: float = 0.0) -> Real:
+    """Part over whole, 0 to 1, and `of_nothing` where the whole is 0."""
     some = whole > 0.0
-    return np.where(some, np.clip(part / np.where(some, whole, 1.0), 0.0, 1.0), empty)
+    return np.where(some, np.clip(part / np.where(some, whole, 1.0), 0.0, 1.0), of_nothing)
 
 
 def welch_response(
@@ -165,8 +161,8 @@ def welch_response(
     as a sweep: every instant then has the same weight over the segments, and an output that lags
     its swept input is not weighted differently from it.
 
-    Raises `InputError` for lengths that differ, a segment longer than the record, no input at a
-    line.
+    Raises `InputError` for lengths that differ, numbers that are not finite, a segment longer than
+    the record or below 4 samples, no input at a line.
     """
     xs, ys = as_pair(x, y)
     if segment <= 0.0 or not 0.0 <= overlap < 1.0:
@@ -174,8 +170,10 @@ def welch_response(
             f"segment, overlap: {segment} s, {overlap}; allowed: above 0 s, and 0 to below 1"
         )
     length = round(segment * rate)
-    if xs.size < length or length < 4:
+    if xs.size < length:
         raise InputError(f"segment: {segment} s exceeds the record's {xs.size / rate:.3f} s")
+    if length < 4:
+        raise InputError(f"segment: {segment} s is less than 4 samples, {4.0 / rate} s")
     hop, rest = max(length - int(overlap * length), 1), length if pad else 0
     both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(xs.size, dtype=bool), rest)
@@ -190,7 +188,7 @@ def welch_response(
 def report_response(
     x: ArrayLike, y: ArrayLike, rate: float, *, band: tuple[float, float] | None = None
 ) -> Estimate:
-    """The report's estimator (Appendix A, FRFunction): the mean of H1 and H2 over 7 segments.
+    """The report's estimator (Appendix A, FRFunction): the mean of H1 and H2 over 7 or 8 segments.
 
     Half-overlapping segments of L + 1 samples, L = floor((N - 1) / 4), every
     L - floor(L / 2) samples until the record is used up, the last one filled up with zeros; each
@@ -201,7 +199,7 @@ def report_response(
     coherence c of 0.95, 0.9, 0.8.
 
     Left out: the minus sign that Appendix A gives H and takes back when plotting, the sampling rate
-    rounded up to a whole number, and the periodic option, a single division of
+    rounded up to a whole number, and the periodic option, which divides one pair of spectra.
 
     x and y are (N,), `band` the lowest and highest line [Hz]; default all above zero. Raises
     `InputError` for lengths that differ, and a record shorter than the segments.
@@ -210,7 +208,7 @@ def report_response(
     size = xs.size
     length = (size - 1) // 4
     if length < 4:
-        raise InputError(f"segments: {size} samples are too few for seven")
+        raise InputError(f"segments: {size} samples are too few; allowed: 17 or more")
     hop = length - length // 2
     count = -(-max(size - (length + 1), 0) // hop) + 1
     tail = (count - 1) * hop + length + 1 - size

@@ -398,8 +398,20 @@ WAVE = sines((1.0,), 10.0)
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: welch_response(FLAT, FLAT[1:], RATE), r"x, y: shapes are \(640,\)"),
+        (lambda: welch_response(FLAT, FLAT[1:], RATE), r"y: shape is \(639,\); allowed: \(640,\)"),
         (lambda: welch_response(WAVE, WAVE, RATE), "segment: 20.0 s exceeds"),
+        (
+            lambda: welch_response(WAVE, WAVE, RATE, segment=0.01),
+            "segment: 0.01 s is less than 4 samples, 0.0625 s",
+        ),
+        (
+            lambda: welch_response(np.full(640, np.nan), WAVE, RATE, segment=2.0),
+            r"x\[0\]: nan is not a finite number",
+        ),
+        (
+            lambda: report_response(WAVE, np.full(640, np.nan), RATE),
+            r"y\[0\]: nan is not a finite number",
+        ),
         (lambda: welch_response(FLAT, FLAT, RATE, segment=2.0), "x: is zero at"),
         (lambda: report_response(WAVE[:9], WAVE[:9], RATE), "segments: 9 samples are too few"),
         (lambda: periodic_response(WAVE, WAVE, RATE, 0.99, ODD), "not a whole number"),
