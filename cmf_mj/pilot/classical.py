@@ -1,4 +1,4 @@
-"""The classical washout: high-pass filters, tilt coordination, and angles of both.
+"""The classical washout: high-pass filters for motion and angle, and tilt coordination.
 
 Structure after Reid and Nahon (UTIAS reports 296, 307 and 319). With f1 the scaled and limited
 specific force, e the Euler rates of the scaled and limited angular rate, T from simulator to
@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
@@ -49,7 +50,7 @@ Array = NDArray[np.float64]
 Matrices = tuple[Array, Array, Array, Array]
 """A, B, C, D."""
 
-_ITERATIONS = 8  #: Of the implicit step of the tilt, which contracts by at most T / (2 tau) each.
+_ITERATIONS = 8  #: Of the implicit step of the tilt; each contracts by T / (2 tau) or less.
 
 
 class Filter(NamedTuple):
@@ -60,13 +61,13 @@ class Filter(NamedTuple):
     inputs: Array  #: Of the last sample, (m,).
 
 
-def at_work(system: Held) -> Filter:
+def empty_filter(system: Held) -> Filter:
     """A filter with nothing in it."""
     states, inputs = system.earlier.shape
     return Filter(system, np.zeros(states), np.zeros(inputs))
 
 
-def settle(filtering: Filter, inputs: Array) -> Array:
+def start_filter(filtering: Filter, inputs: Array) -> Array:
     """Put a filter into the state after a long time at constant inputs (m,); its outputs (p,)."""
     filtering.state[:] = settled(filtering.system, inputs)
     filtering.inputs[:] = inputs
@@ -91,24 +92,24 @@ class Classical(NamedTuple):
     """Euler rates (3) and their slopes (3) to angles, rates and accelerations (9)."""
     low_pass: Filter  #: Specific force x, y (2) to its low-passed part and two derivatives (6).
     translation: Filter  #: T f1 + g (3) to displacement, velocity and acceleration (9).
-    tilt: Array  #: Pitch and roll tilt with two derivatives, (2, 3).
-    demand: Array  #: Their demands, (2, 3).
+    tilt: Array  #: In pitch, and in roll with its sign reversed, with two derivatives, (2, 3).
+    demand: Array  #: Demands of the same, (2, 3).
     tilt_force: float  #: Limit before the low-pass [m/s^2].
     tilt_rate: float  #: R [rad/s].
     recovery: float  #: tau [s].
     interval: float  #: T [s].
 
-    def settle(self, euler_rates: Array, force: Array, angular: Array, linear: Array) -> None:
-        """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time.
+    def start(self, euler_rates: Array, force: Array, angular: Array, linear: Array) -> None:
+        """Begin with Euler rates (3,) and a specific force f1 (3,) that were constant for long.
 
         Overwrites attitude and displacement as `move_classical` does.
         """
         pushing = np.clip(force[:2], -self.tilt_force, self.tilt_force)
-        _tilt_demands(settle(self.low_pass, pushing), self.demand)
+        _tilt_demands(start_filter(self.low_pass, pushing), self.demand)
         self.tilt[:] = self.demand
         turn = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
-        settle(self.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
-        settle(self.rotation, np.concatenate([euler_rates, np.zeros(3)]))
+        start_filter(self.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
+        start_filter(self.rotation, np.concatenate([euler_rates, np.zeros(3)]))
         # A step with the same inputs changes nothing; it reads the outputs.
         move_classical(self, euler_rates, np.zeros(3), force, angular, linear)
 
@@ -139,12 +140,12 @@ def translation_filter(axis: ThirdOrder) -> Matrices:
 
 
 def _with_derivatives(a: Array, b: Array) -> Matrices:
-    """A system whose outputs are its first state and two derivatives; the second state is one."""
+    """A system that puts out its first state and two derivatives; its second is the first one's."""
     return a, b, np.vstack([np.eye(2, len(a)), a[1]]), np.vstack([np.zeros((2, 1)), b[1]])
 
 
 def side_by_side(systems: list[Matrices], interval: float) -> Held:
-    """Systems with equal numbers of inputs and outputs as one, its n-th inputs side by side."""
+    """Equal-sized systems as one, its inputs and outputs ordered by signal, then by system."""
     a, b, c, d = (linalg.block_diag(*parts) for parts in zip(*systems, strict=True))
     count = len(systems)
     inputs = np.arange(b.shape[1]).reshape(count, -1).T.ravel()
@@ -153,24 +154,32 @@ def side_by_side(systems: list[Matrices], interval: float) -> Held:
 
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
-    """The algorithm at samples `interval` [s] apart; `settle` starts it."""
+    """The algorithm at samples `interval` [s] apart; `start` begins."""
     turns = [rotation_filter(axis) for axis in (settings.roll, settings.pitch, settings.yaw)]
     tilts = [low_pass_filter(axis) for axis in (settings.surge, settings.sway)]
     moves = [translation_filter(axis) for axis in (settings.surge, settings.sway, settings.heave)]
     most = settings.inputs
+    if (recovery := most.tilt_recovery.si) <= 0.5 * interval:
+        raise InputError(
+            f"inputs: tilt_recovery: {most.tilt_recovery} is refused; allowed: more than half an "
+            f"interval between samples, {0.5 * interval:.4g} s"
+        )
     return Classical(
-        at_work(side_by_side(turns, interval)),
-        at_work(side_by_side(tilts, interval)),
-        at_work(side_by_side(moves, interval)),
-        *(np.zeros((2, 3)), np.zeros((2, 3))),
-        *(most.tilt_force_limit.si, most.tilt_rate.si, most.tilt_recovery.si),
-        interval,
+        rotation=empty_filter(side_by_side(turns, interval)),
+        low_pass=empty_filter(side_by_side(tilts, interval)),
+        translation=empty_filter(side_by_side(moves, interval)),
+        tilt=np.zeros((2, 3)),
+        demand=np.zeros((2, 3)),
+        tilt_force=most.tilt_force_limit.si,
+        tilt_rate=most.tilt_rate.si,
+        recovery=recovery,
+        interval=interval,
     )
 
 
 @allocating
 def _tilt_demands(passed, demand):  # type: ignore[no-untyped-def]
-    """Write A_d, A_d', A_d'' of pitch and roll (2, 3) of f, f', f'' along x and y (6,)."""
+    """Write A_d, A_d', A_d'' of pitch and minus roll (2, 3) of f, f', f'' along x and y (6,)."""
     for axis in range(2):
         force, out = passed[axis::2], demand[axis]
         sine = force[0] / STANDARD_GRAVITY
@@ -181,42 +190,43 @@ def _tilt_demands(passed, demand):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def _area(value, limit):  # type: ignore[no-untyped-def]
+def _saturation_integral(value, limit):  # type: ignore[no-untyped-def]
     """Integral of sat from 0 to `value`."""
     size = abs(value)
     return 0.5 * value * value if size <= limit else limit * size - 0.5 * limit * limit
 
 
 @allocating
-def _mean(first, last, limit):  # type: ignore[no-untyped-def]
+def _mean_saturation(first, last, limit):  # type: ignore[no-untyped-def]
     """Mean of sat along the straight line from `first` to `last`."""
     if abs(last - first) <= 1e-9 * limit:
         return min(max(0.5 * (first + last), -limit), limit)
-    return (_area(last, limit) - _area(first, limit)) / (last - first)
+    whole = _saturation_integral(last, limit) - _saturation_integral(first, limit)
+    return whole / (last - first)
 
 
 @allocating
 def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore[no-untyped-def]
     """Move the tilt A, A', A'' (3,) in place by one sample of T = `interval` [s].
 
-    `demand` is A_d and its derivatives (3,) at the sample before, `limit` R [rad/s], `recovery` tau
-    [s].
+    `demand` and `new_demand` are A_d and its derivatives (3,) at the sample before and at this one,
+    `limit` is R [rad/s], `recovery` tau [s], above T / 2.
     """
     error = demand[0] - tilt[0]
-    wish = demand[1] + error / recovery
+    sought_rate = demand[1] + error / recovery
     angle = new_demand[0] - error * np.exp(-interval / recovery)
-    left = new_demand[0] - angle
-    new_wish = new_demand[1] + left / recovery
-    if max(abs(wish), abs(new_wish)) > limit:
+    new_error = new_demand[0] - angle
+    new_sought_rate = new_demand[1] + new_error / recovery
+    if max(abs(sought_rate), abs(new_sought_rate)) > limit:
         for _ in range(_ITERATIONS):
-            angle = tilt[0] + interval * _mean(wish, new_wish, limit)
-            left = new_demand[0] - angle
-            new_wish = new_demand[1] + left / recovery
+            angle = tilt[0] + interval * _mean_saturation(sought_rate, new_sought_rate, limit)
+            new_error = new_demand[0] - angle
+            new_sought_rate = new_demand[1] + new_error / recovery
     tilt[0] = angle
-    if abs(new_wish) > limit:
-        tilt[1], tilt[2] = np.copysign(limit, new_wish), 0.0
+    if abs(new_sought_rate) > limit:
+        tilt[1], tilt[2] = np.copysign(limit, new_sought_rate), 0.0
     else:
-        tilt[1], tilt[2] = new_wish, new_demand[2] - left / recovery**2
+        tilt[1], tilt[2] = new_sought_rate, new_demand[2] - new_error / recovery**2
 
 
 @allocating

@@ -35,7 +35,7 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.pilot.classical import Filter, Matrices, at_work, push_sample, settle
+from cmf_mj.pilot.classical import Filter, Matrices, empty_filter, push_sample, start_filter
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
 from cmf_mj.pilot.washout_settings import OptimalSettings, TiltCost
 
@@ -62,10 +62,10 @@ class Optimal(NamedTuple):
     and the force (6) to angles and displacements with two derivatives (18)."""
     interval: float  #: T [s].
 
-    def settle(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
-        """As `Classical.settle`."""
+    def start(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
+        """As `Classical.start`."""
         beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
-        settle(self.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
+        start_filter(self.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
         move_optimal(self, euler_rates, np.zeros(3), force, angular, linear)
 
 
@@ -186,7 +186,7 @@ PLACES = {
 
 
 def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
-    """The algorithm at samples `interval` [s] apart; `settle` starts it."""
+    """The algorithm at samples `interval` [s] apart; `start` begins."""
     by_name = washout_modes(settings)
     a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
@@ -205,7 +205,7 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
             c[rate + 3, states] = mode_c[row] @ mode_a
             d[rate + 3, inputs] = mode_c[row] @ mode_b
             d[rate + 3, inputs + 6] = mode_d[row]
-    return Optimal(at_work(hold(a, b, c, d, interval)), interval)
+    return Optimal(empty_filter(hold(a, b, c, d, interval)), interval)
 
 
 class Condensed(NamedTuple):

@@ -218,8 +218,8 @@ class Predictive:
         """Let the solver take so long and no longer [s]; 0 counts its iterations alone."""
         self._program.settings = {"time_limit": seconds}
 
-    def settle(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
-        """As `Classical.settle`: at rest, tilted by what costs least for a sustained force."""
+    def start(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
+        """As `Classical.start`: at rest, tilted by what costs least for a sustained force."""
         self._v = np.concatenate([euler_rates, force + [0.0, 0.0, STANDARD_GRAVITY]])
         self._now = self._v
         self._slope, self._offset, self._lost = np.zeros(6), np.zeros(6), 0

@@ -272,7 +272,7 @@ class Washout:
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), running.angular[0, :2]):
             euler_rates_of(roll, pitch, rate, running.euler_rates)
-            self._algorithm.settle(running.euler_rates, force, running.angular, running.linear)
+            self._algorithm.start(running.euler_rates, force, running.angular, running.linear)
         self._sequence = 0
         motion = np.empty((3, 6))
         place_platform(running, motion)

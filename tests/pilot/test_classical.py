@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from cab_motions import G, level, pushed, sustained, turn_entry, turned
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import Held, hold
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.cab import load_cab
@@ -12,6 +13,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.pilot.classical import (
     follow,
     low_pass_filter,
+    make_classical,
     rotation_filter,
     side_by_side,
     translation_filter,
@@ -50,6 +52,14 @@ def discrete_response(system: Held, omega: np.ndarray) -> np.ndarray:
         pushed_by = system.earlier + z * system.later
         result.append(system.output @ resolvent @ pushed_by + system.direct)
     return np.array(result)
+
+
+def test_a_recovery_that_the_tilt_cannot_be_solved_with_is_refused() -> None:
+    """Its implicit step contracts by T / (2 tau)."""
+    short = SIMONA.inputs.tilt_recovery.model_copy(update={"value": 0.5 * STEP})
+    inputs = SIMONA.inputs.model_copy(update={"tilt_recovery": short})
+    with pytest.raises(InputError, match=r"tilt_recovery: 0\.00625 s .* more than half"):
+        make_classical(SIMONA.model_copy(update={"inputs": inputs}), STEP)
 
 
 @pytest.mark.parametrize("dof", DOFS)
