@@ -159,7 +159,7 @@ def check_file(path: Path) -> Path:
 
 
 def beside(folder: Path, name: str | None) -> Any:
-    """A TOML file, which counts from a folder, or any other name as it is."""
+    """A TOML file, also `file.toml:law`, from a folder; any other name as it is."""
     return folder / name if name is not None and ".toml" in name else name
 
 

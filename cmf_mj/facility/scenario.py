@@ -8,7 +8,7 @@ import tomlkit
 
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import read_toml, validated
+from cmf_mj.core.settings import beside, read_toml, validated
 from cmf_mj.facility.run import Run
 from cmf_mj.machine import models
 from cmf_mj.signals.signal import plain
@@ -22,7 +22,7 @@ def scenario_names() -> tuple[str, ...]:
 def load_scenario(source: str | Path) -> Run:
     """A scenario; `source` is the name of a shipped one, or a TOML file.
 
-    Names of files in it count from its folder; a refusal has one line a key, with what is allowed.
+    File names in it are relative to its folder. Errors: one line per wrong key.
 
     >>> scenario = cmf_mj.load_scenario("heave_sine")
     >>> scenario.law, scenario.duration
@@ -36,43 +36,47 @@ def load_scenario(source: str | Path) -> Run:
 
 
 def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Run:
-    """A scenario from plain values, lists included, as TOML and JSON have them.
+    """A scenario from plain values, as TOML and JSON have them, lists as tuples.
 
     Errors call it `where`; relative file names count from `folder`, default the working folder.
     """
     for name in ("source", "start"):
         if name in table:
-            raise InputError(f"{where}: {name}: is in no file; a program gives it to `cmf_mj.Run`")
-    return validated(Run, _located(plain(table), (folder or Path()).resolve()), where)
+            raise InputError(
+                f"{where}: {name}: cannot stand in a file; a program gives it to `cmf_mj.Run`"
+            )
+    return validated(Run, _with_folder(plain(table), folder or Path()), where)
 
 
 def save_scenario(scenario: Run, path: str | Path) -> Path:
-    """Write a scenario as TOML, defaults left out; it reads back equal."""
+    """Write a scenario as TOML, as `scenario_toml`; it reads back as the same run."""
     return write_text(Path(path), scenario_toml(scenario))
 
 
 def scenario_toml(scenario: Run) -> str:
-    """A scenario as TOML text, defaults left out."""
-    return tomlkit.dumps(scenario.table())
+    """A scenario as TOML text, defaults left out.
+
+    File names, relative to the working folder, become absolute: the text may be saved anywhere.
+    """
+    return tomlkit.dumps(_with_folder(scenario.table(), Path()))
 
 
-_FILES = (
-    *("machine", "cab", "hydraulics", "law", "protection", "sensors", "converters", "servo"),
-    *("dcu", "limits", "states"),
-)
-"""Keys that hold a name or a TOML file."""
+_NAMES = "machine cab hydraulics law protection sensors converters servo dcu limits states".split()
+"""Keys that hold the name of a shipped set, or a TOML file."""
 
 
-def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The table with its file names counted from a folder."""
+def _with_folder(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with its file names absolute; relative ones count from a folder."""
+    base = folder.resolve()
 
-    def one(key: str, value: Any) -> Any:
+    def located(key: str, value: Any) -> Any:
         if isinstance(value, Mapping):
-            return _located(value, folder)
-        if isinstance(value, tuple):
-            return tuple(one("", entry) for entry in value)
-        named = key in _FILES and isinstance(value, str) and ".toml" in value
-        text = isinstance(value, str) and value
-        return str(folder / value) if named or (key == "file" and text) else value
+            return _with_folder(value, base)
+        if isinstance(value, list | tuple):
+            return type(value)(located(key, entry) for entry in value)
+        if key in _NAMES and isinstance(value, str):
+            return str(beside(base, value))
+        is_file = key == "file" and isinstance(value, str) and value != ""
+        return str(base / value) if is_file else value
 
-    return {key: one(key, value) for key, value in table.items()}
+    return {key: located(key, value) for key, value in table.items()}

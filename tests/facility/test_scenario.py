@@ -51,6 +51,21 @@ def test_shipped_scenarios_read_back_equal(name: str, tmp_path: Path) -> None:
     assert load_scenario(save_scenario(shipped, tmp_path / "again.toml")) == shipped
 
 
+def test_a_run_saved_to_another_folder_reads_back_as_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its files count from where it was made, not from where it is saved."""
+    monkeypatch.chdir(tmp_path)
+    mass = '{value = 9000.0, unit = "kg", status = "assumed", source = "test"}'
+    Path("mine.toml").write_text(f'base = "gfd"\n[mine]\nmass = {mass}\n')
+    run = Run(cab="mine.toml", duration=0.5)
+    again = load_scenario(save_scenario(run, tmp_path / "elsewhere" / "run.toml"))
+    assert again.carried == run.carried
+    assert again.cab == str(tmp_path / "mine.toml")
+    assert again == run.but(cab=again.cab)
+    assert load_scenario(save_scenario(again, tmp_path / "again.toml")) == again
+
+
 def test_every_field_survives_the_file(tmp_path: Path) -> None:
     full = scenario(
         title='quoted "title"',
