@@ -88,7 +88,7 @@ def bound(law: Law, machine: str | Cab | Plant) -> Law:
     if isinstance(machine, str):
         return law.bound_to(machine)
     law = law.on(machine.machine)
-    stated = machine.name in law.modes or (machine.own and machine.machine.name == CMF)
+    stated = machine.name in law.modes or (machine.unchanged and machine.machine.name == CMF)
     if law.coordinates == "legs" or stated:
         return law.bound_to(machine.name)
     return law.model_copy(update={"modes": {machine.name: modes_of_cab(machine)}})

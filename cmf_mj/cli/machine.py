@@ -102,7 +102,7 @@ def build_command(
     from cmf_mj.plant.model_text import model_texts
 
     chosen = cmf_mj.load_cab(cab, machine)
-    if not chosen.own:
+    if not chosen.unchanged:
         raise InputError(f"cab: {chosen.name!r} is changed; allowed: one of the machine's own")
     scene, files = model_texts(chosen)
     texts = {"scene.xml": scene} | {name: text.decode() for name, text in files.items()}

@@ -130,7 +130,7 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     are those of the cab's machine. It is C99 for any processor, and is not compiled here. Raises
     `InputError` where there is no such law or cab.
     """
-    carrier = load_cab(cab).known_as
+    carrier = load_cab(cab).assumed
     chosen = bound(load_law(law), carrier)
     said = f"{carrier.machine.title}, cab {carrier.name}"
     source = law_source(chosen, said)

@@ -95,7 +95,7 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
         if "law_parameters" not in made:
             raise InputError("law: the recording does not say which law made it; name one")
         law = validated(Law, made["law_parameters"], "law_parameters")
-    loaded = bound(load_law(law, carrier), cab.known_as if cab else str(made.get("plant", "")))
+    loaded = bound(load_law(law, carrier), cab.assumed if cab else str(made.get("plant", "")))
     loaded, ratio = loaded.on(carrier), carrier.rate / record.rate
     if not (ratio >= 1.0 and ratio.is_integer()):
         allowed = f"allowed: {carrier.rate} Hz over an integer"

@@ -195,7 +195,7 @@ class Run(Arguments):
     @property
     def _bound_to(self) -> str | Cab | Plant:
         """What laws are bound to."""
-        return self.carried.known_as if self.plant == "hexapod" else self.plant
+        return self.carried.assumed if self.plant == "hexapod" else self.plant
 
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""

@@ -305,7 +305,7 @@ def _cab(given: _Given, base: Cab, name: str) -> Cab:
         bodies[body] = table
     legs = given["legs.mass"][1] if "legs.mass" in given else 1.0
     cab, platform = bodies.values()
-    return base.changed(name, platform=platform, leg_mass=legs, nominal=base.known_as, **cab)
+    return base.changed(name, platform=platform, leg_mass_factor=legs, nominal=base.assumed, **cab)
 
 
 def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:

@@ -18,7 +18,7 @@ Axes are those of the models: origin in the platform's centroid, which lies in t
 upper gimbals, x forward, y left, **z up**. Inertia is about the body's own centre of mass: Ixx,
 Iyy, Izz, and where there are products the tensor's entries Ixy, Ixz, Iyz. Inertia that is left out
 while the mass changes is that of the base in proportion to the mass; so is that of a leg's parts.
-What is drawn and where the pilot sits stay as in the base, a cab of the same machine.
+The drawing and the pilot's seat are those of the base, a cab of the same machine.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,24 +57,29 @@ class Cab(RigidBody):
     machine: Machine = Field(exclude=True, repr=False)  #: The machine it is on.
 
     @model_validator(mode="after")
-    def _above_floor(self) -> "Cab":
+    def _on_one_machine(self) -> "Cab":
         for part, body in (("", self), ("platform", self.platform)):
             self.machine.check_place(part, body)
+        if self.nominal and self.nominal.machine != self.machine:
+            raise InputError(
+                f"nominal: {self.nominal.name!r} is one of machine {self.nominal.machine.name!r}; "
+                f"allowed: a cab of {self.machine.name!r}"
+            )
         return self
 
     @property
-    def own(self) -> bool:
+    def unchanged(self) -> bool:
         """Whether it is one of its machine's cabs, not a changed one."""
         return self.name in self.machine.cabs
 
     @property
     def station(self) -> NDArray[np.float64]:
-        """Where the crew feels the motion, from the platform's centroid, z down [m], (3,)."""
+        """Where the crew feels the motion, unlike the masses with z down [m], (3,)."""
         return self.machine.cabs[self.base].station.si * FLIP
 
     @property
-    def known_as(self) -> "Cab":
-        """The cab that control laws assume."""
+    def assumed(self) -> "Cab":
+        """The cab that control laws assume: `nominal`, else this one."""
         return self.nominal or self
 
     @property
@@ -95,7 +100,7 @@ class Cab(RigidBody):
         name: str,
         *,
         platform: Mapping[str, ArrayLike] | None = None,
-        leg_mass: float = 1.0,
+        leg_mass_factor: float = 1.0,
         nominal: "Cab | None" = None,
         **cab: ArrayLike,
     ) -> "Cab":
@@ -105,25 +110,24 @@ class Cab(RigidBody):
             name: of the new cab.
             platform: `mass` [kg], `centre_of_mass` (3,) [m], `inertia` [kg m^2], (3, 3), of the
                 platform, as far as they change.
-            leg_mass: factor on the masses of cylinders and rods.
-            nominal: cab that control laws assume; default itself.
+            leg_mass_factor: on the masses of cylinders and rods.
+            nominal: cab that control laws assume; default that of this cab, else the new one.
             **cab: as `platform`, of the cab.
 
-        The name of a shipped cab is refused.
+        The name of one of the machine's cabs is refused, and a nominal one of another machine.
 
         >>> heavy = cmf_mj.load_cab("gfd").changed("heavy", mass=12000.0)
         >>> heavy.mass.si, heavy.platform.mass.si
         (12000.0, 4500.0)
         """
         checked_name(name, "cab: name")
-        legs = {part: leg_mass * mass.si for part, mass in self.legs}
+        legs = {part: leg_mass_factor * mass.si for part, mass in self.legs}
         changes = {
             **_stated(cab, name),
             "platform": _stated(platform or {}, name),
-            "legs": _stated(legs if leg_mass != 1.0 else {}, name),
+            "legs": _stated(legs if leg_mass_factor != 1.0 else {}, name),
         }
-        made = _overlaid(self, name, changes, name)
-        return made if nominal is None else made.model_copy(update={"nominal": nominal})
+        return _overlaid(self, name, changes | ({"nominal": nominal} if nominal else {}), name)
 
 
 _SI = {"centre_of_mass": "m", "inertia": "kg m^2"}  #: Units of `Cab.changed`; all else is in kg.
@@ -151,21 +155,21 @@ def _overlaid(base: Cab, name: str, changes: Mapping[str, Any], where: str) -> C
     """A cab with what it changes in the place of what the base has."""
     if name in base.machine.cabs:
         raise _taken(where, name)
-    table = _body(base, changes, where)
+    table = _overlay(base, changes, where)
     for part in ("platform", "legs"):
         given, before = changes.get(part, {}), getattr(base, part)
         if isinstance(given, Mapping):
-            table[part] = _body(before, given, f"{where}: {part}")
+            table[part] = _overlay(before, given, f"{where}: {part}")
     return validated(Cab, table | {"name": name, "base": base.base}, where)
 
 
 def _taken(where: str, name: str) -> InputError:
     return InputError(
-        f"{where}: {name!r} is the name of a shipped cab; a changed one needs another"
+        f"{where}: {name!r} is the name of one of the machine's cabs; a changed one needs another"
     )
 
 
-def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _overlay(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Fields of a part of the machine, its inertia in proportion to a mass that changes alone."""
     table = dict(base) | dict(changes)
     if isinstance(base, RigidBody) and "mass" in changes and "inertia" not in changes:
@@ -184,8 +188,8 @@ def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, A
 
 
 @lru_cache
-def _own(machine: Machine, name: str) -> Cab:
-    """One of a machine's cabs, z up."""
+def _unchanged_cab(machine: Machine, name: str) -> Cab:
+    """One of a machine's cabs."""
     design, platform, legs = machine.cabs[name], machine.platform, machine.legs
     table = {field: getattr(design, field) for field in RigidBody.model_fields} | {
         "name": name,
@@ -218,33 +222,34 @@ def load_cab(
                 f"cab: {source.name!r} is one of machine {source.machine.name!r}, not of "
                 f"{load_machine(machine).name!r}"
             )
-        if source.own and source != _own(source.machine, source.name):
+        if source.unchanged and source != _unchanged_cab(source.machine, source.name):
             raise _taken("cab", source.name)
         return source
     carrier = load_machine(models.CMF if machine is None else machine)
     names = tuple(carrier.cabs)
     if source is None or str(source) in names:
-        return _own(carrier, names[0] if source is None else str(source))
+        return _unchanged_cab(carrier, names[0] if source is None else str(source))
     user = user_set("cab", names, source, fixed=("base", "nominal", "machine"))
-    return _overlaid(_own(carrier, user.base), user.name, user.changes, user.where)
+    return _overlaid(_unchanged_cab(carrier, user.base), user.name, user.changes, user.where)
 
 
 def load_cabs(names: Sequence[str], machine: Machine) -> tuple[Cab, ...]:
-    """Cabs of a machine, of `all` that it has, by default its first."""
+    """The named cabs of a machine; `all` for all, empty for its first."""
     known = tuple(machine.cabs)
     chosen = known if list(names) == ["all"] else tuple(names) or known[:1]
     return tuple(load_cab(name, machine) for name in chosen)
 
 
 def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
-    """The cab that the metadata of a record tell of; None where they tell of none."""
+    """The cab named in a record's metadata; None if there is none."""
     machine = recorded_machine(metadata)
     if metadata.get("cab_parameters"):
-        return validated(Cab, _on(machine, metadata["cab_parameters"]), "cab_parameters")
+        return validated(Cab, _with_machine(machine, metadata["cab_parameters"]), "cab_parameters")
     return load_cab(str(metadata["cab"]), machine) if metadata.get("cab") else None
 
 
-def _on(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
+def _with_machine(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a recorded cab, and of its nominal one, on their machine."""
-    other = table.get("nominal")
-    return {**table, "nominal": _on(machine, other) if other else None, "machine": machine}
+    nominal = table.get("nominal")
+    on = _with_machine(machine, nominal) if nominal else None
+    return {**table, "nominal": on, "machine": machine}

@@ -128,7 +128,7 @@ class Plant:
     @property
     def law_key(self) -> str | Cab:
         """What a law is bound to: the cab it is known by, or the name of a plant without one."""
-        return self.name if self.cab_parameters is None else self.cab_parameters.known_as
+        return self.name if self.cab_parameters is None else self.cab_parameters.assumed
 
     @cached_property
     def sensors(self) -> dict[str, NDArray[np.int64]]:

@@ -63,12 +63,12 @@ _FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
 
 
 def lumped(
-    cab: Cab, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_mass: float = SMALL
+    cab: Cab, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_mass_factor: float = SMALL
 ) -> Cab:
     """A cab whose payload is one rigid body; control laws do not know.
 
     `inertia` is a factor on the payload's tensor about its centre of mass, which without
-    `centre_of_mass` lies in the platform's centroid; `leg_mass` one on cylinders and rods.
+    `centre_of_mass` lies in the platform's centroid; `leg_mass_factor` one on cylinders and rods.
     """
     mass, centre, tensor = cab.payload
     place = centre if centre_of_mass else np.zeros(3)
@@ -79,8 +79,8 @@ def lumped(
     return cab.changed(
         f"{cab.name}, lumped",
         platform=halves[0],
-        leg_mass=leg_mass,
-        nominal=cab.known_as,
+        leg_mass_factor=leg_mass_factor,
+        nominal=cab.assumed,
         **halves[1],
     )
 

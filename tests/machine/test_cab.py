@@ -119,12 +119,12 @@ def test_what_cannot_be_is_refused(tmp_path: Path, text: str, message: str) -> N
 
 
 def test_no_changed_cab_has_the_name_of_a_shipped_one(tmp_path: Path) -> None:
-    with pytest.raises(cmf_mj.InputError, match="'rfd' is the name of a shipped cab"):
+    with pytest.raises(cmf_mj.InputError, match="'rfd' is the name of one of the machine"):
         load_cab(written(tmp_path, "[rfd]\n"))
-    with pytest.raises(cmf_mj.InputError, match="'gfd' is the name of a shipped cab"):
+    with pytest.raises(cmf_mj.InputError, match="'gfd' is the name of one of the machine"):
         load_cab().changed("gfd", mass=1.0)
     sly = load_cab().changed("mine", mass=1.0).model_copy(update={"name": "gfd"})
-    with pytest.raises(cmf_mj.InputError, match="'gfd' is the name of a shipped cab"):
+    with pytest.raises(cmf_mj.InputError, match="'gfd' is the name of one of the machine"):
         load_cab(sly)
 
 
@@ -132,3 +132,14 @@ def test_a_cab_comes_back_from_json() -> None:
     """As from the metadata of a record."""
     cab = load_cab().changed("mine", mass=9e3, nominal=load_cab("ifd"))
     assert recorded_cab({"cab_parameters": cab.model_dump(mode="json")}) == cab
+
+
+def test_the_nominal_cab_is_inherited_and_on_the_same_machine() -> None:
+    """As the documents say, default that of the cab that is changed."""
+    gfd = load_cab("gfd")
+    twice = gfd.changed("a", mass=9e3, nominal=gfd).changed("b", mass=13e3)
+    assert (twice.assumed, gfd.assumed) == (gfd, gfd)
+    with pytest.raises(
+        cmf_mj.InputError, match="nominal: .* is one of machine 'lab'; allowed: .* 'cmf'"
+    ):
+        gfd.changed("mine", mass=9e3, nominal=load_cab(None, "lab"))

@@ -161,7 +161,7 @@ def test_other_machines_differ_and_come_again() -> None:
     assert one.parameters == again.parameters and one.cab_parameters == again.cab_parameters
     assert one.parameters != other.parameters
     drawn = other.cab_parameters
-    assert drawn is not None and drawn.known_as == cab
+    assert drawn is not None and drawn.assumed == cab
     assert 0.9 < drawn.mass.si / cab.mass.si < 1.1
 
 

@@ -111,7 +111,7 @@ NO_COMMAND = load_law({"name": "nothing", "title": "No command", "direct_gain": 
 
 def massless(cab):
     """The machine with a cab and legs of next to no mass."""
-    return Hexapod(load_cab(cab).changed("massless legs", leg_mass=1e-9))
+    return Hexapod(load_cab(cab).changed("massless legs", leg_mass_factor=1e-9))
 
 
 # Reflected mass

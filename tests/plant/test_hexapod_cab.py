@@ -27,7 +27,7 @@ def compact(mass: float, size: float = 0.02) -> Cab:
     """Nearly a point mass in the platform's centroid, on legs of nearly no mass."""
     inertia, part = box((size,) * 3, 0.5 * mass), {"mass": 0.5 * mass}
     body = {**part, "centre_of_mass": np.zeros(3), "inertia": inertia}
-    return load_cab().changed("compact", platform=body, leg_mass=LIGHT, **body)
+    return load_cab().changed("compact", platform=body, leg_mass_factor=LIGHT, **body)
 
 
 def odd() -> Cab:
@@ -39,7 +39,7 @@ def odd() -> Cab:
         centre_of_mass=(0.3, -0.2, 1.1),
         inertia=turn @ box((4.0, 3.0, 2.0), 8000.0) @ turn.T,
         platform={"mass": 5000.0, "centre_of_mass": (0.0, 0.0, 0.0)},
-        leg_mass=1.3,
+        leg_mass_factor=1.3,
     )
 
 
@@ -69,7 +69,7 @@ def test_the_numbers_of_a_shipped_cab_stated_again_are_the_same_machine(name: st
         centre_of_mass=cab.centre_of_mass.si,
         inertia=cab.tensor,
         platform={"mass": cab.platform.mass.si, "inertia": cab.platform.tensor},
-        leg_mass=1.0,
+        leg_mass_factor=1.0,
     )
     assert again != cab
     assert bytes_of(hexapod_model(again)) == bytes_of(hexapod_model(name))

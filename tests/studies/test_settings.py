@@ -48,7 +48,7 @@ def test_payload_is_the_sum_of_platform_and_cab() -> None:
 
 
 def test_the_edited_model_with_nothing_left_out_is_the_machine() -> None:
-    whole = Hexapod(lumped(load_cab("rfd"), leg_mass=1.0))
+    whole = Hexapod(lumped(load_cab("rfd"), leg_mass_factor=1.0))
     assert whole.reflected_mass() == pytest.approx(Hexapod("rfd").reflected_mass(), rel=1e-9)
     assert whole.static_load() == pytest.approx(Hexapod("rfd").static_load(), rel=1e-9)
 
@@ -61,7 +61,12 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
     """M_leg = J^-T M J^-1. The legs' part is linear in their inertia and is taken out so."""
     few, many = (
         Hexapod(
-            lumped(load_cab("gfd"), inertia=inertia, centre_of_mass=centre_of_mass, leg_mass=share)
+            lumped(
+                load_cab("gfd"),
+                inertia=inertia,
+                centre_of_mass=centre_of_mass,
+                leg_mass_factor=share,
+            )
         ).reflected_mass(pose)
         for share in (SMALL, 1.0)
     )
@@ -82,7 +87,7 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
 
 def test_point_mass_modes_from_compliance() -> None:
     """omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i) of surge, sway and heave; 5.23, 5.23, 11.3 Hz."""
-    plant = Hexapod(lumped(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass=1e-6))
+    plant = Hexapod(lumped(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass_factor=1e-6))
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), plant.machine.geometry))
     stiffness = cylinder.stiffness(
         plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6)
