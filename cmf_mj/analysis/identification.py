@@ -56,17 +56,32 @@ class Experiment:
 
     def split(self, share: float) -> "list[Experiment]":
         """The first share of the run, and the rest."""
-        pairs = (np.split(x, [round(share * x.size)]) for x in (self.input, self.output))
-        return [replace(self, input=u, output=y) for u, y in zip(*pairs, strict=True)]
+        at = round(share * self.input.size)
+        parts = slice(at), slice(at, None)
+        reference = self.reference
+        return [
+            replace(
+                self,
+                input=self.input[part],
+                output=self.output[part],
+                reference=None if reference is None else reference[part],
+            )
+            for part in parts
+        ]
+
+
+def _check_length(samples: int, factor: int) -> None:
+    if samples < (least := _SHORTEST * factor):
+        raise InputError(f"record: {samples} samples; allowed: {least} or more")
 
 
 def decimated(values: Real, factor: int) -> Real:
     """Series (N, ...) at a `factor` times lower rate, behind SciPy's zero-phase Chebyshev filter.
 
-    In stages of at most 8, each of which passes 0.8 of the new Nyquist frequency within 0.1 dB.
+    In stages by the largest divisors up to 8, where the factor has any, each of which passes all to
+    0.8 of the new Nyquist frequency within 0.1 dB.
     """
-    if len(values) < (least := _SHORTEST * factor):
-        raise InputError(f"record: {len(values)} samples; allowed: {least} or more")
+    _check_length(len(values), factor)
     while factor > 1:
         stage = next((q for q in range(8, 1, -1) if factor % q == 0), factor)
         values, factor = np.asarray(signal.decimate(values, stage, axis=0)), factor // stage
@@ -82,10 +97,12 @@ def experiment(record: Record, axis: str, rate: float = RATE) -> Experiment:
     velocities in m/s or rad/s.
 
     A command c acts d frames late and is held over a frame. It jumps at the sampling instants; its
-    band-limited value there is (c[k-d] + c[k-d-1]) / 2, so that a box holds neither frame nor hold.
+    band-limited value there lies halfway between c[k-d-1] and c[k-d], on a cubic spline, so that a
+    box contains neither the frames of delay nor the hold.
     """
     factor, machine = max(1, int(record.rate // rate)), recorded_machine(record.metadata)
     late = (int(record.metadata.get("command_delay", 1)) + 0.5) * record.rate / machine.rate
+    _check_length(record.time.size, factor)
     place = np.arange(record.time.size, dtype=float)
     spline = interpolate.make_interp_spline(place, record["valve_command"])
     channels = [record[f"leg_{name}"] for name in ("velocity", "reference", "position")]
@@ -216,13 +233,15 @@ def _inverse(table: Real) -> Real:
 def arx(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> BlackBox:
     """Fit an ARX model to runs of the same signals and rate; none is joined to the next.
 
-    Poles outside the unit circle stay. Raises `InputError` for orders out of range, too few samples
-    or an input that does not excite the model.
+    Poles outside the unit circle stay. Raises `InputError` for orders out of range, runs of several
+    steps, too few samples or an input that does not excite the model.
     """
     chosen = Orders(*orders)
     for name, least in (("na", 1), ("nb", 1), ("nk", 0)):
         if getattr(chosen, name) < least:
             raise InputError(f"{name}: {getattr(chosen, name)} must be at least {least}")
+    if len(steps := sorted({run.step for run in runs})) != 1:
+        raise InputError(f"runs: have steps of {steps} s; one or more of the same step are needed")
     short, count = min(run.output.size for run in runs), chosen.na + chosen.nb
     if short <= chosen.lag + count:
         raise InputError(f"orders: {tuple(chosen)} are too high for {short} samples")

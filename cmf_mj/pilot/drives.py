@@ -23,8 +23,9 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
     """The motion of a road vehicle's driver at 80 Hz, level, by name of `DRIVES`.
 
     The forward force is dv/dt, also where brakes bring v to 0, the side force v r with r the yaw
-    rate; corners are cosines, those of `lane_change` of sines. A seed draws the pace, 0.8 to 1.25
-    times, the side and, in the order below, the size of each force, 0.7 to 1.3 times.
+    rate, from 5 m/s on, and 5 m/s r below; corners are cosines, those of `lane_change` of sines. A
+    seed draws the pace, 0.8 to 1.25 times, the side and, in the order below, the size of each
+    force, 0.7 to 1.3 times. All last 40 s; a slow pace leaves out what would come later.
     """
     check_name("name", name, DRIVES)
     generator = np.random.default_rng(seed)
@@ -44,7 +45,7 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
             side += drawn(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
     elif name == "slalom":
         side = drawn(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
-    elif name == "braking":  # to rest from 20 m/s, and on after 8 s
+    elif name == "braking":  # as they are, to rest from 20 m/s, and on after 8 s
         forward = drawn(-4.0) * _between(at, 8.0, 13.0, 0.4)
         forward += drawn(1.5) * _between(at, 22.0, 32.0, 1.5)
     elif name == "s_curve":

@@ -57,7 +57,7 @@ class Pilot:
     """Flies an airframe, on the ground or trimmed, after targets."""
 
     def __init__(self, airframe: Airframe, throttle: float) -> None:
-        """Take the controls as they are."""
+        """Begin with neutral surfaces and a throttle, 0 to 1."""
         self._airframe, self.state = airframe, airframe.state()
         self._pitch_integral, self._sideslip_integral = 0.0, 0.0
         self._surfaces = np.zeros(3)

@@ -124,7 +124,7 @@ class HydraulicParameters(_Actuator):
     """Gas released below atmospheric pressure, volume share there; 0 for no cavitation floor."""
     entrained_gas: kind.Share
     """Undissolved gas at atmospheric pressure, volume share; softens the oil at low pressure."""
-    gas_exponent: kind.Exponent  #: Polytropic exponent of entrained gas; above 1.
+    gas_exponent: kind.Exponent  #: Polytropic exponent of entrained gas; at least 1.
     transition_pressure: kind.Pressure
     """Pressure difference at which the laminar share of an orifice's drop equals the turbulent."""
     proof_pressure: kind.Pressure  #: Chamber pressure beyond which a run is stopped with an error.
@@ -227,7 +227,8 @@ def piston_leakage(values: Mapping[str, Quantity]) -> float:
     """Laminar piston leakage L [m^3/s/Pa], flow = L (p_cap - p_rod).
 
     A force built up by displacing the leg at neutral begins to relax at the rate
-    4 beta L / (h (Ac + Ar)), which is `leak_rate` and damps the leg mode.
+    4 beta L / (h (Ac + Ar)), which is `leak_rate` and damps the leg mode; slower by the volumes of
+    hoses and dead ends, which are left out here.
     """
     area = cap_area(values) + rod_area(values)
     rate, half = values["leak_rate"].si, values["half_stroke"].si

@@ -21,6 +21,7 @@ from cmf_mj.analysis.measures import are_stable, joined
 from cmf_mj.analysis.modes import EnvelopeModes, Sweep
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS, dof_unit, pose_text
@@ -46,6 +47,8 @@ class LinearizationStudy(NamedTuple):
 
 def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> LinearizationStudy:
     """Close a law around a linearised plant; `signals` are degrees of freedom or legs."""
+    if not signals:
+        raise InputError("signals: none; degrees of freedom or legs are needed")
     loops = {name: linear.loop(law, name) for name in signals}
     plants = {name: linear.model(name) for name in signals}
     responses = {
@@ -143,10 +146,14 @@ def _growth(study: LinearizationStudy) -> str:
     """What grows in loops that are not stable."""
     if study.stable:
         return ""
-    hertz, damping = abs(study.fastest) / (2.0 * np.pi), -study.fastest.real / abs(study.fastest)
+    pole = study.fastest
+    hertz, damping = abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)
+    what = f"at {hertz:.2f} Hz grows, damping ratio {damping:.3f}"
+    if pole.imag == 0.0:
+        what = f"grows without swinging, by {pole.real:.3g} 1/s"
     return (
-        f". Unstable: motion at {hertz:.2f} Hz grows, damping ratio {damping:.3f}; `cmf tune` "
-        "finds gains. Poles of the plant itself that lie slightly above 0 are its free drift"
+        f". Unstable: motion {what}; `cmf tune` finds gains. Poles of the plant itself that lie "
+        "slightly above 0 are its free drift"
     )
 
 

@@ -17,6 +17,7 @@ from cmf_mj.analysis.identification import (
     simulated,
     to_continuous,
 )
+from cmf_mj.core.errors import InputError
 
 FREQUENCY = np.linspace(0.2, 15.0, 75)
 LEG = lag(3.0) * pair(11.0, 0.11)
@@ -191,3 +192,13 @@ def test_an_input_that_does_not_excite_the_model_is_refused() -> None:
         arx([series(u, y)], (1, 3, 1))
     with pytest.raises(ValueError, match="zero all the time"):
         arx([series(np.zeros(500), y)], (1, 1, 1))
+
+
+def test_runs_of_one_step_are_fitted_and_cut_with_their_reference() -> None:
+    run = replace(series(driven(3, 500), driven(4, 500)), reference=np.arange(500.0))
+    for none in ([], [run, replace(run, step=0.01)]):
+        with pytest.raises(InputError, match="one or more of the same step"):
+            arx(none, (2, 2, 1))
+    first, rest = run.split(0.3)
+    assert first.reference is not None and rest.reference is not None
+    assert rest.reference[0] == first.reference.size == first.output.size

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import SingleLegs, frequency_response, signals, simulate
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import acceleration_step, stepped_sines
@@ -102,3 +103,25 @@ def test_a_signature_holds_mean_and_amplitudes_of_a_sum_of_sines() -> None:
     assert real[at[2]] == pytest.approx(0.3)
     assert imaginary[at[10]] == pytest.approx(0.1)
     assert abs(real[at[4]]) < 1e-12
+
+
+def test_legs_about_half_a_turn_differ_by_little_and_a_cut_dwell_is_refused(
+    dwells: Record,
+) -> None:
+    legs, demand = dwells["leg_position"], dwells["leg_reference"]
+    middle = demand.mean(axis=0)
+    late = 2.0 * middle - np.where(np.arange(6) < 3, legs, np.roll(legs, 1, axis=0))
+    units = {"leg_reference": "m", "leg_position": "m"}
+
+    def legs_of(samples: int) -> Record:
+        both = {"leg_reference": demand[:samples], "leg_position": late[:samples]}
+        return Record(dwells.time[:samples], both, units, dwells.metadata)
+
+    found = MEASURES["leg_balance"](legs_of(len(late)))["heave 2 Hz phase between legs [deg]"]
+    assert found == pytest.approx(360.0 * 2.0 / dwells.rate, rel=0.1)
+    with pytest.raises(InputError, match="within the sine of 2 Hz"):
+        MEASURES["leg_balance"](legs_of(len(late) - 400))
+
+
+def test_a_demand_at_rest_has_no_lines() -> None:
+    assert lines_of(np.ones((1000, 6)), 100.0).size == 0
