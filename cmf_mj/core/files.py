@@ -51,15 +51,10 @@ def plain_path(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def check_folder(folder: Path) -> Path:
-    """A folder for the option `out` in which files can be written; it may be missing yet."""
-    return check_target(folder / "any", "out", folder).parent
-
-
 def check_target(target: Path, field: str = "file", shown: Path | None = None) -> Path:
     """A file that can be written, found out without writing it; its folder may be missing yet.
 
-    A refusal names the `field`, and the path `shown` if it is not the target.
+    A refusal names the `field`, and the path `shown`, such as the folder, or else the target.
     """
     try:
         there = next(path for path in target.absolute().parents if os.path.exists(path))
@@ -81,7 +76,7 @@ def exclusive_folder(folder: Path) -> Iterator[Path]:
     that ends. What a process that has ended left half-written is removed. A file system without
     locks gives none.
     """
-    check_folder(folder)
+    check_target(folder / "any", "out", folder)
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     held = -1
     try:

@@ -17,7 +17,7 @@ import mujoco
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, RunError
-from cmf_mj.core.files import check_folder, write_text
+from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents
 from cmf_mj.export.law_source import law_source
@@ -97,7 +97,7 @@ def make(files: Files, out: Path, library: str, chosen: Sequence[str]) -> list[P
 
 def write_files(files: Files, out: Path) -> list[Path]:
     """Write or copy files into a folder; the paths, folders left out."""
-    check_folder(out)
+    check_target(out / "any", "out", out)
     for name, content in files.items():
         path = out / name
         path.parent.mkdir(parents=True, exist_ok=True)

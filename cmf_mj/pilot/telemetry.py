@@ -75,11 +75,11 @@ def _beamng(data: bytes) -> Row:
     """A datagram of MotionSim: seven vectors, of which up and angular acceleration are not used."""
     if len(data) != _BEAMNG.size or data[:4] != b"BNG1":
         raise InputError(f"beamng: {data[:4]!r} and {len(data)} octets; allowed: BNG1 and 88")
-    vectors = np.reshape(_BEAMNG.unpack(data)[1:], (7, 3))
+    vectors = np.reshape(_BEAMNG.unpack(data)[1:], (7, 3)).tolist()
     position, velocity, (right, forward, up), _, attitude, rates, _ = vectors
-    force = np.array([forward, right, -up]) - gravity_in_body(attitude)
-    path = math.hypot(*velocity), float(position[2])
-    return Row(math.nan, tuple(force), tuple(rates), tuple(attitude), *path)
+    force = np.array([forward, right, -up]) - gravity_in_body(np.array(attitude))
+    motion = (tuple(force.tolist()), tuple(rates), tuple(attitude))
+    return Row(math.nan, *motion, math.hypot(*velocity), position[2])
 
 
 def _line(data: bytes) -> Row:
@@ -122,8 +122,7 @@ def telemetry_of(
             continue
         rows.append(row._replace(time=at) if math.isnan(row.time) else row)
     if not rows:
-        said = f"no datagram of this format has come, and {refused} others"
-        raise InputError(f"{source_format}: {said}")
+        raise InputError(f"{source_format}: no datagram of this format, and {refused} others")
     return _as_telemetry(rows), refused
 
 
@@ -169,7 +168,7 @@ def flight_of(telemetry: Telemetry, source_format: str, title: str) -> Flight:
 
 
 _FADE = (0.1, 0.5)  #: Ages of the newest sample between which it fades to rest [s].
-_EXTRAPOLATION = 0.15  #: T, for about which a slope is believed [s].
+_EXTRAPOLATION = 0.15  #: T, how long a slope counts [s].
 _SLOPE_LAG = 0.03  #: Time constant of the slope [s].
 _STALE = 1.0  #: Age of the newest sample from which on nothing is sent [s].
 _REST = np.array([0.0, 0.0, -STANDARD_GRAVITY, 0.0, 0.0, 0.0])

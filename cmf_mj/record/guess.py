@@ -146,7 +146,7 @@ def guess_columns(path: str | Path) -> str:
     channels: dict[str, Any] = {}
     doubts: list[str] = []
     time = _time(source, names, doubts)
-    legs = ""
+    leg_labels = ""
     left = {name: named for name, named in names.items() if name != time.get("column")}
 
     def take(channel: str, taken: list[str]) -> None:
@@ -158,9 +158,9 @@ def guess_columns(path: str | Path) -> str:
         taken = [pattern.replace("{leg}", label) for label in labels]
         channel = _channel(*names[taken[0]], channels) if {*taken} <= {*left} else None
         if channel is not None:
-            legs = legs or labels
+            leg_labels = leg_labels or labels
             take(channel, taken)
-            if labels == legs:
+            if labels == leg_labels:
                 channels[channel]["columns"] = pattern
     for channel, asked in zip(POSES, (True, False), strict=True):
         found: dict[str, str] = {}
@@ -175,7 +175,7 @@ def guess_columns(path: str | Path) -> str:
     lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
     lines += [f"not recognised: {', '.join(left)}"] if left else []
     lines.append(f"other channels: {', '.join(one for one in CHANNELS if one not in channels)}")
-    table = {"legs": [*legs]} if legs not in ("", _LABELS[0]) else {}
+    table = {"legs": [*leg_labels]} if leg_labels not in ("", _LABELS[0]) else {}
     text = tomlkit.dumps(table | {"time": time, "channels": channels})
     return "".join(f"# {line}\n" for line in lines) + "\n" + text
 

@@ -100,8 +100,11 @@ def _csv(path: Path) -> Source:
     width = len(_cells(lines[first], separator))
     comments = [line for line in every[: every.index(lines[first])] if _COMMENT.match(line)]
     above = [_cells(line, separator) for line in lines[max(first - 2, 0) : first]]
-    beside = [_cells(_COMMENT.sub("", line), separator) for line in comments]
-    header, stated = _header(above, width) or _header(beside, width) or ([""] * width,) * 2
+    marked = [_cells(_COMMENT.sub("", line), separator) for line in comments]
+    titles = _header([cells for cells in marked if not _is_numeric(cells)], width)
+    if titles and len({*titles[0]}) < width:  # a sentence
+        titles = None
+    header, stated = _header(above, width) or titles or ([""] * width,) * 2
     names = [name or f"column_{k + 1}" for k, name in enumerate(header)]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: header: {twice[0]!r} names {len(twice)} columns")

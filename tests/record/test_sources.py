@@ -92,6 +92,11 @@ def test_a_header_that_is_commented_counts(delimiter: str, tmp_path: Path) -> No
     assert [*source_of(tmp_path, "# a,b", "t,x", "0,1", "1,2").columns] == ["t", "x"]
 
 
+@pytest.mark.parametrize("comment", ["# 1,2,3,4", "# on,and,on,and", "# of two,parts"])
+def test_a_comment_that_is_no_header_names_no_column(comment: str, tmp_path: Path) -> None:
+    assert [*source_of(tmp_path, comment, *ROWS).columns] == [f"column_{k}" for k in range(1, 5)]
+
+
 @pytest.mark.parametrize("name", ["date", "large", "category", "duration", "bytes"])
 def test_a_column_of_any_type_leaves_the_others_readable(name: str, tmp_path: Path) -> None:
     days = pa.array([20_000, 20_001, 20_003], pa.int32())
