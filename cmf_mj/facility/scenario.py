@@ -42,9 +42,7 @@ def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None
     """
     for name in ("source", "start"):
         if name in table:
-            raise InputError(
-                f"{where}: {name}: cannot stand in a file; a program gives it to `cmf_mj.Run`"
-            )
+            raise InputError(f"{where}: {name}: cannot stand in a file; give it to `cmf_mj.Run`")
     return validated(Run, _with_folder(plain(table), folder or Path()), where)
 
 
@@ -76,7 +74,6 @@ def _with_folder(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             return type(value)(located(key, entry) for entry in value)
         if key in _NAMES and isinstance(value, str):
             return str(beside(base, value))
-        is_file = key == "file" and isinstance(value, str) and value != ""
-        return str(base / value) if is_file else value
+        return str(base / value) if key == "file" and value and isinstance(value, str) else value
 
     return {key: located(key, value) for key, value in table.items()}
