@@ -18,7 +18,7 @@ from cmf_mj.core.errors import InputError
 command = partial(app.command, rich_help_panel="Flight")
 drawing = options.drawing(command)
 
-_FLIGHTS, _SCRIPTS = "pilot.flight:names", "pilot.scripts:SCRIPTS"
+_FLIGHTS, _SCRIPTS = "pilot.flight:all_flight_names", "pilot.scripts:SCRIPTS"
 _SOURCE = "script of JSBSim; with --from UDP port of telemetry, or CSV file"
 _FLOWN = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"

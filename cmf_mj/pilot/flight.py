@@ -91,7 +91,7 @@ def flight_names() -> list[str]:
     return sorted(path.stem for path in _SHIPPED.glob("*.parquet"))
 
 
-def names() -> list[str]:
+def all_flight_names() -> list[str]:
     """Names of flights and drives."""
     return [*flight_names(), *DRIVES]
 
@@ -126,7 +126,7 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
     if not path.suffix:
         if str(source) not in flight_names():
             files = " nor a .csv or .parquet file"
-            raise unknown_name("flight", str(source), names(), files)
+            raise unknown_name("flight", str(source), all_flight_names(), files)
         path = _SHIPPED / f"{source}.parquet"
     table, column_units = read_table(path), dict[str, str]()
     origin = Origin(title=path.stem, source=path.name)

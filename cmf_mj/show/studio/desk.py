@@ -138,8 +138,8 @@ class Desk:
         self.wait = False
         """Whether the run that begins stands still: its first prompt is to be read."""
         self.live = LiveSession(scenario, show, self.tell)
-        self.land: Callable[[], None] = lambda: None
-        """Say that no flight is flown any more."""
+        self.on_demand: list[Callable[[], None]] = []
+        """Called when a demand by hand takes over, from a flight or another."""
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
