@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from cmf_mj.electronics.chain import ElectronicsSettings
     from cmf_mj.plant.cylinder import Contact
 
-_LONGEST_MESSAGE = 2000
-"""Characters of an error that are printed; a refused value may be a whole file."""
+_LONGEST_MESSAGE = 2000  #: Characters of an error that are printed: a value may be a whole file.
 
 TEXT_WIDTH = 120  #: Least width of what is printed [characters], in narrower terminals too.
 
@@ -106,8 +105,7 @@ def show(*parts: RenderableType, unfolded: bool = False) -> None:
 
     console, width, endless = Console(), TEXT_WIDTH, Console(width=1000)
     if unfolded:
-        tables = [part for part in parts if not isinstance(part, str)]
-        widths = (endless.measure(table).maximum for table in tables)
+        widths = (endless.measure(part).maximum for part in parts if not isinstance(part, str))
         width = max(widths, default=TEXT_WIDTH)
     available = console.width if console.is_terminal else width
     if console.width < width:

@@ -94,10 +94,8 @@ def compare_command(
     from cmf_mj.show import comparison as report
 
     built = {"plants": plants, "cab": cab, "hydraulics": hydraulics, "quick": quick}
-    changed = {
-        "amplitude": amplitude_option("heave", amplitude),
-        "electronics": noise_option(noise),
-    }
+    size = amplitude_option("heave", amplitude)
+    changed = {"amplitude": size, "electronics": noise_option(noise)}
     how: dict[str, Any] = {**built, **changed, "jobs": jobs}
     with progress_bar() as update:
         folder = out / "records" if records else None

@@ -13,23 +13,21 @@ depends on the task.
 """
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, model_validator
+from pydantic import model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import history, hold, settled
-from cmf_mj.core.quantity import Acceleration, AngularSpeed, Kind, Quantity, Ratio, Time
+from cmf_mj.core.quantity import Acceleration, AngularSpeed, Ratio, Time, Wait
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion
 
 QUANTITIES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Specific force along, angular rate about the body axes."""
-
-Lead = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
 
 
 class Canals(Settings):
@@ -37,7 +35,7 @@ class Canals(Settings):
 
     time_constant: Time  #: T1, of cupula and central processing.
     adaptation: Time  #: T2.
-    lead: Lead  #: T3; 0 leaves lead and lag out.
+    lead: Wait  #: T3; 0 leaves lead and lag out.
     lag: Time  #: T4.
 
 

@@ -33,8 +33,7 @@ Array = NDArray[np.float64]
 
 _RATE = 20.0  #: At which telemetry is compared [Hz].
 _MEAN = 1.0
-"""Length of the moving mean over which misfits are compared [s]: faster motion is at the station,
-not on the path."""
+"""Length of the moving mean over which misfits are compared [s]; faster is not on the path."""
 _SHORTEST = 4.0 * _MEAN  #: Least length of telemetry [s].
 _TOLERANCE = {"rate": 0.003, "force": 0.15, "vertical": 0.5}
 """r0: misfits that do not count [rad/s, m/s^2, m/s^2]; the last without speed and height."""
@@ -131,8 +130,7 @@ def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
     for channel, corrections in enumerate(CORRECTIONS):
         for number, correction in enumerate(corrections):
             changed = (*best[:channel], number, *best[channel + 1 :])
-            worse = misfit[changed] - misfit[best]
-            if number not in (0, best[channel]) and worse < _LEAST_GAIN:
+            if number not in (0, best[channel]) and misfit[changed] - misfit[best] < _LEAST_GAIN:
                 unseen.append(correction.error)
     return TelemetryVerdict(tuple(errors), tuple(unseen))
 
@@ -180,8 +178,7 @@ def _misfits(sent: Telemetry) -> Array:
         angles = np.unwrap(attitude.apply(sent.attitude, sent.attitude), axis=0)
         angles = interpolated(even, time, angles)
         rates, forces = _expected(even, angles, known)
-        in_deg = attitude is _DEGREES[0]
-        rate_costs = _rate_costs(rate, rates, angles, in_deg=in_deg)
+        rate_costs = _rate_costs(rate, rates, angles, in_deg=attitude is _DEGREES[0])
         force_costs = _force_costs(force, forces, angles, path_known=known is not None)
         misfits.append(np.add.outer(rate_costs, force_costs))
     return np.array(misfits)

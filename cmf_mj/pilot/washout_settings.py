@@ -130,8 +130,7 @@ class RotationCost(Settings):
     angle_integral: AngleIntegral
     angle: Angle
     rate: AngularSpeed  #: AngularSpeed of the simulator.
-    rate_bandwidth: Corner
-    """Corner of the first-order noise as which the aircraft's rate is modelled."""
+    rate_bandwidth: Corner  #: Corner of the first-order noise that models the aircraft's rate.
 
 
 class TranslationCost(Settings):
@@ -143,8 +142,7 @@ class TranslationCost(Settings):
     position: Length
     velocity: Speed
     acceleration: Acceleration  #: Acceleration of the simulator.
-    force_bandwidth: Corner
-    """Corner of the first-order noise as which the aircraft's specific force is modelled."""
+    force_bandwidth: Corner  #: Corner of the first-order noise that models the specific force.
 
 
 class TiltCost(TranslationCost):
@@ -154,8 +152,7 @@ class TiltCost(TranslationCost):
     rate_error: AngularSpeed  #: Error of the rate sensed.
     angle: Angle
     rate: AngularSpeed  #: AngularSpeed of the simulator.
-    rate_bandwidth: Corner
-    """Corner of the first-order noise as which the aircraft's rate is modelled."""
+    rate_bandwidth: Corner  #: Corner of the first-order noise that models the aircraft's rate.
 
 
 class OptimalSettings(_Set):

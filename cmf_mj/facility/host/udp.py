@@ -1,8 +1,18 @@
 """Host frames over UDP: a receiving thread, and a sender that keeps its time.
 
+A datagram is one frame, little-endian and without padding:
+
+    octet 0   4 bytes     magic CMFH
+          4   uint16      version, 1
+          6   uint16      length of the whole datagram, 172
+          8   uint64      sequence number, at most 2^63 - 1
+         16   float64     time [s]
+         24   18 float64  pose [m, rad], velocity [m/s, rad/s], acceleration [m/s^2, rad/s^2]
+        168   uint32      CRC-32 (zlib) of octets 0 to 167
+
 The receiver binds to the loopback address by default and takes datagrams of one host only, by its
 address and, if it is given, its port; all others are dropped and counted. What comes while the
-thread is not run waits in the system's buffer, and the system counts what does not fit (Linux).
+thread does not run waits in the system's buffer, and the system counts what does not fit (Linux).
 """
 
 import contextlib
@@ -22,14 +32,17 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, HostStream, HostTiming
 
-MAGIC = b"CMFH"
-VERSION = 1
-
-_BODY, _SUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
-
-SIZE = _BODY.size + _SUM.size
-
+MAGIC, VERSION = b"CMFH", 1
+_FRAME, _CHECKSUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
+SIZE = _FRAME.size + _CHECKSUM.size  #: Octets of a datagram.
 MOST_SEQUENCE = 2**63 - 1  #: Largest sequence number.
+LOOPBACK = "127.0.0.1"  #: Address at which a machine reaches itself, and nobody else does.
+
+_LONGEST_WAIT = 0.05  #: How long the thread waits before it looks whether it is to end [s].
+_BUFFER = 4 * 2**20
+"""Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""
+_FORCE_BUFFER, _MEMINFO = 33, 55
+"""SO_RCVBUFFORCE and SO_MEMINFO of Linux, whose ninth number counts what did not fit."""
 
 DATAGRAM_REASONS = tuple(
     f"wrong_{what}" for what in ("sender", "length", "magic", "version", "checksum", "sequence")
@@ -56,44 +69,33 @@ def encode_frame(frame: HostFrame) -> bytes:
         if values.shape != (6,):
             raise InputError(f"{name}: shape is {values.shape}; allowed: (6,)")
         motion += values.tolist()
-    data = _BODY.pack(MAGIC, VERSION, SIZE, frame.sequence, frame.time, *motion)
-    return data + _SUM.pack(zlib.crc32(data))
+    data = _FRAME.pack(MAGIC, VERSION, SIZE, frame.sequence, frame.time, *motion)
+    return data + _CHECKSUM.pack(zlib.crc32(data))
 
 
 def decode_frame(data: bytes) -> HostFrame:
     """The frame of a datagram; its numbers are as sent, be they finite or not."""
     if len(data) != SIZE:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {SIZE}")
-    magic, version, length, sequence, time, *motion = _BODY.unpack_from(data)
-    whole = _SUM.unpack_from(data, _BODY.size)[0] == zlib.crc32(data[: _BODY.size])
-    for right, reason, said in (
+    magic, version, length, sequence, stamp, *motion = _FRAME.unpack_from(data)
+    intact = _CHECKSUM.unpack_from(data, _FRAME.size)[0] == zlib.crc32(data[: _FRAME.size])
+    for passed, reason, explanation in (
         (magic == MAGIC, "wrong_magic", f"{magic!r}; allowed: {MAGIC!r}"),
         (version == VERSION, "wrong_version", f"{version}; allowed: {VERSION}"),
         (length == SIZE, "wrong_length", f"field says {length}; allowed: {SIZE}"),
-        (whole, "wrong_checksum", "octets were changed on the way"),
+        (intact, "wrong_checksum", "octets were changed on the way"),
         (sequence <= MOST_SEQUENCE, "wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}"),
     ):
-        if not right:
-            raise DatagramError(reason, said)
-    return HostFrame(sequence, time, *np.array(motion).reshape(3, 6))
-
-
-LOOPBACK = "127.0.0.1"
-
-_LONGEST_WAIT = 0.05  #: How long the thread waits before it looks whether it is to end [s].
-
-_BUFFER = 4 * 2**20
-"""Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""
-
-_FORCE_BUFFER, _MEMINFO = 33, 55
-"""SO_RCVBUFFORCE and SO_MEMINFO of Linux, whose ninth number counts what did not fit."""
+        if not passed:
+            raise DatagramError(reason, explanation)
+    return HostFrame(sequence, stamp, *np.array(motion).reshape(3, 6))
 
 
 class HostPort:
     """A UDP socket that takes datagrams of one host. A context manager."""
 
     def __init__(self, port: int, host: str, host_port: int | None, bind: str, wait: float) -> None:
-        """Open it, for the host's IPv4 address and, if it is given, port; waits so long [s]."""
+        """Open it, for the host's IPv4 address and port, None for any; `wait` of `receive` [s]."""
         if host_port is not None:
             check_port("host_port", host_port, 1)
         check_address("host", host)
@@ -106,9 +108,9 @@ class HostPort:
         address, port = self._socket.getsockname()
         return address, port
 
-    def receive(self, most: int) -> tuple[bytes, tuple[str, int], bool]:
-        """A datagram, its sender, and whether that is the host; `OSError` if nothing comes."""
-        data, (address, port) = self._socket.recvfrom(most)
+    def receive(self, octets: int) -> tuple[bytes, tuple[str, int], bool]:
+        """A datagram of at most some octets, its sender, whether that is the host; or `OSError`."""
+        data, (address, port) = self._socket.recvfrom(octets)
         known = address == self._host and self._host_port in (None, port)
         return data, (address, port), known
 
@@ -143,8 +145,7 @@ class UdpReceiver(HostPort):
         there is one, are taken. Raises `OSError` for a port that is taken.
         """
         super().__init__(port, host, host_port, bind, _LONGEST_WAIT)
-        self.ring = ring if ring is not None else make_ring()
-        """Frames received, good form only."""
+        self.ring = ring if ring is not None else make_ring()  #: Well-formed frames received.
         self._refused, self._overrun = dict.fromkeys(DATAGRAM_REASONS, 0), 0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
@@ -152,8 +153,8 @@ class UdpReceiver(HostPort):
 
     @property
     def refused(self) -> dict[str, int]:
-        """Datagrams dropped so far, by reason; `overrun` by the system, its buffer being full."""
-        self._look()
+        """Datagrams dropped so far by reason, `overrun` by the system as its buffer was full."""
+        self._read_overrun()
         return self._refused | {"overrun": self._overrun}
 
     @property
@@ -165,10 +166,10 @@ class UdpReceiver(HostPort):
         """Take what has come, end the thread and close the socket; the ring stays as it is."""
         self._ending.set()
         self._thread.join()
-        self._look()
+        self._read_overrun()
         super().close()
 
-    def _look(self) -> None:
+    def _read_overrun(self) -> None:
         """Read the system's count of what its buffer had no room for."""
         if sys.platform == "linux" and self._socket.fileno() >= 0:
             counts = self._socket.getsockopt(socket.SOL_SOCKET, _MEMINFO, 36)
@@ -176,7 +177,7 @@ class UdpReceiver(HostPort):
 
     def _receive(self) -> None:
         while not self._ending.is_set():
-            with contextlib.suppress(OSError):  # nothing came, or an earlier one was refused
+            with contextlib.suppress(OSError):  # nothing came, or an ICMP error of an earlier send
                 self._take()
         self._socket.settimeout(0.0)
         end = time.monotonic() + 1.0  # a flood does not end
@@ -185,8 +186,8 @@ class UdpReceiver(HostPort):
                 self._take()
 
     def _take(self) -> None:
-        # One octet more than a frame, so that a longer datagram is seen to be longer.
-        data, sender, known = self.receive(SIZE + 1)
+        """Put the frame of the next datagram into the ring, or count why not."""
+        data, sender, known = self.receive(SIZE + 1)  # so that a longer one is seen to be longer
         try:
             if not known:
                 raise DatagramError("wrong_sender", f"{sender[0]}:{sender[1]}")
@@ -240,8 +241,8 @@ def send_stream(
 ) -> SendReport:
     """Send a stream to one IPv4 address and port in real time, by its time stamps and a timing.
 
-    From `source_port`, 0 for a free one. Each deadline is start + time[k] - time[0]: absolute, so
-    that no lateness adds up.
+    From `source_port`, 0 for a free one. Each deadline is start + what `timing.keep` gives:
+    absolute, so that no lateness adds up.
     """
     check_port("port", port, 1)
     check_port("source_port", source_port, 0)

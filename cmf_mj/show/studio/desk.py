@@ -131,15 +131,11 @@ class Desk:
     ) -> None:
         """Build the session; `show` draws its turns."""
         self.client = client
-        self.carried = scenario.carried
-        """The cab of the run, with its machine."""
-        self.beside = ""
-        """Law of the machine that does the same beside; empty for none."""
-        self.wait = False
-        """Whether the run that begins stands still: its first prompt is to be read."""
+        self.carried = scenario.carried  #: The cab of the run, with its machine.
+        self.beside = ""  #: Law of the machine that does the same beside; empty for none.
+        self.wait = False  #: Whether the run that begins stands still: its first prompt is read.
         self.live = LiveSession(scenario, show, self.tell)
-        self.on_demand: list[Callable[[], None]] = []
-        """Called when a demand by hand takes over, from a flight or another."""
+        self.on_demand: list[Callable[[], None]] = []  #: Called when a demand by hand takes over.
         self._followers: list[Callable[[Run], None]] = []
         self._lock = threading.Lock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}
