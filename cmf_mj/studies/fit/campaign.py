@@ -125,6 +125,11 @@ class Campaign(NamedTuple):
         chosen = self.settings.electronics
         return None if chosen is None else chosen.of(self.plant.machine).sensors
 
+    @property
+    def law(self) -> Law:
+        """The law that the machine ran, as the campaign says, or the machine's."""
+        return load_law(beside(self.folder, self.settings.law or self.plant.machine.law))
+
     def of(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""
         return tuple(one for one in self.recordings if one.settings.held_back == held_back)
@@ -188,7 +193,10 @@ def load_campaign(folder: str | Path) -> Campaign:
         ]
         known = Unknowns({**unknowns, **settings.held}).on(plant)
         stated = load_evidence(settings.evidence, settings.deviations, law, where, plant, known)
-    for name, one in unknowns.items():
+    for name, one in {**unknowns, **settings.held}.items():
+        if one.path.startswith(("machine.", "effect.", "model.")):
+            allowed = "allowed: hydraulics, cab, platform, payload, legs, law, electronics"
+            raise InputError(f"{path}: {name}: {one.path!r} is refused; {allowed}")
         if one.path.startswith("electronics.") and settings.electronics is None:
             said = "electronics are ideal; allowed: a set that has it, such as noisy"
             raise InputError(f"{path}: unknowns.{name}: {one.path}: {said}")

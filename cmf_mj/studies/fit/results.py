@@ -9,6 +9,7 @@
 A machine's file takes the place of the data sheet's in every command.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,16 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.control.law import load_law
+from cmf_mj.control.law import Law
 from cmf_mj.core.files import plain_path, write_csv, write_parquet, write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
+from cmf_mj.core.units import si_unit
 from cmf_mj.electronics.sensors import SensorSettings
-from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.facility.unknown import DERIVED
+from cmf_mj.facility.unknowns import Part, Unknowns
+from cmf_mj.machine.models import Legs
+from cmf_mj.plant.parameters import OF_THE_SUPPLY, VALVES
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
@@ -31,12 +36,7 @@ from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 
-CAB, SAMPLES = "fitted", 400
-
-
-_FIELDS = {"friction": "coulomb_friction", "stiction": "breakaway_friction"}
-_FIELDS |= {"second_moment": "inertia"}
-"""What a number is named in a machine's file, where its path has another name for it."""
+CAB, SAMPLES = "fitted", 400  #: Name of the cab and of the sensors in files; machines drawn.
 
 
 def paths(posterior: Posterior) -> tuple[str, ...]:
@@ -44,54 +44,84 @@ def paths(posterior: Posterior) -> tuple[str, ...]:
     return tuple(path for *_, path in posterior.campaign.unknowns.numbers())
 
 
-def nominal(plant: Plant, path: str, sensors: SensorSettings | None = None) -> float:
-    """A number of a machine or its sensors in SI, of gain errors 0; 1 where it is a factor."""
+def nominal(
+    plant: Plant, path: str, sensors: SensorSettings | None = None, law: Law | None = None
+) -> float:
+    """A number of a machine, its sensors or its law in SI; 1 where it is a factor."""
+    return _nominal(plant, path, sensors, law)[0]
+
+
+_SI = {"Hz": "rad/s", "in^2": "m^2", "lbf s/in": "N s/m", "gal": "m^3", "l": "m^3"}
+_SI |= dict.fromkeys(("gpm", "l/min", "lpm"), "m^3/s")
+_SI |= dict.fromkeys(("gpm/psi", "lpm/bar"), "m^3/s/Pa")
+_SI |= dict.fromkeys(("psi/gpm", "bar/lpm"), "Pa s/m^3")
+"""SI units of those of parameters that `si_unit` does not take for one of a recording."""
+
+
+def _si_unit(unit: str) -> str:
+    return _SI.get(unit) or si_unit(unit)
+
+
+def _nominal(
+    plant: Plant, path: str, sensors: SensorSettings | None, law: Law | None
+) -> tuple[float, str]:
+    """The number and its unit; laws state no units beside that of their pole."""
     root, *rest = path.split(".")
+    oil, cab = plant.parameters, plant.cab_parameters
+    known: Any = None
     if root == "electronics":
         known = getattr(getattr(sensors, rest[0], None), rest[1], None)
-        return known.si if isinstance(known, Quantity) else 0.0
-    oil, cab = plant.parameters, plant.cab_parameters
-    if path == "hydraulics.stiction":
+        if rest[1] == "gain_errors":
+            index = int(rest[2].removeprefix("leg_")) - 1
+            known = known[index] if known else None
+        if known is None:
+            return 0.0, "1"
+    elif root == "law":
+        known = law
+        for part in rest:
+            known = getattr(known, part, None)
+        return float(1.0 if known is None else known), "rad/s" if rest[-1].endswith(
+            "pole"
+        ) else "SI"
+    elif path == "hydraulics.stiction":
         size = oil.coulomb_friction.si
-        return oil.breakaway_friction.si / size if size else 1.0
-    if root == "hydraulics":
-        fields = oil.actuator(rest[1]) if rest[0] == "actuators" else dict(oil)
-        known = fields.get(_FIELDS.get(rest[-1], rest[-1]))
-        return known.si if isinstance(known, Quantity) else 1.0
-    if root not in ("cab", "platform") or cab is None:
-        return 1.0
-    body, axis = cab if root == "cab" else cab.platform, "xyz".find(rest[-1])
-    moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
-    each = {"mass": body.mass.si, "centre_of_mass": body.centre_of_mass.si[axis]}
-    return float((each | {"second_moment": moments[axis]}).get(rest[0], 1.0))
+        return (oil.breakaway_friction.si / size if size else 1.0), "1"
+    elif root == "hydraulics":
+        who, *valve = rest[1:-1] or [""]
+        numbers = oil.quantities() if not who else oil.actuator(who, *map(VALVES.index, valve))
+        known = numbers.get(
+            {"supply": "supply_pressure", "friction": "coulomb_friction"}.get(rest[-1], rest[-1])
+        )
+    elif root in ("cab", "platform") and cab is not None:
+        body, axis = cab if root == "cab" else cab.platform, "xyz".find(rest[-1])
+        moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
+        each = {"mass": (body.mass.si, "kg"), "second_moment": (moments[axis], "kg m^2")}
+        each["centre_of_mass"] = body.centre_of_mass.si[axis], "m"
+        value, unit = each.get(rest[0], (1.0, "1"))
+        return float(value), unit
+    return (known.si, _si_unit(known.unit)) if isinstance(known, Quantity) else (1.0, "1")
 
 
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
     campaign, share = posterior.campaign, stats.norm.cdf(z)
-    plant, sensors = campaign.plant, campaign.sensors
+    plant, sensors, law = campaign.plant, campaign.sensors, campaign.law
     columns = [
-        one.number(nominal(plant, path, sensors), one.at(share[..., i]))
+        one.number(nominal(plant, path, sensors, law), one.at(share[..., i]))
         for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
-
-
-_UNITS = {"mass": "kg", "friction": "N", "leg_speed": "m/s", "bulk_modulus": "Pa"}
-_UNITS |= {"supply_pressure": "Pa", "leak_rate": "1/s", "centre_of_mass": "m"}
-_UNITS |= dict.fromkeys(("drive_lag", "valve_lag", "derivative_pole"), "rad/s")
-_UNITS |= {"second_moment": "kg m^2", "bandwidth": "rad/s", "leg_position": "m"}
-_UNITS |= dict.fromkeys(("cap_pressure", "rod_pressure"), "Pa")
-"""SI units of numbers by the last or last but one part of their paths; of others 1."""
 
 
 def numbers(posterior: Posterior) -> Table:
     """Every number with its 90 % interval."""
     value = physical(posterior, np.vstack([posterior.z, posterior.bounds()])).T.tolist()
     known = ["yes" if one else "no" for one in posterior.identified()]
-    rows = []
-    for path, three, found in zip(paths(posterior), value, known, strict=True):
-        unit = next((_UNITS[part] for part in path.split(".")[:-3:-1] if part in _UNITS), "1")
+    campaign, rows = posterior.campaign, []
+    for (_, one, path), three, found in zip(campaign.unknowns.numbers(), value, known, strict=True):
+        unit = _nominal(campaign.plant, path, campaign.sensors, campaign.law)[1]
+        if unit == "SI" and one.effect != "factor":
+            unit = _si_unit(one.unit)
         rows.append((path, *three, unit, found))
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
     return Table("Numbers of the machine, with 90 % intervals", columns, rows)
@@ -121,12 +151,12 @@ def save_machine(posterior: Posterior, where: Path) -> Path:
     assert cab is not None
     table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
     name = f"{machine.name}_fitted".replace(" ", "_")
-    law = load_law(posterior.campaign.settings.law or machine.law)
+    law = _with_fitted(posterior, posterior.campaign.law)
     save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), plain_path(where, "law.toml"))
     bodies = cab.model_dump(mode="json", exclude_none=True)
     station = machine.cabs[cab.base].model_dump(mode="json")["station"]
     parts = ("mass", "centre_of_mass", "inertia")
-    fit_ = {part: bodies[part] for part in parts}
+    carried = {part: bodies[part] for part in parts}
     flow = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
     table |= {
         "name": name,
@@ -134,7 +164,7 @@ def save_machine(posterior: Posterior, where: Path) -> Path:
         "law": "law.toml",
         "hydraulics": {"base": "hardware"} | flow,
         "platform": {part: bodies["platform"][part] for part in parts},
-        "cabs": {CAB: fit_ | {"station": station}},
+        "cabs": {CAB: carried | {"station": station}},
         "legs": table["legs"] | bodies["legs"],
     }
     return write_text(
@@ -144,52 +174,79 @@ def save_machine(posterior: Posterior, where: Path) -> Path:
 
 def fitted(posterior: Posterior) -> Plant:
     """The plant with the fitted numbers."""
+    return _with_fitted(posterior, posterior.campaign.plant)
+
+
+def _with_fitted(posterior: Posterior, part: Part) -> Part:
     known = posterior.campaign.unknowns
-    return known.apply(known.at(stats.norm.cdf(posterior.z)), posterior.campaign.plant)
+    return known.apply(known.at(stats.norm.cdf(posterior.z)), part)
 
 
 def _sensors(posterior: Posterior) -> dict[str, Any]:
     """The file of the sensors with the fitted numbers."""
-    campaign, said = posterior.campaign, _source(posterior)
-    known = {name: one.model_copy(update=said) for name, one in campaign.unknowns.items()}
-    fit_ = Unknowns(known).on(campaign.plant)
+    campaign, provenance = posterior.campaign, _provenance(posterior)
+    known = {name: one.model_copy(update=provenance) for name, one in campaign.unknowns.items()}
+    unknowns = Unknowns(known).on(campaign.plant)
     assert campaign.sensors is not None
-    made = fit_.apply(fit_.at(stats.norm.cdf(posterior.z)), campaign.sensors, CAB)
+    made = unknowns.apply(unknowns.at(stats.norm.cdf(posterior.z)), campaign.sensors, CAB)
     return {"base": "ideal", CAB: made.model_dump(mode="json", exclude_none=True, exclude={"name"})}
 
 
-def _source(posterior: Posterior) -> dict[str, Any]:
-    """Status and source of what was fitted."""
-    made = (f"{one.name} {one.record.digest}" for one in posterior.campaign.of(held_back=False))
-    return {"status": "identified", "source": f"fitted to recordings {', '.join(made)}"}
+def _provenance(posterior: Posterior) -> dict[str, Any]:
+    """Status and source of what was fitted: recordings, and who states the evidence."""
+    campaign = posterior.campaign
+    files = [f"{one.name} {one.record.digest}" for one in campaign.of(held_back=False)]
+    fitted_to = {one.evidence for one in campaign.evidence.statements if not one.held_back}
+    stated = [one.source for name, one in campaign.settings.evidence.items() if name in fitted_to]
+    kinds = (("recordings ", files), ("what is stated in ", stated))
+    source = " and ".join(kind + ", ".join(dict.fromkeys(each)) for kind, each in kinds if each)
+    return {"status": "identified", "source": f"fitted to {source}"}
+
+
+_FIELDS = {name: (field,) for name, field in DERIVED.items()} | {
+    "supply": ("supply_pressure", *OF_THE_SUPPLY),
+    "friction": ("coulomb_friction", "breakaway_friction"),
+    "stiction": ("breakaway_friction",),
+    "density": ("mass", "inertia"),
+    "second_moment": ("inertia",),
+}
+"""What a number changes in a machine's file, where its path has another name for it."""
 
 
 def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
     """The file's numbers that were fitted, with status and source."""
-    said = _source(posterior)
-    bodies = {"hydraulics": table["hydraulics"], "platform": table["platform"]}
+    provenance = _provenance(posterior)
+    bodies = {"cab": [table["cabs"][CAB]], "platform": [table["platform"]]}
+    bodies["payload"] = bodies["cab"] + bodies["platform"]
     for path in paths(posterior):
         root, *rest = path.split(".")
-        if root == "electronics":
-            continue
-        at: Any = bodies.get(root, table["cabs"][CAB])
-        for part in rest[: None if root == "hydraulics" else 1]:
-            at = at.get(_FIELDS.get(part, part), {})
-        at |= said
+        if root == "hydraulics":
+            entry: Any = table["hydraulics"]
+            for part in rest[:-1]:
+                entry = entry[part]
+            changed = [entry[field] for field in _FIELDS.get(rest[-1], rest[-1:])]
+        elif root == "legs":
+            changed = [table["legs"][field] for field in Legs.model_fields]
+        else:
+            fields = _FIELDS.get(rest[0], rest[:1])
+            changed = [body[field] for body in bodies.get(root, ()) for field in fields]
+        for quantity in changed:
+            quantity |= provenance
     return table
 
 
 _OF_BOX = {
-    "drive_lag": ".drive_lag",
-    "valve_lag": ".valve_lag",
-    "valve_gain": ".leg_speed",
-    "leak_rate": ".leak_rate",
-    "bulk_modulus": ".bulk_modulus",
-    "cab_mass": ".mass",
-    "cab_place": ".centre_of_mass.",
-    "cab_inertia": ".second_moment.",
+    "drive_lag": r"hydraulics\.(.*\.)?drive_lag",
+    "valve_lag": r"hydraulics\.(.*\.)?valve_lag",
+    "valve_gain": r"hydraulics\.(.*\.)?(leg_speed|valve_gain)",
+    "leak_rate": r"hydraulics\.(.*\.)?(leak_rate|leakage)",
+    "bulk_modulus": r"hydraulics\.bulk_modulus",
+    "supply_pressure": r"hydraulics\.supply(_pressure)?",
+    "cab_mass": r"cab\.(mass|density)|payload\.density",
+    "cab_place": r"cab\.centre_of_mass\.[xyz]",
+    "cab_inertia": r"cab\.(inertia|density|second_moment\.[xyz])|payload\.density",
 }
-"""What of the machine a number of the box stands for, as part of its path."""
+"""Paths of the machine that a number of the box stands for."""
 
 
 def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
@@ -203,12 +260,12 @@ def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     bounds, best = physical(posterior, ends), physical(posterior, posterior.z)
     off = np.abs(bounds - best).max(axis=0)
     ratio = np.minimum(off / np.maximum(np.abs(best), 1e-12), WIDEST)
-    listed, unit = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)
+    listed, table = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)
     source = f"{100 * share:g} % of the machines that the recordings allow, all numbers together"
-    for name, part in _OF_BOX.items():
-        place = name == "cab_place"
-        widths = [(off if place else 100.0 * ratio)[i] for i, p in enumerate(listed) if part in p]
+    for name, pattern in _OF_BOX.items():
+        size = off if name == "cab_place" else 100.0 * ratio
+        widths = [float(size[i]) for i, p in enumerate(listed) if re.fullmatch(pattern, p)]
         if widths:
-            width = float(f"{max(1e-4, *map(float, widths)):.4g}")
-            unit["unknowns"][name] |= {"deviation": width, "source": source}
-    return unit | {"title": "What the recordings leave open"}
+            width = float(f"{max(1e-4, *widths):.4g}")
+            table["unknowns"][name] |= {"deviation": width, "source": source}
+    return table | {"title": "What the recordings leave open"}
