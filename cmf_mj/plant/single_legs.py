@@ -3,7 +3,7 @@
     m d2x/dt2 = F - W,    of the CMF m = 7200 lbm, W = 7200 lbf    (section 2.4.2, Eq 4.1)
 
 The legs share neither payload nor inertia. In `models/single_legs.xml` they are six vertical slide
-joints whose weight at standard gravity is exactly the stated load.
+joints under a gravity of W / m, so that their weight is W.
 """
 
 from pathlib import Path
@@ -32,13 +32,13 @@ class DesignPoint(NamedTuple):
 
 
 def design_point(machine: Machine) -> DesignPoint:
-    """The design point of a machine's file, or derived for heave with its first cab.
+    """The design point of a machine's file; what is missing is derived for heave, its first cab.
 
     Legs whose unit vectors have the vertical parts n_j share payload and weight alike:
 
         m = M / sum n_j^2,    W = M g / sum n_j
 
-    The CMF's GFD gives 7203 lbm so, where the report states 7200 lbm.
+    So the CMF's GFD would have 7199.5 lbm and 5992 lbf; the report states 7200 lbm and 7200 lbf.
     """
     shape, single = machine.geometry, machine.single_leg
     upward = (shape.lower[:, 2] - shape.upper[:, 2]) / shape.neutral
@@ -83,8 +83,10 @@ class SingleLegs(Plant):
         point = design_point(carrier)
         mass = point.effective_mass if effective_mass is None else effective_mass
         load = point.static_load if static_load is None else static_load
-        if not mass > 0.0:
-            raise InputError(f"effective_mass: {mass} kg must be greater than 0")
+        if not 0.0 < mass < np.inf:
+            raise InputError(f"effective_mass: {mass} kg must be greater than 0 and finite")
+        if not np.isfinite(load):
+            raise InputError(f"static_load: {load} N must be finite")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
         set_timestep(spec.option, timestep, carrier.frame)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.

@@ -274,7 +274,12 @@ def test_the_design_point_of_single_legs() -> None:
     cmf = load_machine()
     assert design_point(cmf).effective_mass == pytest.approx(7200 * 0.45359237)
     derived = cmf.model_copy(update={"single_leg": type(cmf.single_leg)()})
-    assert design_point(derived).effective_mass == pytest.approx(7200 * 0.45359237, rel=1e-3)
+    assert design_point(derived).effective_mass == pytest.approx(7199.5 * 0.45359237, rel=1e-5)
+    assert design_point(derived).static_load == pytest.approx(5991.79 * 4.4482216, rel=1e-6)
+    with pytest.raises(ValueError, match="static_load: nan N must be finite"):
+        cmf_mj.SingleLegs(static_load=np.nan)
+    with pytest.raises(ValueError, match="effective_mass: inf kg"):
+        cmf_mj.SingleLegs(effective_mass=np.inf)
     for name in ("simona", "lab"):
         cab = load_cab(None, name)
         shape = cab.machine.geometry
