@@ -6,7 +6,7 @@ first round draws from it. Every later one draws from
     q(z) = 0.5 t(z; m, S, 5) + 0.3 t(z; m, (S + 1) / 2, 5) + 0.2 p(z)
 
 with Student's t for its heavy tails. Mean and covariance are those of all machines so far under
-weights w^a, a so small that `_TEMPERED` of the machines of a round count; so few of them show too
+weights w^a, a so small that their effective sample size is `_TEMPERED` of a round; so few show too
 little spread, which the second part makes up for. With as many machines in each round
 all are weighted by the mixture of the rounds (balance heuristic),
 
@@ -20,16 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.unknowns import cube
 
 Array = NDArray[np.float64]
 
 _TAILS = 5.0
-"""Degrees of freedom of the second round's distribution."""
+"""Degrees of freedom of every later round's distributions."""
 _SHARES = (0.5, 0.3)
 """Shares of a later round that are drawn from its two distributions; the rest is of the prior."""
 _TEMPERED = 0.08
-"""Machines that count in mean and covariance, over those of a round."""
+"""Effective sample size of mean and covariance, over the machines of a round."""
 _WIDER = 0.05
 """Variance added to the covariance."""
 _EDGE = 1e-6
@@ -53,9 +54,9 @@ class _Round(NamedTuple):
         uniform = cube("sobol", count, self.mean.size + 1, generator)
         points = _normal(uniform[:, :-1])
         chi = stats.chi2.ppf(np.clip(uniform[:, -1], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
-        place, limit, begin = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
+        component, limit, begin = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
         for share, spread in zip(_SHARES, self.spreads, strict=True):
-            here = (place >= begin) & (place < begin + share)
+            here = (component >= begin) & (component < begin + share)
             away = points[here] @ np.linalg.cholesky(spread).T / np.sqrt(chi[here])[:, None]
             points[here] = np.clip(self.mean + away, -limit, limit)
             begin += share
@@ -96,15 +97,18 @@ def importance(
     count: int,
     rounds: int,
     seed: int,
-    guess: Callable[[Array, Array], tuple[Array, Array]] | None = None,
+    moments_of: Callable[[Array, Array], tuple[Array, Array]] | None = None,
 ) -> Draws:
     """So many rounds of `count` points in `size` dimensions.
 
-    `likelihoods` gives ln L of the points of a round by its number, (count,); `guess` mean and
+    `likelihoods` gives ln L of the points of a round by its number, (count,); `moments_of` mean and
     covariance of the posterior from all points and their `ratio`, default those of the weights.
+    Raises `InputError` for no rounds, and for a count that is no power of 2, as Sobol asks for.
     """
+    if rounds < 1 or count < 1 or count & (count - 1):
+        raise InputError(f"{rounds} rounds of {count}: allowed: at least 1, of a power of 2")
     points, known = _normal(cube("sobol", count, size, seed)), np.empty(0)
-    drawn, one = list[_Round](), np.eye(size)
+    drawn, identity = list[_Round](), np.eye(size)
     while True:
         known = np.append(known, likelihoods(len(drawn), points[known.size :]))
         prior = stats.norm.logpdf(points).sum(axis=1)
@@ -112,33 +116,55 @@ def importance(
         ratio = prior - (np.logaddexp.reduce(densities, axis=0) - np.log(len(densities)))
         if len(drawn) == rounds - 1:
             return Draws(points, known, ratio)
-        if guess is None:
+        if moments_of is None:
             mean, spread = moments(points, tempered(known + ratio, _TEMPERED * count))
         else:
-            mean, spread = guess(points, ratio)
-        near = spread + _WIDER * one
+            mean, spread = moments_of(points, ratio)
+        near = spread + _WIDER * identity
         key = [seed, 2, len(drawn)]
-        drawn.append(_Round(mean, (near, 0.5 * (near + one))))
+        drawn.append(_Round(mean, (near, 0.5 * (near + identity))))
         points = np.vstack([points, drawn[-1].draw(count, key)])
 
 
 def normalised(log_weights: Array) -> Array:
-    """Weights of sum 1; those of minus infinity are 0."""
-    weights = np.exp(log_weights - log_weights.max())
+    """Weights of sum 1; those of minus infinity are 0.
+
+    Raises `InputError` where all are, or one is no number.
+    """
+    largest = log_weights.max()
+    if not np.isfinite(largest):
+        raise InputError(f"no machine fits: the largest ln of the weights is {largest}")
+    weights = np.exp(log_weights - largest)
     return np.asarray(weights / weights.sum())
 
 
 def tempered(log_weights: Array, count: float) -> Array:
-    """Weights w^a of sum 1, a at most 1 and so small that the effective size is `count`."""
+    """Weights w^a of sum 1, a at most 1 and so small that the effective size is `count`.
 
-    def surplus(power: float) -> float:
-        return effective_size(normalised(power * log_weights)) - count
+    Those of minus infinity stay 0; where no more than `count` are others, these count alike.
+    """
+    weights, possible = normalised(log_weights), np.isfinite(log_weights)
+    if effective_size(weights) >= count:
+        return weights
+    apart = log_weights - log_weights.max()
 
-    known = np.where(np.isfinite(log_weights), log_weights, -1e6)
-    log_weights = known - known.max()
-    if surplus(1.0) >= 0.0 or surplus(1e-6) <= 0.0:
-        return normalised(log_weights)
-    return normalised(optimize.brentq(surplus, 1e-6, 1.0) * log_weights)
+    def surplus(log_power: float) -> float:
+        return effective_size(normalised(np.exp(log_power) * apart)) - count
+
+    floored = np.where(possible, log_weights, -1e6)
+    floored -= floored.max()
+
+    def surplus_floored(power: float) -> float:
+        return effective_size(normalised(power * floored)) - count
+
+    if surplus_floored(1e-6) > 0.0:
+        power = optimize.brentq(surplus_floored, 1e-6, 1.0)
+        if power > 1e-3:  # where the floor counts as 0
+            return normalised(power * apart)
+    least = np.log(1e-9 / max(1.0, -apart[possible].min()))
+    if surplus(least) <= 0.0:
+        return np.asarray(possible / possible.sum())
+    return normalised(np.exp(optimize.brentq(surplus, least, 0.0)) * apart)
 
 
 def effective_size(weights: Array) -> float:
@@ -149,7 +175,8 @@ def effective_size(weights: Array) -> float:
 def resampled(weights: Array, count: int, seed: int) -> NDArray[np.int64]:
     """Indices of so many machines drawn by their weights, systematically, in order."""
     start = np.random.default_rng([seed, 3]).random()
-    return np.searchsorted(np.cumsum(weights), (start + np.arange(count)) / count).astype(np.int64)
+    at = np.searchsorted(np.cumsum(weights), (start + np.arange(count)) / count)
+    return np.minimum(at, np.flatnonzero(weights)[-1]).astype(np.int64)
 
 
 def weighted_quantiles(values: Array, weights: Array, at: Array) -> Array:
