@@ -21,7 +21,7 @@ from scipy import stats
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, Status
+from cmf_mj.core.quantity import Kind, Quantity, Status
 from cmf_mj.core.settings import Settings
 from cmf_mj.electronics.sensors import CHANNELS
 from cmf_mj.machine.machine import Machine
@@ -30,14 +30,40 @@ from cmf_mj.plant.parameters import ACTUATOR_FIELDS, VALVE_FIELDS, VALVES, Hydra
 Array = NDArray[np.float64]
 
 LIMIT = 2.0
-"""Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
+"""Deviations beyond which values of a normal distribution do not occur: such parts go back."""
 
 LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
 
 DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
 """What goes with another number too, and the number of the set that it changes."""
 
-_FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
+_FACTORS = re.compile(
+    r"hydraulics\.actuators\..*\.(valve_gain|leakage)|(cab|platform)\.(inertia|density)"
+    r"|payload\.density|legs\.mass|model\.body\..*\.inertia"
+)
+
+_UNITS = {
+    "mass": ("kg", "lbm"),
+    "centre_of_mass": ("m",),
+    "second_moment": ("kg m^2", "lbm ft^2", "lbm in^2", "slug ft^2"),
+    "stiction": ("1",),
+}
+"""Units of numbers that are no quantity of the hydraulic set."""
+
+
+def _units(path: str) -> tuple[str, ...]:
+    """Units that a number of bodies or hydraulics may have; of other parts none are known."""
+    root, *rest = path.split(".")
+    if root in ("cab", "platform") or path == "hydraulics.stiction":
+        return _UNITS.get(rest[0], ())
+    if root != "hydraulics":
+        return ()
+    field = {"supply": "supply_pressure", "friction": "coulomb_friction"}.get(rest[-1], rest[-1])
+    info = HydraulicParameters.model_fields.get(field)
+    checks = [getattr(each, "func", None) for each in info.metadata] if info else []
+    owners = [getattr(check, "__self__", None) for check in checks]
+    return next((one.units for one in owners if isinstance(one, Kind)), ())
+
 
 _NO_NUMBERS = {"name", "supply", "actuators"}
 _OF_THE_SET = {*HydraulicParameters.model_fields, "friction", "stiction"} - _NO_NUMBERS
@@ -80,22 +106,46 @@ class Unknown(Settings):
                 "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
                 "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
             )
-        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
+        factor, log, low, high = (
+            self.effect == "factor",
+            "log" in self.distribution,
+            self.low,
+            self.high,
+        )
+        if not factor and _FACTORS.fullmatch(self.path):
             raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
-        log, low, high = self.distribution == "loguniform", self.low, self.high
         if self.deviation is None and "normal" not in self.distribution:
             if low is None or high is None or not low < high or (log and low <= 0.0):
                 raise InputError(
                     f"{low} to {high} is refused; low must be less than high, and greater than 0 "
                     "on a log scale"
                 )
-        elif self.deviation is None or log or self.effect == "value" or (low, high) != (None, None):
+            if factor and self.unit != "1":
+                raise InputError(f"unit: {self.unit!r} of a factor between bounds must be '1'")
+        elif (
+            self.deviation is None
+            or self.distribution == "loguniform"
+            or self.effect == "value"
+            or (low, high) != (None, None)
+        ):
             raise InputError(
                 "deviation: goes with uniform, normal or lognormal and the effects factor or "
                 "offset, without low and high"
             )
-        elif self.effect == "factor" and self.half >= 1.0:
-            raise InputError(f"deviation: {self.deviation:g} {self.unit} must be less than 1")
+        elif log and not factor:
+            raise InputError("distribution: 'lognormal' goes with the effect factor")
+        elif factor and self.unit not in ("1", "%"):
+            raise InputError(f"unit: {self.unit!r} of a factor's deviation must be % or 1")
+        elif factor and not log:
+            most = 1.0 / LIMIT if self.distribution == "normal" else 1.0
+            if self.half >= most:
+                said = f"{self.deviation:g} {self.unit} must be less than {most:g}"
+                raise InputError(f"deviation: {said}: factors are positive")
+        known = () if factor else _units(self.path)
+        if known and units.si_unit(self.unit) not in {units.si_unit(x) for x in known} | {*known}:
+            raise InputError(
+                f"unit: {self.unit!r} is refused: allowed for {self.path}: {', '.join(known)}"
+            )
         return self
 
     @property

@@ -20,6 +20,7 @@ from cmf_mj.studies.settings import load_study
 
 HARDWARE, GFD = load_hydraulics("hardware"), load_cab("gfd")
 LEAKS, FLOWS = "hydraulics.actuators.*.leak_rate", "hydraulics.actuators.*.valve_*.valve_flow"
+OFFSET = {"effect": "offset"}
 BETWEEN = {"low": 0.5, "high": 2.0, "unit": "1"}
 
 
@@ -169,13 +170,20 @@ def test_numbers_of_law_machine_and_sensors_change_by_path() -> None:
         ({"effect": "value"}, "deviation: goes with"),
         ({"distribution": "loguniform"}, "deviation: goes with"),
         ({"low": 1.0}, "deviation: goes with"),
-        ({"deviation": 100.0}, "deviation: 100 % must be less than 1"),
+        ({"deviation": 100.0, "distribution": "uniform"}, "deviation: 100 % must be less than 1"),
         ({"deviation": 0.0}, "deviation"),
         ({"deviation": None}, "deviation: goes with"),
         ({"deviation": None, "distribution": "uniform"}, "None to None is refused"),
         (BETWEEN | {"deviation": None, "distribution": "uniform", "low": 9.0}, "9.0 to .* refused"),
         (BETWEEN | {"deviation": None, "distribution": "loguniform", "low": 0.0}, "0.0 to .* ref"),
         ({"unit": "furlong"}, "'furlong'"),
+        (BETWEEN | {"deviation": None, "distribution": "uniform", "unit": "%"}, "must be '1'"),
+        ({"deviation": 50.0}, "deviation: 50 % must be less than 0.5"),
+        ({"deviation": 0.2, "unit": "m"}, "unit: 'm' of a factor's deviation must be % or 1"),
+        (OFFSET | {"path": "cab.mass", "unit": "psi"}, "unit: 'psi' .* cab.mass: kg, lbm"),
+        (OFFSET | {"path": "cab.centre_of_mass.z"}, "unit: '%' is refused"),
+        (OFFSET | {"path": "hydraulics.bore_diameter", "unit": "s"}, "unit: 's' is refused"),
+        (OFFSET | {"path": "cab.mass", "distribution": "lognormal"}, "goes with the effect factor"),
         ({"source": ""}, "source"),
     ],
 )
@@ -183,6 +191,15 @@ def test_what_cannot_be_unknown_is_refused(changes: dict[str, Any], message: str
     table = {"path": LEAKS, "source": "test", "distribution": "normal", "deviation": 5.0}
     with pytest.raises(ValueError, match=message):
         validated(Unknown, table | changes, "test")
+
+
+def test_quantities_that_sound_like_factors_are_quantities() -> None:
+    """Leakage of bearings, density of oil; a lognormal factor of any width is positive."""
+    leak = {"low": 0.0, "high": 1e-3, "unit": "gpm/psi", "effect": "value"}
+    assert unknown("hydraulics.bearing_leakage", **leak).at(0.5) == 5e-4
+    dense = {"low": 800.0, "high": 900.0, "unit": "kg/m^3", "effect": "value"}
+    assert unknown("hydraulics.oil_density", **dense).at(0.5) == 850.0
+    assert unknown(distribution="lognormal", deviation=120.0).at(1e-9) > 0.0
 
 
 def test_numbers_that_a_part_does_not_give_are_refused() -> None:

@@ -61,7 +61,7 @@ _PAIR_HZ = (4.0, 25.0)
 """Where the leg's pair of poles is looked for."""
 
 _SUPPLY = Unknowns(
-    ratio=Unknown(path="hydraulics.supply", low=0.1, high=10.0, source="section 3.4.2")
+    ratio=Unknown(path="hydraulics.supply", low=0.1, high=10.0, unit="1", source="section 3.4.2")
 )
 
 
