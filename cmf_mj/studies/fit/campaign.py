@@ -22,7 +22,8 @@
     source = "gauge"
 
 What is known beside recordings, or in their stead, stands under `[evidence]`, see `evidence`. A
-file may begin with `base = "hardware"`, a shipped campaign, and repeat only what it changes.
+file may begin with `base = "hardware"`, a shipped campaign: of evidence and deviations it repeats
+only what it changes; other tables, such as `unknowns`, replace those of the base whole.
 Recordings hold the demand of the legs, `leg_reference`, or of kind `valves` `valve_command`, and of
 `leg_position`, `cap_pressure`, `rod_pressure` what was measured.
 """
@@ -36,7 +37,7 @@ from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name, within
-from cmf_mj.core.settings import Name, Settings, beside, read_toml, validated
+from cmf_mj.core.settings import Name, Settings, beside, merged, read_toml, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.chain import AnyElectronics, ElectronicsSettings
 from cmf_mj.electronics.sensors import SensorSettings
@@ -90,7 +91,7 @@ class CampaignSettings(Settings):
     clocks: bool = False
     """Whether demand and measurement were logged by two clocks: offset and skew are then fitted."""
     highest: Annotated[float, Field(gt=0.0)] = 50.0
-    """Frequency up to which recordings are explained [Hz], at most 0.4 of a recording's rate."""
+    """Frequency up to which recordings are explained [Hz], cut at 0.4 of a recording's rate."""
     recordings: Mapping[Name, RecordingSettings] = {}
     unknowns: Mapping[Name, Unknown] = {}  #: Default those of `data_sheet`.
     held: Mapping[Name, Unknown] = {}  #: Not fitted: what they leave open widens predictions.
@@ -180,7 +181,9 @@ def load_campaign(folder: str | Path) -> Campaign:
     table = read_toml(path)
     if "base" in table:
         base = check_name("base", str(table.pop("base")), SHIPPED)
-        table = read_toml(_READY / f"{base}.toml") | table
+        before, inner = read_toml(_READY / f"{base}.toml"), ("evidence", "deviations")
+        changes = {k: merged(before.get(k, {}), table[k], 1) for k in inner if k in table}
+        table = before | table | changes
     settings = validated(CampaignSettings, table, str(path))
     with within(path):
         cab = load_cab(beside(where, settings.cab), beside(where, settings.machine))
@@ -188,6 +191,11 @@ def load_campaign(folder: str | Path) -> Campaign:
         plant = make_plant(settings.plant, cab, hydraulics)
         unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
         law = settings.law or cab.machine.law
+        every = [*unknowns.items(), *settings.held.items()]
+        for i, (name, one) in enumerate(every):
+            for other, earlier in every[:i]:
+                if name == other or one.path == earlier.path:
+                    raise InputError(f"{name}: {one.path}: is unknown or held twice; allowed: once")
         recordings = [
             _recording(where, name, law, settings, cab.machine) for name in settings.recordings
         ]
@@ -220,7 +228,7 @@ def _recording(
             if channel not in record.channels:
                 raise InputError(f"{said.file}: {channel}: is missing; a {said.kind} needs it")
         for channel in (given, *MEASURED):
-            gaps = np.isnan(record.channels.get(channel, np.zeros(1))).any(axis=-1)
+            gaps = (~np.isfinite(record.channels.get(channel, np.zeros(1)))).any(axis=-1)
             if gaps.any():
                 at = record.time[int(np.argmax(gaps))]
                 allowed = "allowed: numbers; let the column map bridge what is short"

@@ -18,7 +18,7 @@
 With y what is stated, s its deviation and m that of the linear loop, friction left out, what is
 stated counts e^2 / 2 in -ln L,
 
-    e = (y - m - d) / s       with ln y and ln m of frequencies,     d = m_simulated(x0) - m(x0)
+    e = (y - m - d) / s       of frequencies (ln y - ln(m + d)) / s,  d = m_simulated(x0) - m(x0)
     e = max(0, y - m) / s     of a damping ratio that is a least one
 
 d is what linearisation misses on the data sheet's machine x0, where a campaign asks for it by
@@ -114,13 +114,14 @@ class Statement(NamedTuple):
     def excess(self, predicted: float) -> float:
         """E of a machine; `FARTHEST` where it has no such number."""
         if self.field == LEAST:
-            off = max(0.0, self.value - predicted)
+            off = float(np.maximum(0.0, self.value - predicted))
         elif self.field.endswith("_hz"):
-            off = float(np.log(self.value / predicted)) if predicted > 0.0 else np.nan
+            off = float(np.log(self.value / predicted)) if 0.0 < predicted < np.inf else np.nan
         else:
             off = self.value - predicted
-        e = off / self.deviation
-        return e if e == e else FARTHEST
+        if self.field == "phase_deg" and abs(off) > 180.0:
+            off = (off + 180.0) % 360.0 - 180.0
+        return off / self.deviation if np.isfinite(off) else FARTHEST
 
 
 class Found(NamedTuple):
@@ -154,9 +155,9 @@ class Evidence(NamedTuple):
                 plants[cab] = Linear(self._with(cab, values, plant), friction="none")
             linear = plants[cab]
             if one.field == LEAST:
-                poles = np.asarray(linear.leg_loop(laws[law]).poles(), dtype=complex)
-                value[i] = least_damped_mode(poles, _FASTEST_HZ)[0]
-                stable[i] = are_stable(poles)
+                loop = linear.leg_loop(laws[law])
+                poles = np.asarray(loop.poles(), dtype=complex)
+                value[i], stable[i] = _least_damping(poles, loop.dt), are_stable(poles)
                 continue
             if (law, dof, cab) not in found:
                 signal = dof if isinstance(linear.plant, Hexapod) else "leg_1"
@@ -173,15 +174,13 @@ class Evidence(NamedTuple):
 
     def simulated(self, values: Values, plant: Plant, jobs: int) -> Array:
         """The same of the simulation; linear ones of responses and least damping ratios."""
-        linear = self.linear(values, plant).value
-        runs = {
-            one.at[:3]: bound(self.unknowns.apply(values, self.laws[one.at[0]]), plant)
-            for one in self.statements
-            if one.field in MEASURES
-        }
+        value = self.linear(values, plant).value
+        runs = dict.fromkeys(one.at[:3] for one in self.statements if one.field in MEASURES)
         cases = []
-        for (_, dof, cab), law in runs.items():
-            carried = self._with(cab, values, plant).cab_parameters or load_cab(None, plant.machine)
+        for name, dof, cab in runs:
+            own = self._with(cab, values, plant)
+            law = bound(self.unknowns.apply(values, self.laws[name]), own)
+            carried = own.cab_parameters or load_cab(None, plant.machine)
             cases.append(make_case(law, dof, plant.name, carried, plant.parameters, quick=True))
         results = dict(zip(runs, on_threads(run_case, cases, jobs), strict=True))
         for i, one in enumerate(self.statements):
@@ -190,12 +189,13 @@ class Evidence(NamedTuple):
                 measures = result.measures
                 if result.response is not None:
                     measures = _unjudged(measures, bandwidths(result.response))
-                linear[i] = getattr(measures, one.field)
-        return linear
+                value[i] = getattr(measures, one.field)
+        return value
 
     def shifted(self, jobs: int) -> "Evidence":
         """With d of the data sheet's machine; 0 where a simulation has no such number."""
-        off = self.simulated({}, self.plant, jobs) - self.linear({}, self.plant).value
+        plain = self._replace(shift=np.zeros(len(self.statements)))
+        off = plain.simulated({}, self.plant, jobs) - plain.linear({}, self.plant).value
         return self._replace(shift=np.where(np.isfinite(off), off, 0.0))
 
     def excess(self, values: Values, plant: Plant) -> Array:
@@ -209,6 +209,12 @@ class Evidence(NamedTuple):
             return plant
         carried = load_cab(cab, plant.machine)
         return Hexapod(self.unknowns.apply(values, carried), plant.parameters)
+
+
+def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
+    """Of the modes of the machine; 1 of a stable loop that has none."""
+    ratio = least_damped_mode(poles, _FASTEST_HZ, frame=frame)[0]
+    return 1.0 if np.isnan(ratio) and are_stable(poles) else ratio
 
 
 def _measured(loop: Any) -> Measures:
@@ -247,6 +253,8 @@ def load_evidence(
         with within(f"evidence.{name}"):
             chosen = said.law or law
             laws[chosen] = load_law(beside(folder, chosen))
+            if said.cabs and not isinstance(plant, Hexapod):
+                raise InputError("cabs: is refused: single legs carry none; allowed: a hexapod")
             for cab in said.cabs:
                 load_cab(cab, plant.machine)
             mine = _statements(name, said, said.deviations or deviations, chosen)

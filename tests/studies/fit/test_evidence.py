@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.fit import doubt as doubts
 from cmf_mj.studies.fit import engine
+from cmf_mj.studies.fit import evidence as evidence_module
 from cmf_mj.studies.fit.campaign import FILE, SHIPPED, Campaign, load_campaign
 from cmf_mj.studies.fit.doubt import Stated, doubt, stated
 from cmf_mj.studies.fit.engine import fit
@@ -60,6 +62,59 @@ def test_a_statement_counts_by_its_deviation() -> None:
     assert one("least_damping", 0.03, 0.01).excess(0.01) == pytest.approx(2.0)
     assert one("least_damping", 0.03, 0.01).excess(0.5) == 0.0
     assert one("gain_bandwidth_hz", 2.0, 0.1).excess(np.nan) == 8.0
+    assert one("gain_bandwidth_hz", 2.0, 0.1).excess(np.inf) == 8.0
+    assert one("least_damping", 0.03, 0.01).excess(np.nan) == 8.0
+    assert one("phase_deg", -185.0, 5.0).excess(176.0) == pytest.approx(-0.2)
+    assert one("phase_deg", 175.0, 5.0).excess(-176.0) == pytest.approx(-1.8)
+
+
+def test_least_damping_is_looked_for_in_the_frames_of_the_loop() -> None:
+    """A mode of 13.6 Hz at 500 Hz; a stable loop without modes is damped, another is not."""
+    mode = 2.0 * np.pi * 13.6 * (-0.4 + 1j * np.sqrt(1.0 - 0.16))
+    poles = np.exp(np.array([mode, np.conj(mode)]) / 500.0)
+    assert evidence_module._least_damping(poles, 1.0 / 500.0) == pytest.approx(0.4)
+    assert evidence_module._least_damping(np.array([0.5 + 0j]), 1.0 / 500.0) == 1.0
+    assert np.isnan(evidence_module._least_damping(np.array([1.5 + 0j]), 1.0 / 500.0))
+
+
+def test_a_simulation_binds_its_law_to_the_cab_of_the_statement(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A law in hydraulic modes on another cab; what is shifted is not shifted again."""
+    stated = {"source": "a", "law": "modal_feedback", "cabs": ["rfd"], "damping_ratio": 0.4}
+    made = load_campaign(written(tmp_path, {"mine": stated}, machine="cmf", cab="gfd")).evidence
+
+    def no_runs(_: Any, cases: list[Any], __: int) -> list[Any]:
+        measures = SimpleNamespace(damping_ratio=0.9)
+        return [SimpleNamespace(measures=measures, response=None) for _ in cases]
+
+    monkeypatch.setattr(evidence_module, "on_threads", no_runs)
+    once = made.shifted(1)
+    assert once.shift[0] != 0.0
+    assert once.shifted(1).shift[0] == once.shift[0]
+
+
+def test_a_campaign_changes_its_base_inside_evidence(tmp_path: Path) -> None:
+    """One number of one piece of evidence, with all others as shipped."""
+    changed = {"base": "hardware", "evidence": {"velocity": {"phase_bandwidth_hz": 3.1}}}
+    (tmp_path / FILE).write_text(tomlkit.dumps(changed), encoding="utf-8")
+    base, own = (load_campaign(x).evidence.statements for x in ("hardware", tmp_path))
+    differ = [(a.evidence, a.field, b.value) for a, b in zip(base, own, strict=True) if a != b]
+    assert differ == [("velocity", "phase_bandwidth_hz", 3.1)]
+
+
+def test_an_unknown_is_named_once(tmp_path: Path) -> None:
+    stated = {"mine": {"source": "a", "damping_ratio": 0.4}}
+    for name, path in (("speed", "hydraulics.leak_rate"), ("again", SPEED["path"])):
+        held = {name: SPEED | {"path": path}}
+        with pytest.raises(InputError, match="is unknown or held twice"):
+            load_campaign(written(tmp_path, stated, held=held))
+
+
+def test_single_legs_carry_no_cabs(tmp_path: Path) -> None:
+    stated = {"mine": {"source": "a", "damping_ratio": 0.4, "cabs": ["gfd"]}}
+    with pytest.raises(InputError, match="cabs: is refused: single legs carry none"):
+        load_campaign(written(tmp_path, stated, machine="cmf", plant="single_legs"))
 
 
 def test_shipped_campaigns_state_what_is_published() -> None:
