@@ -347,9 +347,30 @@ def test_intervals_of_hidden_machines_hold_as_often_as_the_page_says() -> None:
         known = [row for row in csv.DictReader(file) if row["identifiable"] == "True"]
     held = sum(row["holds"] == "True" for row in known)
     assert 0.85 <= held / len(known) <= 0.95
-    said = f"On eleven [hidden machines](../data/hidden_machines.csv) {held} of {len(known)} "
+    said = f"On twenty [hidden machines](../data/hidden_machines.csv) {held} of {len(known)} "
     assert said in read("docs/tutorials/recordings_to_a_law.md")
-    assert len({row["machine"] for row in known}) == 11
+    assert len({row["machine"] for row in known}) == 20
+
+
+def test_laws_of_hidden_machines_do_what_the_page_says() -> None:
+    with (ROOT / "docs" / "data" / "hidden_laws.csv").open(encoding="utf-8") as file:
+        lines = [
+            {k: v if k == "machine" else float(v) for k, v in r.items()}
+            for r in csv.DictReader(file)
+        ]
+    ratio = np.array([line["ratio"] for line in lines])
+    assert len(lines) == 20 and 0.99 < np.median(ratio) < 1.01
+    assert 1.165 < ratio.max() < 1.175 and ratio.min() > 0.83
+    assert max(line["spread truth"] for line in lines) > 0.17
+    assert sum(line["largest off, of the box"] <= 1.0 for line in lines) == 19
+    assert all(
+        line[f"least damping on the truth, {law}"] > 0.0
+        for line in lines
+        for law in ("recorded", "tuned")
+    )
+    for line in lines:
+        proven = min(value for name, value in line.items() if name.endswith("proven"))
+        assert (proven < 1.0) == str(line["machine"]).startswith("lab")
 
 
 def test_acceleration_feedback_stays_below_the_bandwidths_hoped_for() -> None:
