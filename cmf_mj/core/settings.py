@@ -46,6 +46,7 @@ def in_range(value: Any) -> Any:
     """A value whose numbers, those in lists and tables too, can be computed with.
 
     Refused are sizes above `LARGEST`, subnormal ones and whole numbers that a double cannot hold.
+    Arrays, sets and whole numbers of NumPy pass unseen; strict fields have none.
     """
     if isinstance(value, Mapping):
         in_range(tuple(value.values()))
@@ -81,7 +82,7 @@ class Settings(BaseModel):
             named += [] if field.exclude else [field.serialization_alias or name]
             taken |= {name, *getattr(field.validation_alias, "choices", ())}
         others = table.keys() - taken if isinstance(table, Mapping) else ()
-        for key in sorted(others) if cls.model_config["extra"] == "forbid" else ():
+        for key in sorted(others, key=str) if cls.model_config["extra"] == "forbid" else ():
             said = f"is not a known field; allowed: {', '.join(sorted(named))}{similar(key, named)}"
             raise PydanticCustomError(_UNKNOWN, "{said}", {"said": f"{key}: {said}"})
         return table
@@ -89,12 +90,12 @@ class Settings(BaseModel):
 
 def name_or(*loaded: type) -> PlainValidator:
     """Validator of a field that takes a name or file of settings, or what is `loaded` already."""
-    made = "".join(f", or {one.__name__} as its `load_` function makes it" for one in loaded)
+    loaded_ones = "".join(f", or {one.__name__} as its `load_` function makes it" for one in loaded)
 
     def check(value: Any) -> Any:
         if not isinstance(value, (str, Path, *loaded)):
             kind = type(value).__name__
-            raise InputError(f"a {kind} is refused; allowed: a name, a TOML file{made}")
+            raise InputError(f"a {kind} is refused; allowed: a name, a TOML file{loaded_ones}")
         return value
 
     return PlainValidator(check, json_schema_input_type=str)
@@ -153,14 +154,16 @@ def as_tuples(value: Any) -> Any:
 
 def check_file(path: Path) -> Path:
     """Refuse what is there and no file: a folder, or a pipe, which would be waited for."""
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!r}: cannot be read: no name has a null character")
     if os.path.exists(path) and not os.path.isfile(path):
         raise InputError(f"{path}: cannot be read: it is a folder or a device, not a file")
     return path
 
 
 def beside(folder: Path, name: str | None) -> Any:
-    """A TOML file, also `file.toml:law`, from a folder; any other name as it is."""
-    return folder / name if name is not None and ".toml" in name else name
+    """A TOML file, or `FILE.toml:law`, which counts from a folder; any other name as it is."""
+    return folder / name if name and re.search(r"\.toml(:[^:/]*)?$", name) else name
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -174,9 +177,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is not valid TOML: {reason(error)}") from error
 
 
-_LEVELS, _SHOWN, _FAULTS = 16, 200, 10
-"""Levels of tables allowed in a file; characters of a refused value, and faults, that errors show.
-"""
+_LEVELS = 16  #: Levels of tables and lists allowed in a file, itself the first.
+_SHOWN = 200  #: Characters that errors show of a refused value.
+_FAULTS = 10  #: Faults that an error shows.
 
 
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
@@ -193,17 +196,18 @@ def parsed_toml(text: str, where: str) -> dict[str, Any]:
 def parsed_json(text: str | bytes, where: str) -> Any:
     """What a JSON text says, called `where` in errors."""
     try:
-        return _shallow(json.loads(text), where)
+        content = json.loads(text)
     except RecursionError:
         raise _too_deep(where) from None
     except ValueError as error:
         raise InputError(f"{where}: is not valid JSON: {reason(error)}") from error
+    return _shallow(content, where)
 
 
 def _shallow(content: Any, where: str) -> Any:
     """The same, if nothing that walks through it can run out of stack."""
-    layer = [content]
-    for _ in range(_LEVELS + 1):
+    layer = [content] if isinstance(content, dict | list) else []
+    for _ in range(_LEVELS):
         nested = [v.values() if isinstance(v, dict) else v for v in layer]
         layer = [v for values in nested for v in values if isinstance(v, dict | list)]
         if not layer:
@@ -287,7 +291,7 @@ def user_set(
     if based and base not in names:
         raise unknown_name(f"{path}: base", base, names)
     if len(content) != 1 or not isinstance(next(iter(content.values())), dict):
-        raise InputError(f"{path}: has the tables {sorted(content)}; exactly one is allowed")
+        raise InputError(f"{path}: has the entries {sorted(content)}; exactly one table is allowed")
     name, changes = next(iter(content.items()))
     checked_name(name, f"{path}: name of the table")
     for field in ("name", *fixed):
@@ -326,8 +330,14 @@ class Loader(Generic[Model]):
             return source
         chosen = self.default if source is None else str(source)
         if fitted is None and chosen in (self.names or (self.default,)):
-            return _once(self, chosen)
-        return validated(self.model, *self.table(chosen, fitted))
+            return _cached_shipped(self, chosen)
+        made = validated(self.model, *self.table(chosen, fitted))
+        name = getattr(made, "name", "")
+        if chosen not in self.names and name in self.names and made != _cached_shipped(self, name):
+            raise InputError(
+                f"{chosen}: {name!r} is the name of a shipped set; another one needs another name"
+            )
+        return made
 
     def table(
         self, chosen: str | Path, fitted: Fitting | None = None
@@ -350,7 +360,7 @@ class Loader(Generic[Model]):
 
 
 @cache
-def _once(loader: Loader[Model], chosen: str) -> Model:
+def _cached_shipped(loader: Loader[Model], chosen: str) -> Model:
     """A shipped set, read once: settings are not to be changed."""
     return validated(loader.model, *loader.table(chosen))
 
@@ -363,9 +373,12 @@ def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
     return path
 
 
+_NO_KEY = re.compile(r"[a-z-]*\[.*|constrained-(str|int|float)$")
+"""What pydantic calls the alternatives of a union, and keys, which are no keys of the file."""
+
+
 def _explain(error: Any, where: str) -> str:
-    # Names pydantic gives to the alternatives of a union are no keys of the file.
-    location = [str(part) for part in error["loc"] if not set("[(-") & set(str(part))]
+    location = [part for part in map(str, error["loc"]) if not _NO_KEY.match(part)]
     field = ".".join(location)
     message = error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]

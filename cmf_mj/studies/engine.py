@@ -36,6 +36,7 @@ import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import ThreadpoolController
 
+from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import InputError, check_name, require
 from cmf_mj.core.files import write_parquet, write_text
 from cmf_mj.core.settings import parsed_json
@@ -51,6 +52,7 @@ Row = dict[str, Any]  #: One result: JSON values by the name of their column.
 _SUM = 9  # characters of a line's checksum
 
 _ROOT = Path(__file__).resolve().parents[1]
+_SOURCES = (("*.py", _ROOT), ("*.toml", _ROOT), ("*.xml", models.directory()))
 
 
 class Journal:
@@ -83,7 +85,8 @@ class Journal:
                 raise InputError(f"{path}: is not the specification of a study")
             there, here = _entries(content), _entries(identity)
             names = sorted((there.keys() | here.keys()) - {"settings.title"})  # changes no result
-            differing = [name for name in names if there.get(name) != here.get(name)]
+            said = [{name: json.dumps(x) for name, x in each.items()} for each in (there, here)]
+            differing = [name for name in names if said[0].get(name) != said[1].get(name)]
             if differing:
                 raise InputError(
                     f"{folder}: holds a study that differs in {', '.join(differing)}; "
@@ -98,11 +101,11 @@ class Journal:
         path = folder / JOURNAL
         content = path.read_bytes() if path.exists() else b""
         *lines, torn = content.split(b"\n")
-        whole = [line for line in lines if self._keep(line)]
-        if torn or len(whole) < len(lines):
-            write_text(path, b"".join(line + b"\n" for line in whole).decode())
-        if len(whole) < len(lines):
-            damaged = f"{len(lines) - len(whole)} of {len(lines)} lines are damaged"
+        sound = [line for line in lines if self._keep(line)]
+        if torn or len(sound) < len(lines):
+            write_text(path, b"".join(line + b"\n" for line in sound).decode())
+        if len(sound) < len(lines):
+            damaged = f"{len(lines) - len(sound)} of {len(lines)} lines are damaged"
             print(f"cmf: {path}: {damaged}; their tasks run again", file=sys.stderr)
 
     def _keep(self, line: bytes) -> bool:
@@ -142,11 +145,10 @@ def _entries(identity: Any) -> dict[str, Any]:
 def _sources() -> str:
     """Digest of all sources that results can depend on: not of those that draw and print them."""
     digest = hashlib.sha256()
-    paths = [*_ROOT.rglob("*.py"), *_ROOT.rglob("*.toml"), *models.directory().rglob("*.xml")]
-    for path in sorted(paths):
-        if path.parent.name in ("cli", "ready") or "show" in path.parts:
-            continue
-        digest.update(json.dumps([path.name, path.read_text(encoding="utf-8")]).encode())
+    found = [(root, path) for kind, root in _SOURCES for path in root.rglob(kind)]
+    for name, path in sorted((path.relative_to(root).as_posix(), path) for root, path in found):
+        if path.parent.name not in ("cli", "ready") and not name.startswith("show/"):
+            digest.update(json.dumps([name, path.read_text(encoding="utf-8")]).encode())
     return digest.hexdigest()
 
 
@@ -221,8 +223,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        if not 1 <= self.jobs <= MOST_JOBS:
-            raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
+        whole("jobs", self.jobs, 1, MOST_JOBS)
         check_name("backend", self.backend, get_args(Backend))
         if self.backend == "dask":
             require("distributed", "cluster")

@@ -4,8 +4,18 @@ from typing import Any
 
 import pytest
 
+from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import Loader, Settings, merged, read_toml, validated
+from cmf_mj.core.settings import (
+    Loader,
+    Name,
+    Settings,
+    beside,
+    merged,
+    parsed_json,
+    read_toml,
+    validated,
+)
 
 SHIPPED = """
 [common]
@@ -84,11 +94,14 @@ def test_a_set_has_the_common_entries_and_its_name(sets: Path, tmp_path: Path) -
     [
         ("[own]\n", "base: None is not one of light, heavy"),
         ('base = ["light"]\n[own]\n', "base: ['light'] is not one of light, heavy"),
-        ('base = "light"\n[own]\n[other]\n', "has the tables ['other', 'own']; exactly one is"),
+        (
+            'base = "light"\n[own]\n[other]\n',
+            "has the entries ['other', 'own']; exactly one table is",
+        ),
         ('base = "light"\n[own]\ndepth = = 3\n', "is not valid TOML: "),
         ("\udcff", "is not valid TOML: "),
         ('base = "common"\n[own]\n', "base: 'common' is not one of light, heavy"),
-        ('base = "light"\nown = 1\n', "has the tables ['own']; exactly one is allowed"),
+        ('base = "light"\nown = 1\n', "has the entries ['own']; exactly one table is allowed"),
         (
             'base = "light"\n[own]\nname = "x"\n',
             "own: name: is taken from the table; leave it out",
@@ -146,3 +159,57 @@ def test_a_refused_value_is_not_shown_at_any_length(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         validated(Part, {"length": "x" * 10**6, "width": 1.0}, "my.toml")
     assert len(str(raised.value)) < 600
+
+
+@pytest.mark.parametrize("text", ["5", "null", "true", '"text"'])
+def test_json_without_tables_is_read(text: str) -> None:
+    assert parsed_json(text, "my.json") in (5, None, True, "text")
+
+
+@pytest.mark.parametrize(("levels", "allowed"), [(16, True), (17, False)])
+def test_levels_are_counted_from_the_file(levels: int, allowed: bool) -> None:
+    text = "[" * levels + "]" * levels
+    if allowed:
+        assert parsed_json(text, "my.json")
+    else:
+        said = "^my.json: tables and lists are nested too deep; allowed: 16 levels$"
+        with pytest.raises(InputError, match=said):
+            parsed_json(text, "my.json")
+
+
+class Keyed(Settings):
+    parts: dict[Name, Part]
+
+
+def test_a_fault_is_found_under_a_key_with_a_hyphen() -> None:
+    with pytest.raises(InputError) as raised:
+        validated(Keyed, {"parts": {"my-run": {"length": "x", "width": 1.0}}}, "my.toml")
+    assert "my.toml: parts.my-run.length: 'x' is refused" in str(raised.value)
+    assert "[" not in str(raised.value)
+
+
+def test_keys_of_other_kinds_are_refused() -> None:
+    with pytest.raises(InputError, match="my.toml: 1: is not a known field"):
+        validated(Part, {1: 2, "a": 3}, "my.toml")
+
+
+def test_a_name_with_a_null_character_is_no_file() -> None:
+    with pytest.raises(InputError, match="cannot be read: no name has a null character"):
+        load_law("a\0.toml")
+
+
+def test_files_are_told_by_their_ending() -> None:
+    folder = Path("here")
+    for name in ("my.toml", "laws.toml:mine"):
+        assert beside(folder, name) == folder / name
+    for name in ("my.toml.old", "my.tomlaw", "velocity"):
+        assert beside(folder, name) == name
+
+
+def test_a_shipped_name_with_other_numbers_is_refused(sets: Path, tmp_path: Path) -> None:
+    file, load = tmp_path / "mine.toml", Loader(Ranked, sets, what="sets", names=NAMES)
+    file.write_text('base = "light"\n[light]\n')
+    assert load(file) == load("light")
+    file.write_text('base = "light"\n[heavy]\ndepth = 9\n')
+    with pytest.raises(InputError, match="mine.toml: 'heavy' is the name of a shipped set"):
+        load(file)

@@ -176,7 +176,7 @@ def test_marks_of_a_phase() -> None:
             "hydraulics: 'water' is not one of report, hardware, lossy nor a .toml",
         ),
         ({"amplitude": -1.0}, "amplitude: -1.0 m must be greater than 0"),
-        ({"jobs": 0}, "jobs: 0 must be at least 1"),
+        ({"jobs": 0}, "jobs: 0 is refused; allowed: a whole number from 1"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_runs(

@@ -304,7 +304,8 @@ def test_another_study_is_refused_and_what_differs_is_named(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"jobs": 0}, "jobs: 0 must be at least 1"),
+        ({"jobs": 0}, "jobs: 0 is refused; allowed: a whole number from 1"),
+        ({"jobs": 2.5}, "jobs: 2.5 is refused"),
         ({"backend": "smoke"}, "backend: 'smoke' is not one of threading, loky, dask"),
         ({"scheduler": "tcp://here:1"}, "scheduler: tcp://here:1 needs backend dask, not loky"),
         (
@@ -337,7 +338,17 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
             "mismatch.x: machine.floor: a study varies all but the machine",
         ),
         (
-            {"mismatch": {"x": {"path": BIAS, "deviation": 1.0, "unit": "in", "source": "s"}}},
+            {
+                "mismatch": {
+                    "x": {
+                        "path": BIAS,
+                        "deviation": 1.0,
+                        "unit": "in",
+                        "effect": "offset",
+                        "source": "s",
+                    }
+                }
+            },
             f"mismatch.x: {BIAS}: needs the method sweep",
         ),
     ],
