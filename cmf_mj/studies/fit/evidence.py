@@ -59,6 +59,7 @@ MEASURES = {
 }
 """What may be stated of a law along an axis, fields of `Measures`, and its title."""
 
+_OF_RESPONSE = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db")
 LEAST = "least_damping"
 
 LINES = np.geomspace(0.4, 15.0, 150)
@@ -188,7 +189,7 @@ class Evidence(NamedTuple):
                 result = results[one.at[:3]]
                 measures = result.measures
                 if result.response is not None:
-                    measures = _unjudged(measures, bandwidths(result.response))
+                    measures = _with_bandwidths(measures, bandwidths(result.response))
                 value[i] = getattr(measures, one.field)
         return value
 
@@ -222,13 +223,13 @@ def _measured(loop: Any) -> Measures:
     measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
     if measures.stable:
         return measures
-    return _unjudged(measures, bandwidths(loop_response(loop, LINES)))
+    return _with_bandwidths(measures, bandwidths(loop_response(loop, LINES)))
 
 
-def _unjudged(measures: Measures, widths: Any) -> Measures:
+def _with_bandwidths(measures: Measures, widths: Any) -> Measures:
     """Measures with bandwidths also where the step rings on."""
     there = joined(widths)
-    return measures._replace(**{name: getattr(there, name) for name in list(MEASURES)[:3]})
+    return measures._replace(**{name: getattr(there, name) for name in _OF_RESPONSE})
 
 
 def _of_response(field: str, response: complex) -> float:
@@ -282,8 +283,13 @@ def _statements(
         raise InputError(f"states nothing; allowed: {', '.join([*MEASURES, LEAST, 'response'])}")
     return [
         Statement(
-            *(name, title + (f", {cab}" if cab else ""), field, (law, said.dof, cab, hertz)),
-            *(value, getattr(deviations, field), field in said.held_back),
+            evidence=name,
+            what=title + (f", {cab}" if cab else ""),
+            field=field,
+            at=(law, said.dof, cab, hertz),
+            value=value,
+            deviation=getattr(deviations, field),
+            held_back=field in said.held_back,
         )
         for cab in said.cabs or ("",)
         for field, title, hertz, value in rows

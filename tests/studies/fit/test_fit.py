@@ -268,7 +268,14 @@ def test_what_is_wrong_with_a_campaign_is_named(tmp_path: Path) -> None:
     cmf_mj.Record(time, channels, units, about).save(tmp_path / "a.parquet")
     with pytest.raises(InputError, match="has nothing to fit"):
         load_campaign(tmp_path)
-    said["kind"], said["held_back"] = "valves", False
+    said["held_back"] = False
+    (tmp_path / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
+    far = {"leg_reference": legs, "leg_position": np.where(time[:, None] == 0.5, np.inf, legs)}
+    cmf_mj.Record(time, far, units, about).save(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match=r"leg_position: has none at 0\.5 s"):
+        load_campaign(tmp_path)
+    cmf_mj.Record(time, channels, units, about).save(tmp_path / "a.parquet")
+    said["kind"] = "valves"
     (tmp_path / FILE).write_text(tomlkit.dumps(table), encoding="utf-8")
     with pytest.raises(InputError, match="valve_command: is missing"):
         load_campaign(tmp_path)
