@@ -26,7 +26,7 @@ import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -85,8 +85,8 @@ class Journal:
                 raise InputError(f"{path}: is not the specification of a study")
             there, here = _entries(content), _entries(identity)
             names = sorted((there.keys() | here.keys()) - {"settings.title"})  # changes no result
-            said = [{name: json.dumps(x) for name, x in each.items()} for each in (there, here)]
-            differing = [name for name in names if said[0].get(name) != said[1].get(name)]
+            text = partial(json.dumps, sort_keys=True)  # where NaN is NaN
+            differing = [name for name in names if text(there.get(name)) != text(here.get(name))]
             if differing:
                 raise InputError(
                     f"{folder}: holds a study that differs in {', '.join(differing)}; "
