@@ -121,8 +121,9 @@ class Journal:
         """Keep what a task gave."""
         text = json.dumps({"task": number, "rows": rows}).encode()
         line = _checksum(text) + text
-        with (self.folder / JOURNAL).open("ab", buffering=0) as file:
+        with (self.folder / JOURNAL).open("ab") as file:
             file.write(line + b"\n")
+            file.flush()  # all of it, or an error where the disk is full
             os.fsync(file.fileno())
         self._keep(line)
 
