@@ -128,7 +128,10 @@ def test_effects_keep_their_values_as_machines_and_effects_are_added() -> None:
     ("changes", "message"),
     [
         ({"path": "effect.flap"}, "effects.lap: path: effect: 'flap' is not one of"),
-        ({"path": "hydraulics.actuators.*.leak_rate"}, "effects.lap: allowed: one number"),
+        (
+            {"path": "hydraulics.actuators.*.leak_rate", "unit": "1/s"},
+            "effects.lap: allowed: one number",
+        ),
     ],
 )
 def test_effects_that_are_none_are_refused(changes: dict[str, Any], message: str) -> None:
