@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 from joblib import Parallel, delayed
 
+from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import InputError
 
 MOST_JOBS = 1024  #: Most threads or processes of one command.
@@ -46,8 +47,8 @@ def on_threads(
     The work on a case must share nothing that it changes with other cases. `progress` is called
     from the calling thread with (cases done, cases in all), after each and all before it.
     """
-    if jobs is not None and not 1 <= jobs <= MOST_JOBS:
-        raise InputError(f"jobs: {jobs} must be at least 1 and at most {MOST_JOBS}")
+    if jobs is not None:
+        whole("jobs", jobs, 1, MOST_JOBS)
     results: list[Result] = []
     pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator")
     for result in pool(delayed(work)(case) for case in cases):
