@@ -215,7 +215,9 @@ class Signed(NamedTuple):
 
     def worst(self) -> tuple[float, float]:
         """Student's t of the difference that is least by chance, and its degrees of freedom."""
-        off = np.abs(self.difference / self.deviation)
+        # What differs by nothing is by chance, also where nothing is all there ever was.
+        off, there = np.abs(self.difference), self.difference != 0.0
+        np.divide(off, self.deviation, out=off, where=there)
         degrees = np.broadcast_to(self.degrees, off.shape)
         least = np.unravel_index(int(np.argmin(stats.t.logsf(off, degrees))), off.shape)
         return float(off[least]), float(degrees[least])
@@ -254,6 +256,11 @@ def check_same(master: Master, new: Master) -> None:
             raise InputError(f"{new.folder}: {field} is {other!r}; the master's is {value!r}")
     if dict(new.bench.of) != dict(master.bench.of):
         raise InputError(f"{new.folder}: its guide has other tests than the master's")
+    for name in master.records.keys() & new.records.keys():
+        rate, other = (one.records[name][0].rate for one in (master, new))
+        if not np.isclose(rate, other, rtol=1e-3):
+            where = f"{new.folder}: {name}"
+            raise InputError(f"{where}: has {other:g} samples a second; the master's {rate:g}")
     few = [name for name, records in master.records.items() if len(records) < 2]
     if few:
         raise InputError(f"{master.folder}: {', '.join(few)}: one recording; allowed: at least 2")
@@ -309,6 +316,11 @@ def _measure(
     power: float = 0.9,
 ) -> Compared:
     n, m = old.size, now.size
+    apart = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
+    gone = apart and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
+    known, seen_now = old[~np.isnan(old)], now[~np.isnan(now)]
+    if known.size > 1 and seen_now.size:  # judged by the repetitions that have the measure
+        old, now, n, m = known, seen_now, known.size, seen_now.size
     before, after, none = float(old.mean()), float(now.mean()), float("nan")
     spread = float(np.maximum(_deviation(old), _ROUND * abs(before)))
     edge = float(stats.t.isf(level / 2.0, n - 1))
@@ -319,8 +331,6 @@ def _measure(
     takes = enough(sought / spread, level, 1.0, power) if spread else none
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
         off, edge, seen, sought, takes, after = none, none, none, none, none, float(now.max())
-    apart = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
-    gone = apart and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
     verdict = "changed" if gone or abs(off) > edge else "as before"
     if abs(after) > limit:
         verdict = "beyond its limit"

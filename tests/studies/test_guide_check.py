@@ -80,6 +80,29 @@ def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
     assert row.verdict == "beyond its limit"
 
 
+def test_a_measure_of_some_repetitions_is_judged_by_them_and_a_dead_channel_hides_none() -> None:
+    nan, sound = np.nan, np.array([1.0, 1.1, 0.9, 1.0])
+    assert _measure("t", "m", sound, np.array([50.0, nan]), 0.01, 2.0).verdict == "beyond its limit"
+    assert _measure("t", "m", np.append(sound, nan), sound + 50.0, 0.01, nan).verdict == "changed"
+    assert _measure("t", "m", np.append(sound, nan), sound, 0.01, nan).verdict == "as before"
+    off, spread = np.array([[[0.0]], [[100.0]]]), np.array([[[0.0]], [[1.0]]])
+    assert guide_check.Signed(off, spread, np.array([[3.0]])).worst() == (100.0, 3.0)
+
+
+def test_recordings_of_another_rate_are_refused(folder: Path) -> None:
+    """Their accelerations are compared sample by sample."""
+    master, new = (load_master(folder / name) for name in ("master", "new"))
+
+    def halved(one: Record) -> Record:
+        channels = {name: values[::2] for name, values in one.channels.items()}
+        known = dict(one.metadata) | {"sample_rate": one.rate / 2.0}
+        return Record(one.time[::2], channels, one.units, known)
+
+    slow = {name: [halved(one) for one in records] for name, records in new.records.items()}
+    with pytest.raises(InputError, match=r"new: \w+: has 128 samples a second; the master's 256"):
+        compare(master, new._replace(records=slow))
+
+
 def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Path) -> None:
     """White noise that all six legs share, 400 masters of five and checks of one, at 5 %."""
     master, draw, level = load_master(folder / "master"), np.random.default_rng(5), 0.05
