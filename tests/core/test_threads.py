@@ -32,6 +32,8 @@ def test_an_error_of_a_case_comes_through() -> None:
 @pytest.mark.parametrize("jobs", [0, -1])
 def test_too_few_threads_are_refused_before_anything_runs(jobs: int) -> None:
     ran: list[int] = []
-    with pytest.raises(ValueError, match=f"jobs: {jobs} must be at least 1"):
+    with pytest.raises(
+        ValueError, match=f"jobs: {jobs} is refused; allowed: a whole number from 1"
+    ):
         on_threads(ran.append, [1], jobs=jobs)
     assert not ran
