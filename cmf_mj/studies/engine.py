@@ -319,7 +319,9 @@ def run_study(
     journal = Journal(Path(folder), study.identity())
     run_tasks(journal, cases, CASES, how, progress)
     rows = [case.columns | row for case in cases for row in journal.results[case.number]]
-    table = pa.Table.from_pylist(rows).replace_schema_metadata({"study": journal.identity})
+    names = dict.fromkeys(name for row in rows for name in row)  # of all, not of the first alone
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    table = pa.table(columns, metadata={"study": journal.identity})
     write_parquet(table, journal.folder / RESULTS)
     return table
 

@@ -371,6 +371,17 @@ def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) ->
     assert np.isnan(again["peak_gain_db"])
 
 
+def test_a_column_that_the_first_row_lacks_is_kept(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rows(case: StudyCase, _: dict[str, Any]) -> list[Row]:
+        return [{"x": 1.0} | ({"later": "y"} if case.number else {})]
+
+    monkeypatch.setattr(engine, "CASES", engine.CASES._replace(evaluate=rows))
+    table = run_study(study, tmp_path, backend="threading")
+    assert table["later"].to_pylist() == [None] + ["y"] * (CASES - 1)
+
+
 def test_ready_studies_are_sound() -> None:
     """The ladder is 9 rungs, 9 laws, 6 degrees of freedom; the drawn machines as documented."""
     assert len(load_study("ablation").cases) == 486
