@@ -1,11 +1,12 @@
 """Whether the numbers of a machine fit together: what `cmf machine check` reports.
 
 closure        largest gap of a gimbal over poses of the envelope, the model put together there
-envelope       single-axis excursions at which the first leg has used up its working stroke
+envelope       single-axis excursions at which the first leg has used up its working stroke, and
+its half stroke; operational and mechanical limits must lie within them
 conditioning   condition number of J, its turning columns per mean radius of the upper gimbals,
 at neutral and at worst over the envelope; a change of sign of det J between
 neutral and a pose says that the legs pass a singular pose on the way
-static loads   leg forces at rest, over the stall force of a cylinder, A_cap Ps - A_rod Pt
+static loads   leg forces at rest, over the stall force of each cylinder, A_cap Ps - A_rod Pt
 pushing and A_rod Ps - A_cap Pt pulling; raised by 1 + a/g, a the limit of heave
 acceleration, they must stay below it
 reach          leg speed with valves fully open under the static load, against the limit of leg
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.modes import bound, envelope_poses
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import within
 from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.machine.cab import load_cab
@@ -35,7 +37,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.asymptotes import asymptotes, full_speed, stall_forces
 
-POSES = 200  #: Poses of the envelope that are looked at.
+POSES, MOST_POSES = 200, 100_000  #: Poses of the envelope that are looked at, and at most.
 
 POOR = 100.0  #: Condition number above which a pose is reported as nearly singular.
 
@@ -48,6 +50,8 @@ APART = 0.01
 """Distance of the upper gimbals' centroid from the origin, over their radius, that is none."""
 
 
+_ROUND = 1e-6  #: Share of a reach by which a limit may be beyond it, for its digits.
+
 _MEANT = {"recalled": "recalled from general knowledge, not checked"}
 """Statuses that need a word more, see `core.quantity`."""
 
@@ -58,7 +62,7 @@ class CabCheck(NamedTuple):
     cab: str
     mass: float  #: Of platform and cab [kg].
     load: NDArray[np.float64]  #: Static leg forces [N], (6,).
-    share: float  #: Largest of them over the force of a cylinder that way.
+    share: float  #: Largest of them over the force of its cylinder that way.
     speed: NDArray[np.float64]  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
     sustained: float  #: Heave speed amplitude that the pump sustains [m/s].
     modes: NDArray[np.float64]  #: Hydraulic modes [Hz], (6,).
@@ -72,7 +76,7 @@ class MachineCheck(NamedTuple):
     envelope: NDArray[np.float64]  #: Single-axis excursions [m, rad], (6, 2).
     gap: float  #: Largest gap of a gimbal over the envelope [m].
     conditioning: tuple[float, float]  #: At neutral, at worst over the envelope.
-    stall: NDArray[np.float64]  #: Force of a cylinder pushing and pulling [N], (2,).
+    stall: NDArray[np.float64]  #: Least force of all cylinders pushing and pulling [N], (2,).
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
     faults: tuple[str, ...]  #: What does not fit, each with its reason.
@@ -124,6 +128,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
 
     Raises `InputError` for one that cannot be built, or with a cab that cannot be held at neutral.
     """
+    whole("poses", poses, 1, MOST_POSES)
     plants = [Hexapod(load_cab(name, machine)) for name in machine.cabs]
     bound(load_law(machine.law), plants[0].law_key)
     limits = load_motion_limits(None, machine)
@@ -155,6 +160,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
             f"{_pose(looked_at[worst])}; allowed: below {POOR:g}"
         )
     faults += _proportions(machine, radius)
+    faults += _beyond_reach(machine, limits)
     rod = plant.parameters.rod_diameter.si
     clear, first, last, where = _clearance(machine, looked_at)
     if clear < rod:
@@ -165,7 +171,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     return MachineCheck(
         *(machine, limits, excursion_envelope(None, machine), max(gaps)),
         (conditions[0], conditions[worst]),
-        stall_forces(plant.hydraulics)[0],
+        stall_forces(plant.hydraulics).min(axis=0),
         cabs,
         _by_status(machine),
         tuple(faults),
@@ -186,6 +192,20 @@ def _proportions(machine: Machine, radius: float) -> Iterator[str]:
             f"gimbals: the upper gimbals' centroid is {np.linalg.norm(off):.3g} m from the origin "
             f"of all coordinates; allowed: up to {APART * radius:.3g} m, for it is the origin"
         )
+
+
+def _beyond_reach(machine: Machine, limits: MotionLimits) -> Iterator[str]:
+    """Displacements that are stated and that the legs do not reach, alone from neutral."""
+    for kind, field in (("operational", "working_stroke"), ("mechanical", "half_stroke")):
+        reach = excursion_envelope(getattr(machine, field), machine)
+        for dof, ends, reached in zip(DOFS, getattr(limits, kind), reach, strict=True):
+            unit = by_kind(dof, "m", "deg")
+            low, high, least, most = (units.from_si(unit, x) for x in (*ends, *reached))
+            if low < least - _ROUND * abs(least) or high > most + _ROUND * most:
+                yield (
+                    f"limits.{dof}.{kind}: {low:.4g} to {high:.4g} {unit}; allowed: within "
+                    f"{least:.4g} to {most:.4g} {unit}, where legs.{field} ends"
+                )
 
 
 def _clearance(
@@ -213,7 +233,7 @@ def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
     with within(where):
         plant.start()
     supply = plant.hydraulics.supply
-    load, (push, pull) = plant.static_load(), stall_forces(plant.hydraulics)[0]
+    load, (push, pull) = plant.static_load(), stall_forces(plant.hydraulics).T
     share = float(np.maximum(load / push, -load / pull).max())
     most = 1.0 / (1.0 + limits.axes[2].acceleration.si / units.STANDARD_GRAVITY)
     if share > most:

@@ -85,6 +85,33 @@ def test_the_distance_of_axes_is_the_least_of_all_points_on_them() -> None:
         assert _clearance(machine, pose[None])[0] == pytest.approx(least, abs=1e-6)
 
 
+def test_limits_that_the_legs_do_not_reach_are_found(tmp_path: Path) -> None:
+    """0.6 m of heave on legs that reach 0.2 m; what they reach is no fault."""
+    speed = {"velocity": stated(0.2, "m/s"), "acceleration": stated(1.0, "m/s^2")}
+    for size, faults in ((0.2, []), (0.6, ["operational", "mechanical"])):
+        ends = {"low": -size, "high": size, "unit": "m", "status": "stated", "source": "a test"}
+        heave = {"heave": {"mechanical": ends, "operational": ends} | speed}
+        found = check_machine(changed(tmp_path, limits=heave), poses=POSES).faults
+        assert [fault.split(":")[0] for fault in found] == [f"limits.heave.{x}" for x in faults]
+    assert "-0.6 to 0.6 m; allowed: within -0.2025 to 0.215 m" in found[0]
+    with pytest.raises(InputError, match="poses: 0 is refused; allowed: a whole number from 1"):
+        check_machine(load_machine("lab"), poses=0)
+
+
+def test_each_leg_is_held_against_its_own_cylinder(tmp_path: Path) -> None:
+    """Leg 4 with half the bore: the legs' forces stay, its share is four times as large or more."""
+    table = tomllib.loads((directory() / "machines" / "lab.toml").read_text(encoding="utf-8"))
+    slim = {
+        key: table["hydraulics"][key] | {"value": 0.5 * table["hydraulics"][key]["value"]}
+        for key in ("bore_diameter", "rod_diameter")
+    }
+    usual = check_machine(changed(tmp_path), poses=2)
+    check = check_machine(changed(tmp_path, hydraulics={"actuators": {"leg_4": slim}}), poses=2)
+    np.testing.assert_allclose(check.stall, 0.25 * usual.stall)
+    load = check.cabs[0].load[3]
+    assert check.cabs[0].share == pytest.approx(abs(load) / check.stall[int(load < 0.0)])
+
+
 def test_legs_in_inches_typed_as_metres_are_found(points: Any, tmp_path: Path) -> None:
     far = gimbals(*(39.37 * part for part in points))
     machine = changed(tmp_path, gimbals=far, floor=stated(-45.0))
