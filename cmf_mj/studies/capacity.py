@@ -37,6 +37,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command, commanded
+from cmf_mj.studies.case import frames_a_row
 from cmf_mj.studies.failure import Peak, extreme
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")  #: Manoeuvres with a name.
@@ -201,7 +202,7 @@ def capacity(
     demanded = commanded(command, machine.rate)
     check_limits(demanded, machine=machine)
     allowed = least_allowed(parameters, least_pressure)
-    record = simulate(plant, law, demanded, record_every=max(1, machine.rate // _ROWS))
+    record = simulate(plant, law, demanded, record_every=frames_a_row(machine, _ROWS))
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")
     )

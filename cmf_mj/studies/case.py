@@ -68,6 +68,14 @@ REPORT_AMPLITUDES: NDArray[np.float64] = np.array([dof_amplitude(dof) for dof in
 """The report's amplitudes by degree of freedom [m, rad], (6,): what counts alike."""
 
 
+def frames_a_row(machine: Machine, rate: int) -> int:
+    """Control frames from row to row of `rate` rows a second [Hz].
+
+    Or of as few more as make rows and frames a second whole numbers.
+    """
+    return next((n for n in range(machine.rate // rate, 1, -1) if machine.rate % n == 0), 1)
+
+
 @dataclass(frozen=True)
 class Case:
     """One law on one machine; everything needed to run it anywhere. See `make_case`."""
@@ -118,12 +126,10 @@ class Case:
     def run(self, command: Command, plant: Plant | None = None, *, rate: int = RECORDER) -> Record:
         """Simulate a command.
 
-        `command` is added to the pose of the case; the record has `rate` samples a second, or as
-        few more as make them and the control frames whole numbers.
+        `command` is added to the pose of the case; `rate` is that of the record's rows, see
+        `frames_a_row`.
         """
         plant = self.build() if plant is None else plant
-        frames = plant.machine.rate
-        every = next((n for n in range(frames // rate, 1, -1) if frames % n == 0), 1)
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
         moved = Command(pose, command.signal, command.seed)
@@ -133,7 +139,7 @@ class Case:
             source=moved,
             electronics=self.electronics,
             command_delay=self.command_delay,
-            record_every=every,
+            record_every=frames_a_row(plant.machine, rate),
         ).record()
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
@@ -155,13 +161,15 @@ def make_case(
     cab: str | Path | Cab | None = None,
     hydraulics: str | Path | HydraulicParameters | None = None,
     *,
+    machine: str | Path | Machine | None = None,
     amplitude: float | None = None,
     **options: Any,
 ) -> Case:
     """A case from names; what is refused is named before anything runs.
 
-    Laws, cabs and hydraulic sets are names, TOML files or loaded ones; `amplitude` of the chirp is
-    in m or rad, by default the report's 0.33 in or 0.2 deg; `options` are further fields of `Case`.
+    Laws, cabs, hydraulic sets and the machine are names, TOML files or loaded ones, the machine by
+    default that of a loaded cab, or the CMF; `amplitude` of the chirp is in m or rad, by default
+    the report's 0.33 in or 0.2 deg; `options` are further fields of `Case`.
     """
     dof_index(dof)
     check_name("plant", plant, PLANTS)
@@ -169,13 +177,10 @@ def make_case(
         check_name("option", name, [one.name for one in fields(Case)][6:])
     if amplitude is not None:
         check_positive(amplitude=amplitude)
-    chosen = load_cab(cab)
-    parameters, with_cab = hydraulics_of(chosen.machine, hydraulics), None
-    if plant == "hexapod":
-        with_cab = chosen
-    else:
-        options["machine"] = chosen.machine
-    loaded = load_law(law, chosen.machine)
+    chosen = load_cab(cab, machine)
+    parameters, loaded = hydraulics_of(chosen.machine, hydraulics), load_law(law, chosen.machine)
+    with_cab = chosen if plant == "hexapod" else None
+    options["machine"] = chosen.machine
     return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
 
 

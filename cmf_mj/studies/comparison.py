@@ -62,8 +62,9 @@ def compare(
     proportions to it, 0.2 deg and 1 in to 0.33 in. Results do not depend on the threads, `jobs`, by
     default one per core; `records` is a folder for the records of all runs; `progress` is called
     with (cases done, cases in all). Of the `options` `cab` of the hexapod is a name, TOML file or
-    loaded cab, by default the GFD; `hydraulics` likewise, by default `hardware`; `quick` shortens
-    the sweeps; `electronics`, sensors, converters and servo electronics, are by default ideal.
+    loaded cab, by default the GFD; `hydraulics` likewise, by default `hardware`, and `machine`, by
+    default that of the cab, or the CMF; `quick` shortens the sweeps; `electronics`, sensors,
+    converters and servo electronics, are by default ideal.
 
     Raises `InputError` for an argument out of range, before anything is run or written; `dofs` are
     some of surge to yaw.
@@ -75,7 +76,7 @@ def compare(
             law    dof  damping_ratio
     0  velocity  heave           0.43
     """
-    machine = load_cab(options.get("cab")).machine
+    machine = load_cab(options.get("cab"), options.get("machine")).machine
     loaded = [load_law(law, machine) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
         for name in chosen:

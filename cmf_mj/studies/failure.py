@@ -9,11 +9,13 @@ Before and after the event, at the full frame rate:
 
 The final state is one of these:
 
-    running        legs follow the demand to the end, at most twice as far off as before the event
-    degraded       legs follow it within `FOLLOWING`
+    running        legs follow the demand to the end, at most twice as far off as before the event,
+                   or as without it where it comes before the manoeuvre is faded in
+    degraded       legs follow it within `FOLLOWING` half strokes
     holding        legs stand still off their stops
     moving         legs neither follow nor stand still when the run ends
-    settled        all legs stand on their lower stops, the first met its at most at `FALL_SPEED`
+    settled        all legs stand on their lower stops, the first met its at most at `FALL` times
+                   the settle speed of the hydraulic set
     fallen         the same, the first came faster
     against_stop   some legs stand on a stop
     out_of_bounds  the state left its physical bounds; the message says which and where
@@ -24,15 +26,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.result import Field, Result
 from cmf_mj.core.threads import on_threads
-from cmf_mj.core.units import FRAME
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.facility.simulate import simulate
 from cmf_mj.machine.geometry import by_kind
@@ -41,25 +42,26 @@ from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command, check_not_negative, check_positive
+from cmf_mj.signals.signal import Command, check_not_negative, check_positive, commanded
 from cmf_mj.signals.single import sine
-from cmf_mj.studies.case import Case, make_case
+from cmf_mj.studies.case import Case, frames_a_row, make_case
 
 REST = 2.0  #: Rest after the manoeuvre [s].
 
 FADE = 1.0  #: Fade of the manoeuvre at both ends [s].
 
-FALL_SPEED = 10.0 * units.INCH
-"""Speed of the first leg at a stop above which the platform has fallen, not settled [m/s]; assumed,
-two and a half times the settle speed."""
+FALL = 2.5
+"""Speed of the first leg at a stop, over the settle speed, above which the platform has fallen;
+assumed: 10 in/s at the CMF."""
 
-FOLLOWING = 6.0 * units.INCH
-"""Distance of a leg from its demand at which it no longer follows [m]; the default protection's."""
+FOLLOWING = 6.0 / 38.0
+"""Distance of a leg from its demand, over its half stroke, at which it no longer follows: 6 in of
+the CMF, at which its protection finds a fault; of other machines nobody states one."""
 
 _STILL = 1e-3
 """Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
 _AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
-_KEEP = 8  #: Frames from row to row of the record kept.
+_ROWS = 256  #: Rows of the record kept a second, at least [Hz].
 
 
 class Peak(NamedTuple):
@@ -100,8 +102,8 @@ class FailureResult(NamedTuple):
     """Largest speed at which a leg met a stop [m/s]. Legs that come later may come faster: the
     platform tips on those that stand."""
     record: Record
-    """The run at 256 Hz, with the channels of `simulate`, and `axial_load` and
-    `crew_acceleration` (world axes, z up) among them."""
+    """The run at 256 Hz, or as few more as make whole frames, with the channels of `simulate`, and
+    `axial_load` and `crew_acceleration` (world axes, z up) among them."""
 
     @property
     def label(self) -> str:
@@ -179,13 +181,20 @@ FAILURES = (
 
 
 def measure_failure(
-    plant: Hexapod, event: Event, dof: str, protected: bool, record: Record, message: str
+    plant: Hexapod,
+    event: Event,
+    dof: str,
+    protected: bool,
+    record: Record,
+    *,
+    message: str = "",
+    usual: float | None = None,
 ) -> FailureResult:
     """All measures of a run recorded at every frame.
 
-    The record is as `simulate` returns it; `message` says what left its bounds.
+    The record is as `simulate` returns it; `message` says what left its bounds; `usual` is how far
+    legs are off their demand without the event [m], by default before it.
     """
-    half = plant.hydraulics.cylinder.half_stroke
     extension = record["leg_extension"][:-1]
     # MuJoCo's accelerometers and stop forces of t[k] stand in row k + 1.
     stop = record["stop_force"][1:]
@@ -199,19 +208,22 @@ def measure_failure(
     after = time >= event.at
     chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
     fault = record.metadata["fault"]
-    contact, impact = _contacts(time, extension, half)
+    contact, impact = _contacts(record, plant)
     free = after & (time < contact.time) if contact is not None else after
 
     def phases(values: NDArray[np.float64]) -> Phases:
         parts = (~after, after, free)
         return Phases(*(extreme(time, values, where, np.abs) for where in parts))
 
-    rows = slice(0, load.shape[0], _KEEP)
+    every = frames_a_row(plant.machine, _ROWS)
+    rows = slice(0, load.shape[0], every)
     channels = {name: values[rows] for name, values in record.channels.items()}
     channels |= {"axial_load": load[rows], "crew_acceleration": acceleration[rows]}
     named = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
-    metadata = {**record.metadata, "sample_rate": record.rate / _KEEP}
-    state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
+    metadata = {**record.metadata, "sample_rate": record.rate / every}
+    if usual is None:
+        usual = float(_off(record)[record.time < event.at].max(initial=0.0))
+    state = "out_of_bounds" if message else _final_state(record, plant, event.at, usual, contact)
     return FailureResult(
         event=event,
         dof=dof,
@@ -248,39 +260,45 @@ def extreme(
     return Peak(float(chosen[place]), float(time[rows[place[0]]]), leg)
 
 
-def _contacts(
-    time: NDArray[np.float64], extension: NDArray[np.float64], half: NDArray[np.float64]
-) -> tuple[Peak | None, Peak | None]:
+def _contacts(record: Record, plant: Hexapod) -> tuple[Peak | None, Peak | None]:
     """The first and the fastest contact of a leg with a stop, by its speed the frame before."""
-    on = np.abs(extension) >= half
+    time, extension = record.time[:-1], record["leg_extension"][:-1]
+    on = np.abs(extension) >= plant.hydraulics.cylinder.half_stroke
     met = on[2:] & ~on[1:-1]
     frames = np.flatnonzero(met.any(axis=1))
     if frames.size == 0:
         return None, None
-    speed = np.where(met, np.abs(extension[1:-1] - extension[:-2]) / FRAME, -1.0)
+    travel = np.abs(extension[1:-1] - extension[:-2])
+    speed = np.where(met, travel / plant.machine.frame, -1.0)
     every = np.ones(met.shape[0], dtype=bool)
     first = np.arange(met.shape[0]) == frames[0]
     return extreme(time[2:], speed, first), extreme(time[2:], speed, every)
 
 
-def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: Peak | None) -> str:
-    """How a run that stayed in bounds ends."""
+def _off(record: Record) -> NDArray[np.float64]:
+    """How far legs are off their demand [m], (N, 6)."""
+    return np.abs(record["leg_reference"] - record["leg_extension"])
+
+
+def _final_state(
+    record: Record, plant: Hexapod, at: float, usual: float, contact: Peak | None
+) -> str:
+    """How a run with an event `at` ends that stayed in bounds."""
     time, extension = record.time, record["leg_extension"]
+    half = plant.hydraulics.cylinder.half_stroke
     end = extension[-1]
     last = extension[time >= time[-1] - 1.0]
     still = bool((np.ptp(last, axis=0) < _STILL).all())
     on_stop = np.abs(end) > half - _AT_STOP
     if still and (on_stop & (end < 0.0)).all():
-        fell = contact is not None and contact.value > FALL_SPEED
-        return "fallen" if fell else "settled"
+        fall = FALL * plant.parameters.settle_speed.si
+        return "fallen" if contact is not None and contact.value > fall else "settled"
     if still and on_stop.any():
         return "against_stop"
-    error = np.abs(record["leg_reference"] - extension)
-    usual = float(error[time < at].max(initial=0.0))
-    final = float(error[time >= max(time[-1] - 2.0 * REST - FADE, at)].max())
+    final = float(_off(record)[time >= max(time[-1] - 2.0 * REST - FADE, at)].max())
     if final <= 2.0 * usual + _STILL:
         return "running"
-    if final <= FOLLOWING:
+    if final <= FOLLOWING * half.min():
         return "degraded"
     return "holding" if still else "moving"
 
@@ -316,43 +334,51 @@ def run_failure(
     *,
     frequency: float = FREQUENCY,
     after: float = AFTER,
-    command: Command | None = None,
+    command: Command | ArrayLike | None = None,
     protection: str | Path | ProtectionSettings | None = "default",
 ) -> FailureResult:
     """Run one event and measure what it does.
 
     `case` names law, hexapod, degree of freedom and amplitude of the manoeuvre's sine (default 6 in
     or 4 deg in heave with velocity feedback, the GFD, the `hardware` set); `after` is the length of
-    the run after the event [s]. `command` stands in for the sine and must be longer than
-    `event.at`. `protection` is `default`, a TOML file, or None for none.
+    the run after the event [s]. `command`, or poses (N, 6) at the machine's control rate, stands in
+    for the sine and must be longer than `event.at`. `protection` is `default`, a TOML file, or None
+    for none.
     """
     chosen = make_case("velocity") if case is None else case
-    machine = Hexapod(chosen.cab, chosen.hydraulics, machine=chosen.on)
-    size = chosen.amplitude
+    check_name("plant", chosen.plant, [Hexapod.name])
+    plant = Hexapod(chosen.cab, chosen.hydraulics)
+    machine, size = plant.machine, chosen.amplitude
     if size is None:
-        size = by_kind(chosen.dof, *AMPLITUDES) * relative_travel(chosen.on, chosen.dof)
+        size = by_kind(chosen.dof, *AMPLITUDES) * relative_travel(machine, chosen.dof)
     if command is None:
         command = faded_sine(chosen.dof, size, frequency, at=event.at, after=after)
-        check_limits(command, machine=chosen.on)
-    frames = command.pose.shape[0]
-    if not event.at < (frames - 1) * FRAME:
-        raise InputError(f"at: {event.at} s must be within the run of {(frames - 1) * FRAME:g} s")
-    message = ""
+        check_limits(command, machine=machine)
+    command = commanded(command, machine.rate)
+    length = (command.pose.shape[0] - 1) * machine.frame
+    if not event.at < length:
+        raise InputError(f"at: {event.at} s must be within the run of {length:g} s")
+    message, usual = "", None
     options: dict[str, Any] = {"events": [event], "protection": protection}
     try:
-        record = simulate(machine, chosen.law, command, **options)
+        record = simulate(plant, chosen.law, command, **options)
     except OutOfBounds as left:
         # The same run again, up to the frame before.
         message = str(left)
         shorter = Command(command.pose[: max(left.frame, 2)], command.signal, command.seed)
-        record = simulate(machine, chosen.law, shorter, **options)
-    return measure_failure(machine, event, chosen.dof, protection is not None, record, message)
+        record = simulate(plant, chosen.law, shorter, **options)
+    if event.at < FADE and not message:
+        usual = float(_off(simulate(plant, chosen.law, command)).max())
+    how = (chosen.dof, protection is not None, record)
+    return measure_failure(plant, event, *how, message=message, usual=usual)
 
 
 def run_failures(
     events: Sequence[Event], case: Case | None = None, *, jobs: int | None = None, **options: Any
 ) -> Result[FailureResult]:
     """Run several events with the options of `run_failure`, each on a new machine, on threads."""
+    if not events:
+        raise InputError("events: is empty; name at least one event")
     results = on_threads(lambda event: run_failure(event, case, **options), events, jobs)
     first = results[0]
     about = {name: first.record.metadata[name] for name in ("law", "cab", "hydraulics")}

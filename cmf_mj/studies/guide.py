@@ -45,6 +45,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command, Dof, plain
+from cmf_mj.studies.case import frames_a_row
 from cmf_mj.studies.fit.plan import STEP_CORNER, Room, named_beside, write_host
 from cmf_mj.studies.measurement import MEASURES, SIGNED, Lines, lines_of
 
@@ -300,8 +301,7 @@ def simulated(
     plant = copy.deepcopy(on.plant if plant is None else plant)
     offset = np.zeros(plant.legs) if shift is None else shift
     legs = on.legs(name) - offset
-    rate = plant.machine.rate  # records keep whole samples a second
-    every = next((n for n in range(rate // RATE, 1, -1) if rate % n == 0), 1)
+    every = frames_a_row(plant.machine, RATE)
     start = legs_to_pose(legs[0], plant.machine)
     how: dict[str, Any] = {"law": on.of[name].law or on.law, "source": LegDemand(legs)}
     how |= {"start": start, "electronics": electronics, "seed": seed, "record_every": every}

@@ -9,17 +9,18 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from cmf_mj import Hexapod, simulate
+from cmf_mj import Hexapod, InputError, load_machine, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.cli.simulate import events_of
 from cmf_mj.facility.session import OutOfBounds
+from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies import failure as measures
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure import (
-    FALL_SPEED,
+    FALL,
     FailureResult,
     faded_sine,
     run_failure,
@@ -167,7 +168,7 @@ def test_a_settling_leg_meets_its_stop_at_the_settle_speed(hardware) -> None:
     """A chamber displaces 0.9 of its oil per travel at its stop, so 1 / 0.9 of the speed."""
     result = hardware["emergency_stop"]
     contact = result.contact_speed
-    assert contact is not None and contact.value < FALL_SPEED
+    assert contact is not None and contact.value < FALL * 4.0 * INCH
     plant = Hexapod()
     plant.data.qpos[:] = result.record["generalised_position"][int(contact.time * 256) - 2]
     load = plant.static_load()[contact.leg - 1]
@@ -360,20 +361,57 @@ def test_results_do_not_depend_on_threads() -> None:
         assert a.load.after == b.load.after and a.state == b.state
 
 
-def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
+def at_rate(rate: int) -> Machine:
+    """The CMF with control frames of another length."""
+    hertz = {"value": rate, "unit": "Hz", "status": "assumed", "source": "a test"}
+    slow = {"name": "slow", "cabs": {"deck": load_machine().cabs["gfd"].model_dump()}}
+    table = load_machine().model_dump() | slow | {"control_rate": hertz}
+    return Machine.model_validate(table)
+
+
+@pytest.mark.parametrize("rate", [2048, 1000])
+def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path, rate: int) -> None:
     """Without gas in the oil a chamber torn open goes below vacuum."""
     quantity = '{ value = 0.0, unit = "1", status = "assumed", source = "no floor" }'
     file = tmp_path / "bare.toml"
     file.write_text(f'base = "hardware"\n[bare]\ncavitation_gas = {quantity}\n')
-    event = default_event("sensor_open", 1.0)
-    result = run_failure(event, make_case("velocity", hydraulics=file), after=6.0)
+    event, machine = default_event("sensor_open", 1.0), at_rate(rate)
+    case = make_case("velocity", hydraulics=file, machine=machine)
+    result = run_failure(event, case, after=6.0)
     assert result.state == "out_of_bounds"
     assert "below vacuum" in result.message and "leg_" in result.message
     assert np.isfinite(result.load.after.value)
-    command = faded_sine("heave", 6 * INCH, 0.5, at=1.0, after=6.0)
+    command, plant = faded_sine("heave", 6 * INCH, 0.5, at=1.0, after=6.0), case.build()
     with pytest.raises(OutOfBounds, match="below vacuum") as error:
-        simulate(Hexapod("gfd", file), "velocity", command, events=[event], protection="default")
-    assert result.record.time[-1] == pytest.approx(error.value.frame * FRAME, abs=9 * FRAME)
+        simulate(plant, "velocity", command, events=[event], protection="default")
+    assert result.record.time[-1] == pytest.approx(error.value.frame / rate, abs=9 / rate)
+
+
+def test_a_slower_machine_falls_as_fast(hardware) -> None:
+    """At 1000 frames a second legs meet their stops at the settle speed too: within 2 %."""
+    case = make_case("velocity", machine=at_rate(1000))
+    result = run_failure(default_event("emergency_stop", AT), case, after=14.0)
+    usual = hardware["emergency_stop"].contact_speed.value
+    assert result.contact_speed.value == pytest.approx(usual, rel=0.02)
+    assert result.state == "settled"
+    assert result.record.rate == 500.0
+
+
+def test_an_event_before_the_motion_is_judged_by_the_motion_without_it() -> None:
+    """At 0 s nothing has moved yet; poses stand in for the sine."""
+    poses = faded_sine("heave", 6 * INCH, 0.5, at=0.0, after=6.0).pose
+    result = run_failure(default_event("accumulator_lost", 0.0), command=poses)
+    assert result.state == "running"
+
+
+def test_a_machine_falls_and_follows_by_its_own_sizes() -> None:
+    """The laboratory machine settles at 0.05 m/s: on its stops at 0.13 m/s it has fallen."""
+    case = make_case("velocity", machine="lab")
+    result = run_failure(default_event("emergency_stop", AT), case, after=14.0)
+    assert result.state == "settled"
+    plant, record = Hexapod(machine="lab"), result.record
+    fast = measures.Peak(0.13, 3.0, 1)
+    assert measures._final_state(record, plant, AT, 0.0, fast) == "fallen"
 
 
 @pytest.mark.parametrize(
@@ -386,10 +424,17 @@ def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
         ({"command": Command.from_pose(np.zeros((512, 6)))}, "at: 1.0 s must be within"),
     ],
 )
-def test_refusals(arguments: dict, message: str) -> None:
+def test_refusals_of_a_manoeuvre(arguments: dict, message: str) -> None:
     options = {name: arguments.pop(name) for name in ("after", "command") if name in arguments}
     with pytest.raises(ValueError, match=message):
         run_failure(default_event("overload", 1.0), make_case("velocity", **arguments), **options)
+
+
+def test_nothing_to_run_and_legs_without_a_platform_are_refused() -> None:
+    with pytest.raises(InputError, match="events: is empty; name at least one event"):
+        run_failures([])
+    with pytest.raises(InputError, match="plant: 'single_legs' is not one of hexapod"):
+        run_failure(default_event("overload", 1.0), make_case("velocity", plant="single_legs"))
 
 
 def test_command_writes_table_csv_and_figure(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
