@@ -72,9 +72,12 @@ _NAMES = {
     **dict.fromkeys(("mm", "cm", "in", "ft"), "m"),
     **dict.fromkeys(("bar", "kPa", "MPa", "psi"), "Pa"),
     **{"kN": "N", "lbf": "N", "lbm": "kg", "deg": "rad", "%": "1", "ms": "s", "us": "s"},
-    **{"kt": "m/s", "g": "m/s^2"},
+    **{"kt": "m/s", "g": "m/s^2", "Hz": "rad/s", "in^2": "m^2", "gal": "m^3", "l": "m^3"},
+    **dict.fromkeys(("gpm", "l/min", "lpm"), "m^3/s"),
+    **{"lbf s": "N s", "deg s": "rad s", "psi/gpm": "Pa s/m^3", "bar/lpm": "Pa s/m^3"},
+    **dict.fromkeys(("lbm ft^2", "lbm in^2", "slug ft^2"), "kg m^2"),
 }
-"""Units of recordings by their SI unit; those of SI are their own."""
+"""SI units by the unit, or by a part of a compound one; those of SI are their own."""
 
 Value = TypeVar("Value", float, np.ndarray)
 
@@ -100,12 +103,14 @@ def factor(unit: str) -> float:
 
 
 def si_unit(unit: str) -> str:
-    """The SI unit of a quantity of a recording.
+    """The SI unit that `factor` converts to.
 
-    >>> si_unit("in/s^2")
-    'm/s^2'
+    >>> si_unit("in/s^2"), si_unit("gpm/psi"), si_unit("psi/gpm")
+    ('m/s^2', 'm^3/s/Pa', 'Pa s/m^3')
     """
     factor(unit)
+    if unit in _NAMES:
+        return _NAMES[unit]
     first, *rest = (_NAMES.get(part, part) for part in unit.split("/"))
     return "/".join([first, *(part for part in rest if part != "1")])
 

@@ -23,9 +23,10 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, Status
 from cmf_mj.core.settings import Settings
-from cmf_mj.electronics.sensors import CHANNELS
+from cmf_mj.electronics.sensors import CHANNELS, SensorSettings
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.parameters import ACTUATOR_FIELDS, VALVE_FIELDS, VALVES, HydraulicParameters
+from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,9 @@ LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
 
 DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
 """What goes with another number too, and the number of the set that it changes."""
+
+LEADS = {"supply": "supply_pressure", "friction": "coulomb_friction"}
+"""What stands for several numbers of the set, and the first of them."""
 
 _FACTORS = re.compile(
     r"hydraulics\.actuators\..*\.(valve_gain|leakage)|(cab|platform)\.(inertia|density)"
@@ -58,8 +62,7 @@ def _units(path: str) -> tuple[str, ...]:
         return _UNITS.get(rest[0], ())
     if root != "hydraulics":
         return ()
-    field = {"supply": "supply_pressure", "friction": "coulomb_friction"}.get(rest[-1], rest[-1])
-    info = HydraulicParameters.model_fields.get(field)
+    info = HydraulicParameters.model_fields.get(LEADS.get(rest[-1], rest[-1]))
     checks = [getattr(each, "func", None) for each in info.metadata] if info else []
     owners = [getattr(check, "__self__", None) for check in checks]
     return next((one.units for one in owners if isinstance(one, Kind)), ())
@@ -192,3 +195,46 @@ class Unknown(Settings):
             case _:
                 value = nominal.value * value
         return {"value": value, "unit": unit, "status": self.status, "source": self.source}
+
+
+def nominal(
+    path: str, plant: Plant, sensors: SensorSettings | None = None, law: Law | None = None
+) -> tuple[float, str]:
+    """The number at the path of an unknown in SI, as a plant, its sensors or its law have it.
+
+    And its unit, which is 1 of a factor, and `SI` of a law's numbers but poles, which state none.
+    Sensors without the number, ideal ones, have 0 of it.
+    """
+    root, *rest = path.split(".")
+    known: Any = None
+    match root, rest:
+        case "electronics", [channel, field, *leg]:
+            known = getattr(getattr(sensors, channel, None), field, None)
+            if leg:
+                known = known[int(leg[0].removeprefix("leg_")) - 1] if known else None
+            if known is None:
+                return 0.0, "1"
+        case "law", _:
+            known = law
+            for part in rest:
+                known = getattr(known, part, None)
+            unit = "rad/s" if rest[-1].endswith("pole") else "SI"
+            return float(1.0 if known is None else known), unit
+        case "hydraulics", ["stiction"]:
+            size = plant.parameters.coulomb_friction.si
+            return (plant.parameters.breakaway_friction.si / size if size else 1.0), "1"
+        case "hydraulics", [*whose, field]:
+            _, who, *valve = whose or ("", "")
+            numbers = plant.parameters.actuator(who, *map(VALVES.index, valve))
+            known = numbers.get(LEADS.get(field, field))
+        case "cab" | "platform", [field, *axis] if (cab := plant.cab_parameters) is not None:
+            body, at = cab if root == "cab" else cab.platform, "xyz".find("".join(axis))
+            match field:
+                case "mass":
+                    known = body.mass
+                case "second_moment":
+                    moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
+                    return float(moments[at]), "kg m^2"
+                case "centre_of_mass":
+                    return float(body.centre_of_mass.si[at]), "m"
+    return (known.si, units.si_unit(known.unit)) if isinstance(known, Quantity) else (1.0, "1")

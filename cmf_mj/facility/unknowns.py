@@ -47,7 +47,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, read_toml, user_file, validated
 from cmf_mj.electronics.sensors import SensorSettings
-from cmf_mj.facility.unknown import DERIVED, LEGS, Unknown
+from cmf_mj.facility.unknown import DERIVED, LEADS, LEGS, Unknown
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
@@ -231,7 +231,7 @@ def _hydraulics(
     for path, (one, value) in given.items():
         if path not in own and path not in _FRICTION:
             asked = path.split(".")[1]
-            field = "supply_pressure" if asked == "supply" else asked
+            field = LEADS.get(asked, asked)
             before: Quantity = getattr(base, field)
             table[field] = one.changed(before, float(value))
             factor = one.effect == "factor"

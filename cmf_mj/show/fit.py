@@ -38,7 +38,7 @@ def recordings(posterior: Posterior) -> Figure:
     label = f"{channel.replace('_', ' ')} 1 [{unit}]"
     figure, rows = stack(7.0, 2.0 * len(pieces) + 1.0, *[label] * len(pieces))
     for axes, one in zip(rows, pieces, strict=True):
-        found = one.simulated(machine, model.electronics(posterior.z))
+        found = model.simulated(one, posterior.z, machine)
         since = one.since - one.since[0]
         shown = since <= _SHOWN
         axes.plot(since[shown], scale * one.measured[channel][shown, 0], label="measured")

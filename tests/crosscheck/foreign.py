@@ -18,7 +18,7 @@ import tomlkit
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.core.settings import read_toml
 from cmf_mj.facility.scenario import load_scenario
-from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknown import Unknown, nominal
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.hexapod import Hexapod
@@ -119,7 +119,7 @@ def held(posterior: Posterior) -> dict[str, bool]:
     sheet, known = posterior.campaign.plant, posterior.campaign.unknowns
     low, high = results.physical(posterior, posterior.bounds())
     truth = {
-        one.path: float(one.number(results.nominal(sheet, one.path), TRUTH[name]))
+        one.path: float(one.number(nominal(one.path, sheet)[0], TRUTH[name]))
         for name, one in known.items()
     }
     pairs = zip(posterior.names, truth.values(), low, high, strict=True)

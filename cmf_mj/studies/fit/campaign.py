@@ -41,7 +41,7 @@ from cmf_mj.core.settings import Name, Settings, beside, merged, read_toml, vali
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.chain import AnyElectronics, ElectronicsSettings
 from cmf_mj.electronics.sensors import SensorSettings
-from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknown import Unknown, nominal
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import Machine
@@ -130,6 +130,10 @@ class Campaign(NamedTuple):
     def law(self) -> Law:
         """The law that the machine ran, as the campaign says, or the machine's."""
         return load_law(beside(self.folder, self.settings.law or self.plant.machine.law))
+
+    def nominal(self, path: str) -> tuple[float, str]:
+        """A number of the data sheet by the path of an unknown, and its unit: see `nominal`."""
+        return nominal(path, self.plant, self.sensors, self.law)
 
     def of(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""

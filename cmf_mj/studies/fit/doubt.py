@@ -38,7 +38,6 @@ from cmf_mj.studies.fit.evidence import Found
 from cmf_mj.studies.fit.iteration import Fitter
 from cmf_mj.studies.fit.likelihood import BLOCK, coefficients
 from cmf_mj.studies.fit.model import Model
-from cmf_mj.studies.fit.results import fitted
 
 Array = NDArray[np.float64]
 
@@ -168,14 +167,13 @@ class Prediction(NamedTuple):
 
 def predicted(posterior: Posterior) -> list[Prediction]:
     """The recordings held back, simulated on the fitted machine."""
-    model, machine = Model(posterior.campaign, held_back=True), fitted(posterior)
-    found = []
+    model, found = Model(posterior.campaign, held_back=True), []
+    machine = model.machine(posterior.z)
     for one in model.pieces:
-        sensors = model.electronics(posterior.z)
-        simulated = one.simulated(machine, sensors)
+        simulated = model.simulated(one, posterior.z, machine)
         if posterior.campaign.settings.clocks:  # nor has the fit seen how far these are apart
             apart = _ratio(one.measured["leg_position"], simulated["leg_position"], one.rate)
-            simulated = one.simulated(machine, sensors, late=_late(*apart))
+            simulated = model.simulated(one, posterior.z, machine, late=_late(*apart))
         measured = {name: value[one.first :] for name, value in one.measured.items()}
         simulated = {name: value[one.first :] for name, value in simulated.items()}
         _, ratio = _ratio(measured["leg_position"], simulated["leg_position"], one.rate)
@@ -253,7 +251,7 @@ def stated(posterior: Posterior, jobs: int = 2, samples: int = _SAMPLES) -> list
     machines = [one for one in on_threads(made, drawn, jobs) if one is not None]
     open_ = np.array([one.value for one in machines])
     unstable = 1.0 - np.mean([one.stable for one in machines], axis=0)
-    best, machine = known.at(stats.norm.cdf(posterior.z)), fitted(posterior)
+    best, machine = known.at(stats.norm.cdf(posterior.z)), posterior.applied(base)
     before = evidence.linear({}, base).value
     after = evidence.linear(best, machine).value
     if campaign.settings.simulated:

@@ -17,14 +17,13 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.facility.unknown import Unknown
+from cmf_mj.facility.unknown import Unknown, nominal
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Floor, Hexapod, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improved
 from cmf_mj.studies.fit.model import Change, minus
-from cmf_mj.studies.fit.results import nominal
 
 Array = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ def _number(path: str, unit: str, size: Callable[[Plant], float], signed: bool =
     alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, path))
 
     def on(sheet: Plant, legs: Sequence[str]) -> list[Change]:
-        before = np.array([nominal(sheet, path.replace("*", leg)) for leg in legs])
+        before = np.array([nominal(path.replace("*", leg), sheet)[0] for leg in legs])
         step = size(sheet)
 
         def made(machine: Plant, added: Array) -> Plant:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from cmf_mj.facility.unknowns import Part
 from cmf_mj.studies.engine import Journal, one_library_thread
 from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, load_campaign
@@ -54,6 +55,11 @@ class Posterior(NamedTuple):
     weights: Array  #: Theirs, (m,).
     shifts: Array = np.empty((0, 0))
     """Shifts of `z` that effects which the model lacks would cause, (m, n)."""
+
+    def applied(self, part: Part) -> Part:
+        """A plant, or another part of the machine, with the fitted numbers."""
+        known = self.campaign.unknowns
+        return known.apply(known.at(stats.norm.cdf(self.z)), part)
 
     @property
     def deviation(self) -> Array:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline
 
+from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS
@@ -33,6 +34,7 @@ from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.case import frames_a_row
 from cmf_mj.studies.fit.campaign import MEASURED, Campaign, Recording
 
 Array = NDArray[np.float64]
@@ -45,7 +47,7 @@ REST = 0.25  #: Length of a rest that is weighed [s], as long again after the mo
 STILL = 1e-4  #: Part of the stroke that the demand moves at most in it.
 FORCE = 0.02  #: Deviation of a leg's force at rest, of the mean force of all.
 
-_MOST_RATE = 512.0  #: Rate at which a simulation is kept [Hz]; the recording lies between.
+_MOST_RATE = 512  #: Rate at which a simulation is kept [Hz]; the recording lies between.
 
 _CLOCK = np.array([0.02, 1e-4])
 """Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
@@ -70,30 +72,13 @@ class Piece(NamedTuple):
     """A recording, ready to be simulated and compared."""
 
     name: str
-    how: Mapping[str, Any]  #: Law, source, start and spacing of its `Run`.
+    law: Law | None  #: That it ran; None for valve commands.
+    how: Mapping[str, Any]  #: Source, start and spacing of its `Run`.
     since: Array  #: Times of the samples from the beginning of the simulation [s].
     measured: Mapping[str, Array]  #: By channel, (samples, legs).
     demand: Array  #: Of the legs, or of the valves, (samples, legs).
     rate: float  #: Of the recording [Hz].
     first: int  #: Sample from which it counts.
-
-    def simulated(
-        self,
-        plant: Plant,
-        electronics: ElectronicsSettings | None,
-        late: float = 0.0,
-        gain: float = 0.0,
-    ) -> dict[str, Array]:
-        """The channels as the machine would have measured them.
-
-        The measurement's clock is `late` [s], and gains on the demand's by `gain` [s/s]. Raises
-        `OutOfBounds` as `simulate`.
-        """
-        record = Run(plant=plant, electronics=electronics, **self.how).record()
-        at = self.since + late + gain * (self.since - LEAD)
-        return {
-            name: np.asarray(CubicSpline(record.time, record[name])(at)) for name in self.measured
-        }
 
 
 def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> Piece:
@@ -113,16 +98,15 @@ def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> P
     begin = record["leg_position"][0] if driven else given[0]
     source = ValveCommands(np.clip(rows, -1.0, 1.0)) if driven else LegDemand(rows)
     how = {
-        "law": recording.law,
         "source": source,
         "start": legs_to_pose(begin, plant.machine),
-        "record_every": max(1, int(rate // _MOST_RATE)),
+        "record_every": frames_a_row(plant.machine, _MOST_RATE),
         "command_delay": 0 if driven else 1,
     }
     measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
     first = int(min(SETTLING[0], SETTLING[1] * record.time.size / record.rate) * record.rate)
     since = time + lead / rate
-    return Piece(recording.name, how, since, measured, given, record.rate, first)
+    return Piece(recording.name, recording.law, how, since, measured, given, record.rate, first)
 
 
 class Rest(NamedTuple):
@@ -135,7 +119,7 @@ class Rest(NamedTuple):
 def rests(one: Piece, plant: Plant) -> list[Rest]:
     """Where the demand of a recording with all pressures stood still for two times `REST`."""
     length, cylinders = round(REST * one.rate), plant.hydraulics.cylinder
-    if one.how["law"] is None or not set(MEASURED) <= set(one.measured):
+    if one.law is None or not set(MEASURED) <= set(one.measured):
         return []
     still = STILL * plant.machine.half_stroke
     found = []
@@ -202,12 +186,24 @@ class Model:
         added = z[self.size : z.size - self.clocks]
         return self.change(plant, added) if added.size else plant
 
-    def electronics(self, z: Array) -> ElectronicsSettings | None:
-        """Sensors, converters and servo electronics with these numbers, without noise and steps."""
-        if self._electronics is None:
-            return None
-        sensors = self.unknowns.apply(self.values(z), self._electronics.sensors)
-        return self._electronics.model_copy(update={"sensors": sensors})
+    def simulated(
+        self, one: Piece, z: Array, machine: Plant, late: float = 0.0, gain: float = 0.0
+    ) -> dict[str, Array]:
+        """The channels of a recording as the `machine` of these numbers would have measured them.
+
+        Its law and sensors have theirs. The measurement's clock is `late` [s], and gains on the
+        demand's by `gain` [s/s]. Raises `OutOfBounds` as `simulate`.
+        """
+        values, electronics = self.values(z), self._electronics
+        if electronics is not None:
+            sensors = self.unknowns.apply(values, electronics.sensors)
+            electronics = electronics.model_copy(update={"sensors": sensors})
+        law = one.law and self.unknowns.apply(values, one.law)
+        record = Run(plant=machine, law=law, electronics=electronics, **one.how).record()
+        at = one.since + late + gain * (one.since - LEAD)
+        return {
+            name: np.asarray(CubicSpline(record.time, record[name])(at)) for name in one.measured
+        }
 
     def residuals(self, z: Array) -> Residuals:
         """Measured less simulated below `top`.
@@ -215,11 +211,10 @@ class Model:
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
         plant, found = self.machine(z), dict[tuple[str, str], Array]()
-        electronics = self.electronics(z)
         clocks = _CLOCK * z[z.size - self.clocks :].reshape(-1, 2)
         for number, one in enumerate(self.pieces):
             clock = clocks[number] if self.clocks else (0.0, 0.0)
-            simulated = one.simulated(plant, electronics, *clock)
+            simulated = self.simulated(one, z, plant, *clock)
             found |= {(one.name, c): left for c, left in self.compared(one, simulated).items()}
         if (stated := self.evidence.excess(self.values(z), plant)).size:
             found[STATED] = stated[:, None]

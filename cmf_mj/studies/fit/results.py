@@ -19,17 +19,13 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.control.law import Law
 from cmf_mj.core.files import plain_path, write_csv, write_parquet, write_text
-from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import si_unit
-from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.facility.unknown import DERIVED
-from cmf_mj.facility.unknowns import Part, Unknowns
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.models import Legs
-from cmf_mj.plant.parameters import OF_THE_SUPPLY, VALVES
-from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.parameters import OF_THE_SUPPLY
 from cmf_mj.studies.certificate_family import WIDEST, load_box
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.tuning.search import save_law
@@ -44,70 +40,11 @@ def paths(posterior: Posterior) -> tuple[str, ...]:
     return tuple(path for *_, path in posterior.campaign.unknowns.numbers())
 
 
-def nominal(
-    plant: Plant, path: str, sensors: SensorSettings | None = None, law: Law | None = None
-) -> float:
-    """A number of a machine, its sensors or its law in SI; 1 where it is a factor."""
-    return _nominal(plant, path, sensors, law)[0]
-
-
-_SI = {"Hz": "rad/s", "in^2": "m^2", "lbf s/in": "N s/m", "gal": "m^3", "l": "m^3"}
-_SI |= dict.fromkeys(("gpm", "l/min", "lpm"), "m^3/s")
-_SI |= dict.fromkeys(("gpm/psi", "lpm/bar"), "m^3/s/Pa")
-_SI |= dict.fromkeys(("psi/gpm", "bar/lpm"), "Pa s/m^3")
-"""SI units of those of parameters that `si_unit` does not take for one of a recording."""
-
-
-def _si_unit(unit: str) -> str:
-    return _SI.get(unit) or si_unit(unit)
-
-
-def _nominal(
-    plant: Plant, path: str, sensors: SensorSettings | None, law: Law | None
-) -> tuple[float, str]:
-    """The number and its unit; laws state no units beside that of their pole."""
-    root, *rest = path.split(".")
-    oil, cab = plant.parameters, plant.cab_parameters
-    known: Any = None
-    if root == "electronics":
-        known = getattr(getattr(sensors, rest[0], None), rest[1], None)
-        if rest[1] == "gain_errors":
-            index = int(rest[2].removeprefix("leg_")) - 1
-            known = known[index] if known else None
-        if known is None:
-            return 0.0, "1"
-    elif root == "law":
-        known = law
-        for part in rest:
-            known = getattr(known, part, None)
-        return float(1.0 if known is None else known), "rad/s" if rest[-1].endswith(
-            "pole"
-        ) else "SI"
-    elif path == "hydraulics.stiction":
-        size = oil.coulomb_friction.si
-        return (oil.breakaway_friction.si / size if size else 1.0), "1"
-    elif root == "hydraulics":
-        who, *valve = rest[1:-1] or [""]
-        numbers = oil.quantities() if not who else oil.actuator(who, *map(VALVES.index, valve))
-        known = numbers.get(
-            {"supply": "supply_pressure", "friction": "coulomb_friction"}.get(rest[-1], rest[-1])
-        )
-    elif root in ("cab", "platform") and cab is not None:
-        body, axis = cab if root == "cab" else cab.platform, "xyz".find(rest[-1])
-        moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
-        each = {"mass": (body.mass.si, "kg"), "second_moment": (moments[axis], "kg m^2")}
-        each["centre_of_mass"] = body.centre_of_mass.si[axis], "m"
-        value, unit = each.get(rest[0], (1.0, "1"))
-        return float(value), unit
-    return (known.si, _si_unit(known.unit)) if isinstance(known, Quantity) else (1.0, "1")
-
-
 def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
     campaign, share = posterior.campaign, stats.norm.cdf(z)
-    plant, sensors, law = campaign.plant, campaign.sensors, campaign.law
     columns = [
-        one.number(nominal(plant, path, sensors, law), one.at(share[..., i]))
+        one.number(campaign.nominal(path)[0], one.at(share[..., i]))
         for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
@@ -119,9 +56,9 @@ def numbers(posterior: Posterior) -> Table:
     known = ["yes" if one else "no" for one in posterior.identified()]
     campaign, rows = posterior.campaign, []
     for (_, one, path), three, found in zip(campaign.unknowns.numbers(), value, known, strict=True):
-        unit = _nominal(campaign.plant, path, campaign.sensors, campaign.law)[1]
+        unit = campaign.nominal(path)[1]
         if unit == "SI" and one.effect != "factor":
-            unit = _si_unit(one.unit)
+            unit = si_unit(one.unit)
         rows.append((path, *three, unit, found))
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
     return Table("Numbers of the machine, with 90 % intervals", columns, rows)
@@ -138,48 +75,37 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     write_text(plain_path(where, "box.toml"), tomlkit.dumps(box(posterior)))
     if any(path.startswith("electronics.") for path in paths(posterior)):
         write_text(plain_path(where, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
-    return save_machine(posterior, where) if posterior.campaign.plant.cab_parameters else where
+    if posterior.campaign.plant.cab_parameters is None:
+        return where
+    machine = tomlkit.dumps(_machine(posterior, where))
+    return write_text(plain_path(where, "machine.toml"), machine)
 
 
-def save_machine(posterior: Posterior, where: Path) -> Path:
-    """Write the fitted machine, its law beside it.
+def _machine(posterior: Posterior, where: Path) -> dict[str, Any]:
+    """The file of the fitted machine; its law is written beside it.
 
     A drawn model is left out: the numbers are those of the file, the machine is drawn from them.
     """
-    plant = fitted(posterior)
+    plant = posterior.applied(posterior.campaign.plant)
     machine, cab, oil = plant.machine, plant.cab_parameters, plant.parameters
     assert cab is not None
     table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
-    name = f"{machine.name}_fitted".replace(" ", "_")
-    law = _with_fitted(posterior, posterior.campaign.law)
+    law = posterior.applied(posterior.campaign.law)
     save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), plain_path(where, "law.toml"))
     bodies = cab.model_dump(mode="json", exclude_none=True)
     station = machine.cabs[cab.base].model_dump(mode="json")["station"]
     parts = ("mass", "centre_of_mass", "inertia")
-    carried = {part: bodies[part] for part in parts}
     flow = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
     table |= {
-        "name": name,
+        "name": f"{machine.name}_fitted".replace(" ", "_"),
         "title": f"{machine.title}, fitted to recordings",
         "law": "law.toml",
         "hydraulics": {"base": "hardware"} | flow,
         "platform": {part: bodies["platform"][part] for part in parts},
-        "cabs": {CAB: carried | {"station": station}},
+        "cabs": {CAB: {part: bodies[part] for part in parts} | {"station": station}},
         "legs": table["legs"] | bodies["legs"],
     }
-    return write_text(
-        plain_path(where, "machine.toml"), tomlkit.dumps(_identified(posterior, table))
-    )
-
-
-def fitted(posterior: Posterior) -> Plant:
-    """The plant with the fitted numbers."""
-    return _with_fitted(posterior, posterior.campaign.plant)
-
-
-def _with_fitted(posterior: Posterior, part: Part) -> Part:
-    known = posterior.campaign.unknowns
-    return known.apply(known.at(stats.norm.cdf(posterior.z)), part)
+    return _identified(posterior, table)
 
 
 def _sensors(posterior: Posterior) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def test_the_machine_is_found_and_twins_are_said(found: tuple[Posterior, Path]) 
     rows = {row[0]: row for row in results.numbers(posterior).rows}
     limits = results.physical(posterior, posterior.bounds(0.99)).T
     for (path, factor), (low, high) in zip(truth.items(), limits, strict=True):
-        real = factor * results.nominal(posterior.campaign.plant, path)
+        real = factor * posterior.campaign.nominal(path)[0]
         _, value, *_, known = rows[path]
         assert low <= real <= high, path
         if not path.endswith("_lag"):
@@ -126,7 +126,8 @@ def test_the_fitted_machine_is_a_file_that_commands_take(found: tuple[Posterior,
     posterior, folder = found
     path = results.save(posterior, folder / "out")
     machine = cmf_mj.load_machine(path)
-    plant, own = cmf_mj.Hexapod(cmf_mj.load_cab(None, machine)), results.fitted(posterior)
+    plant = cmf_mj.Hexapod(cmf_mj.load_cab(None, machine))
+    own = posterior.applied(posterior.campaign.plant)
     assert plant.model.body_mass == pytest.approx(own.model.body_mass)
     assert plant.model.body_inertia == pytest.approx(own.model.body_inertia)
     speed = plant.parameters.leg_speed
@@ -238,8 +239,8 @@ def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
     effect = doubts.effects[0]
     assert effect.name == "valve overlap"
     assert effect.helps
-    plant, paths = posterior.campaign.plant, results.paths(posterior)[:2]
-    truth = np.array([1.1, 0.85]) * [results.nominal(plant, path) for path in paths]
+    paths = results.paths(posterior)[:2]
+    truth = np.array([1.1, 0.85]) * [posterior.campaign.nominal(path)[0] for path in paths]
     numbers = results.physical(posterior, posterior.z + np.outer([0.0, 1.0], effect.shift))
     wrong, right = np.abs(numbers[:, :2] / truth - 1.0).max(axis=1)
     assert right < 0.5 * wrong < 0.005, (right, wrong)

@@ -6,14 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
+from scipy.interpolate import CubicSpline
 
 import cmf_mj
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import read_toml
+from cmf_mj.facility.run import Run
 from cmf_mj.studies.certificate_family import load_box
 from cmf_mj.studies.fit import results
 from cmf_mj.studies.fit.campaign import FILE, load_campaign
 from cmf_mj.studies.fit.engine import Posterior
+from cmf_mj.studies.fit.model import Model
 from cmf_mj.studies.tuning.search import save_law
 
 FACTOR = {"low": 0.9, "high": 1.3, "unit": "1"}
@@ -142,3 +145,24 @@ def test_a_box_takes_each_number_by_its_whole_path(tmp_path: Path) -> None:
 def test_numbers_that_no_fit_applies_are_refused(tmp_path: Path, path: str) -> None:
     with pytest.raises(InputError, match=f"x: '{path}' is refused; allowed: hydraulics"):
         posterior(tmp_path, {"x": {"path": path, **FACTOR}})
+
+
+def test_a_number_of_the_law_changes_the_law_of_every_recording(tmp_path: Path) -> None:
+    """Simulated with its pole, as by the changed law; of valve commands there is none."""
+    law, plant = cmf_mj.load_law("original"), cmf_mj.Hexapod(machine="lab")
+    pole = {"pole": {"path": "law.derivative_pole", **FACTOR}}
+    command = cmf_mj.signals.sine("heave", 0.01, 4.0, cycles=6.0)
+    cmf_mj.simulate(plant, law, command, record_every=16).save(tmp_path / "sine.parquet")
+    said = {kind: {"file": "sine.parquet", "kind": kind} for kind in ("sweep", "valves")}
+    found = posterior(tmp_path, pole, law="original", recordings=said, electronics="ideal")
+    model = Model(found.campaign)
+    other = law.model_copy(update={"derivative_pole": AT * law.derivative_pole})
+    closed, driven = (
+        model.simulated(one, found.z, model.plant)["leg_position"] for one in model.pieces
+    )
+    piece = model.pieces[0]
+    due = Run(plant=plant, law=other, **piece.how).record()
+    expected = CubicSpline(due.time, due["leg_position"])(piece.since)
+    np.testing.assert_array_equal(closed, expected)
+    assert np.abs(closed - piece.measured["leg_position"]).max() > 1e-6
+    assert np.isfinite(driven).all()
