@@ -54,7 +54,9 @@ def is_per_mode(value: object) -> bool:
 
 
 def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
-    """A `PerMode` setting as an array, (count,)."""
+    """A `PerMode` setting as an array, (count,); a list of another length is refused."""
+    if isinstance(value, tuple) and len(value) != count:
+        raise InputError(f"modes: {len(value)} values are refused for {count} coordinates")
     return np.full(count, value, dtype=np.float64)
 
 
@@ -88,6 +90,8 @@ def make_shape(modes: Modes | None, legs: int) -> NDArray[np.float64]:
     """
     if modes is None:
         return np.eye(legs)
+    if legs != MODES:
+        raise InputError(f"modes: are those of {MODES} legs; there are {legs}")
     left, _, right = np.linalg.svd(np.array(modes.shape))
     return np.ascontiguousarray(left @ right)
 

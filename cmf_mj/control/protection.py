@@ -133,6 +133,8 @@ load_protection = Loader(
 
 def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Protection:
     """Derive the compiled parameters for a control frame [s]."""
+    if not frame > 0.0:
+        raise InputError(f"frame: {frame} s must be greater than 0")
     if not settings.washout.si * frame < 1.0:
         raise InputError(
             f"washout: {settings.washout.si:g} 1/s must be below the control rate, "

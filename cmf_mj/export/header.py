@@ -89,6 +89,7 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     listed, table = parameters(frozen), channels(frozen)
     starts = np.array([parameter.start for parameter in listed])
     inertia = frozen.plant.model.body_inertia[payload_body(frozen)].tolist()
+    half = frozen.plant.machine.half_stroke
     slots = {path.replace(".", "_"): slot for path, slot in frozen.image.at.items()}
     text = [
         "/* One machine, as exported. */",
@@ -99,7 +100,7 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
         _array("double cmf_inertia", map(repr, inertia)),
         _array("cmf_channel_info cmf_channel_table", (_row(c) for c in table)),
         _array("cmf_parameter_info cmf_parameter_table", (_row(p) for p in listed)),
-        _array("cmf_failure_info cmf_failure_table", map(_failure, KINDS)),
+        _array("cmf_failure_info cmf_failure_table", (_failure(kind, half) for kind in KINDS)),
     ]
     for request in Request:
         agree = f"CMF_REQUEST_{request.name} == {request.value}"
@@ -184,14 +185,14 @@ def _row(values: Iterable[object]) -> str:
     return "{" + ", ".join(cells) + "}"
 
 
-def _failure(kind: str) -> str:
+def _failure(kind: str, half_stroke: float) -> str:
     event, unit = default_event(kind, 0.0), ""
     for candidate in ("1", "N", "m", "m^2"):
         with suppress(InputError):
             default_event(kind, 0.0, size=(1.0, candidate))
             unit = candidate
     leg, valve = int(event.leg is not None), int(kind.startswith("valve"))
-    return _row([kind, unit, leg, valve, event.magnitude])
+    return _row([kind, unit, leg, valve, event.magnitude(half_stroke)])
 
 
 def _bytes(*arrays: NDArray[Any]) -> NDArray[np.uint8]:

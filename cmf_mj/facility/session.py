@@ -114,7 +114,7 @@ class Session:
             plant.hydraulics,
             state,
             no_faults(plant.legs),
-            make_timeline(self._events, plant.legs, self.rate),
+            make_timeline(self._events, plant.hydraulics.cylinder.half_stroke, self.rate),
         )
         self.memory = make_memory(self.dynamics, settings.command_delay)
         self.controller = self._controller(source, pace)
@@ -362,7 +362,8 @@ class Session:
             now = self.frame / self.rate
             raise InputError(f"at: {event.at} s of {event.kind} is past; allowed: from {now} s")
         events = (*self._events, event)
-        timeline = make_timeline(events, self.plant.legs, self.rate)
+        strokes = self.plant.hydraulics.cylinder.half_stroke
+        timeline = make_timeline(events, strokes, self.rate)
         self.dynamics = self.dynamics._replace(timeline=timeline)
         self._events = events
 

@@ -60,13 +60,21 @@ def attach_hydraulics(
     >>> cmf_mj.attach_hydraulics(press, ["lift"]).legs
     1
     """
-    spec, parameters, neutral = _equipped(model, cylinders, hydraulics, timestep)
+    spec, parameters = opened(model), load_hydraulics(hydraulics)
+    if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
+        raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
+    retracted = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
+    set_timestep(spec.option, timestep)
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
+        )
+    neutral = [_add_motor(spec, name, closed, parameters) for name, closed in retracted.items()]
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
-    lengths = list(neutral.values())
     plant = Plant(
-        spec.compile(), parameters, motors=list(neutral), payload=payload, neutral=lengths
+        spec.compile(), parameters, motors=list(retracted), payload=payload, neutral=neutral
     )
     plant.name = checked_name(spec.modelname, "model: name")
     stroke = plant.hydraulics.cylinder.half_stroke
@@ -81,26 +89,6 @@ def attach_hydraulics(
     return plant
 
 
-def _equipped(
-    model: str | Path | mujoco.MjSpec,
-    cylinders: Sequence[str] | Mapping[str, float | None],
-    hydraulics: str | Path | HydraulicParameters = "hardware",
-    timestep: float = FRAME,
-) -> tuple[mujoco.MjSpec, HydraulicParameters, dict[str, float]]:
-    """The editable model with a motor and stops a cylinder, the set, and lengths at half stroke."""
-    spec, parameters = opened(model), load_hydraulics(hydraulics)
-    if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
-        raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
-    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
-    set_timestep(spec.option, timestep)
-    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError(
-            "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
-        )
-    neutral = {name: _fit(spec, name, retracted, parameters) for name, retracted in lengths.items()}
-    return spec, parameters, neutral
-
-
 def opened(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     """A copy of an editable model, or what its file holds."""
     try:
@@ -111,10 +99,10 @@ def opened(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     return model.copy()
 
 
-def _fit(
+def _add_motor(
     spec: mujoco.MjSpec, name: str, retracted: float | None, parameters: HydraulicParameters
 ) -> float:
-    """Give one joint or tendon its motor and stops; its length at half stroke [m]."""
+    """Give one joint or tendon its motor, 0 in key frames, and stops; its length at half stroke."""
     joint, tendon = spec.joint(name), spec.tendon(name)
     if joint is not None and tendon is not None:
         raise InputError(f"cylinders: {name!r} is a joint and a tendon; rename one")
@@ -147,11 +135,14 @@ def _fit(
     # The model's defaults for actuators may say otherwise.
     motor.gear = np.eye(6)[0]
     motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    for key in spec.keys:
+        if len(key.ctrl):
+            key.ctrl = [*key.ctrl, 0.0]
     half = parameters.actuator(name)["half_stroke"].si
-    return _stops(element, name, retracted, half)
+    return _set_stops(element, name, retracted, half)
 
 
-def _stops(
+def _set_stops(
     element: mujoco.MjsJoint | mujoco.MjsTendon, name: str, retracted: float | None, half: float
 ) -> float:
     """Check a range against the stroke, or make it the stroke; the length at half stroke [m]."""

@@ -5,8 +5,8 @@ With x the extension from neutral, h the half stroke and D the dead volumes,
     F = A_cap p_cap - A_rod p_rod,  V_cap = A_cap (h + x) + D_cap,  V_rod = A_rod (h - x) + D_rod
     leakage L (p_cap - p_rod) from cap to rod, B (p_rod - Pt) from the rod bearing to the return
 
-so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - x)), and K(0) over
-7200 lbm is (71.00 rad/s)^2, the leg mode of Eq 4.1.
+so the oil is a spring of stiffness K(x) = beta (A_cap^2 / V_cap + A_rod^2 / V_rod), and K(0) over
+7200 lbm is (71.00 rad/s)^2 without dead volumes, the leg mode of Eq 4.1.
 
 Near a stop a chamber keeps the minimum gap g of oil, so that no volume vanishes. With s the travel
 left, it is s + g (1 - s / e)^2 long over the last e = 20 g: it goes on displacing nine tenths of
@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import dawsn
 
-from cmf_mj.core.arrays import compiled_params, record_array
+from cmf_mj.core.arrays import compiled_params, real, record_array
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
@@ -163,11 +163,23 @@ def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
     return gain / np.sqrt(1.0 + ratio * ratio)
 
 
+def _of_each(name: str, values: ArrayLike, cylinder: Cylinder | np.recarray) -> NDArray[np.float64]:
+    """Real numbers, of several cylinders one for each or one for all."""
+    array, count = real(name, values), np.shape(cylinder.cap_area)
+    if count and array.shape not in ((), count):
+        raise InputError(f"{name}: shape is {array.shape}; allowed: {count}, one a cylinder")
+    return np.broadcast_to(array, count) if count else array
+
+
 def stiffness(
     cylinder: Cylinder | np.recarray, bulk_modulus: float, extension: ArrayLike
 ) -> NDArray[np.float64]:
-    """K(x), stiffness -dF/dx of the enclosed oil [N/m], of one cylinder or one an extension [m]."""
-    x = np.asarray(extension, dtype=float)
+    """K(x), stiffness -dF/dx of the enclosed oil [N/m], at extensions [m].
+
+    Those of one cylinder have any shape; of cylinders (n,) there is one for each, (n,), or for all.
+    Chambers have the length of `_length` near their stops.
+    """
+    x = _of_each("extension", extension, cylinder)
     gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
     end = _END * gap
 
@@ -198,7 +210,9 @@ def holding_pressures(
     where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and
     supply pressure as far as the load allows; loads beyond the stall forces are refused.
     """
-    loads = np.atleast_1d(np.asarray(load, dtype=float))
+    loads = np.atleast_1d(_of_each("load", load, cylinder))
+    if loads.ndim != 1:
+        raise InputError(f"load: shape is {loads.shape}; allowed: (n,)")
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
     low = cap_area * tank - rod_area * supply
     high = cap_area * supply - rod_area * tank

@@ -6,6 +6,7 @@ what can fail.
 
 from collections import namedtuple
 from collections.abc import Sequence
+from math import nan
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -26,21 +27,22 @@ class _Kind(NamedTuple):
     """Where something fails, and what its size means."""
 
     part: Literal["", "valve", "sensor"] = ""  #: Of a leg, if it is one's.
-    size: float = 0.0  #: In SI where none is given.
+    size: float = 0.0  #: In SI where none is given; NaN for the lower end of the leg's stroke.
     units: tuple[str, ...] = ()  #: In which it may be given; none for what has no size.
     most: float = 0.0  #: Largest size in SI.
+    whole: bool = False  #: Whether it is a whole number.
 
 
 _KINDS = {
     "pump_lost": _Kind(),  # the pump stops; a check valve keeps the manifold's oil
-    "accumulator_lost": _Kind("", 1.0, ("1",), 100.0),  # accumulators shut off
+    "accumulator_lost": _Kind("", 1.0, ("1",), 100.0, whole=True),  # accumulators shut off
     "supply_hose_burst": _Kind("", INCH**2, ("in^2", "m^2"), 1.0),  # hole to the tank
     "valve_hard_over": _Kind("valve", 1.0, ("%", "1"), 1.0),  # spool driven to an end
     "valve_jammed": _Kind("valve"),  # spool stays where it is
     "valve_dead": _Kind("valve"),  # spool goes to its null
     "sensor_stuck": _Kind("sensor"),  # position sensor stays where it is
     "sensor_offset": _Kind("sensor", 2.0 * INCH, ("in", "m"), 100.0),  # it reads too much
-    "sensor_open": _Kind("sensor", -38.0 * INCH, ("in", "m"), 100.0),  # wire off: an end of range
+    "sensor_open": _Kind("sensor", nan, ("in", "m"), 100.0),  # wire off: an end of range
     "overload": _Kind("", 10_000.0 * POUND_FORCE, ("lbf", "N"), MOST_FORCE),  # on the platform
     "emergency_stop": _Kind(),  # valves shut off from supply and return, settle valves open
 }
@@ -64,7 +66,8 @@ class Failure(Settings):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        part, _, allowed, largest = _KINDS[self.kind]
+        kind = _KINDS[self.kind]
+        part, allowed = kind.part, kind.units
         if part and self.leg is None:
             raise InputError(f"leg: is missing; {self.kind} needs the leg it happens to")
         if not part and self.leg is not None:
@@ -79,16 +82,20 @@ class Failure(Settings):
                 raise InputError(f"size: unit {unit!r} is not one of {', '.join(allowed)}")
             if value <= 0.0 and not part:
                 raise InputError(f"size: {value:g} {unit} must be greater than 0 {unit}")
-            most = from_si(unit, largest)
+            if kind.whole and not value.is_integer():
+                raise InputError(f"size: {value:g} {unit} must be a whole number")
+            most = from_si(unit, kind.most)
             if abs(value) > most:
                 ways = " either way" if part else ""
                 raise InputError(f"size: {value:g} {unit} must be at most {most:g} {unit}{ways}")
         return self
 
-    @property
-    def magnitude(self) -> float:
-        """The size in SI; 0 for kinds without one."""
-        return _KINDS[self.kind].size if self.size is None else to_si(self.size[1], self.size[0])
+    def magnitude(self, half_stroke: float) -> float:
+        """The size in SI, on a leg of that half stroke [m]; 0 for kinds without one."""
+        if self.size is not None:
+            return to_si(self.size[1], self.size[0])
+        usual = _KINDS[self.kind].size
+        return -half_stroke if np.isnan(usual) else usual
 
 
 class Event(Failure):
@@ -156,8 +163,14 @@ class Timeline(NamedTuple):
     size: NDArray[np.float64]  #: In SI.
 
 
-def make_timeline(events: Sequence[Event], legs: int, rate: int = RATE) -> Timeline:
-    """Put events in order, at a control rate [Hz]; a leg that is not there is refused."""
+def make_timeline(
+    events: Sequence[Event], half_stroke: NDArray[np.float64], rate: int = RATE
+) -> Timeline:
+    """Put events in order, at a control rate [Hz], for legs of half strokes (n,) [m].
+
+    A leg that is not there is refused.
+    """
+    legs = half_stroke.size
     for event in events:
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
@@ -167,11 +180,12 @@ def make_timeline(events: Sequence[Event], legs: int, rate: int = RATE) -> Timel
         for e in ordered
     ]
     frame, kind, leg, valve = np.array(rows, dtype=np.int64).reshape(-1, 4).T.copy()
-    return Timeline(frame, kind, leg, valve, np.array([e.magnitude for e in ordered], dtype=float))
+    sizes = [event.magnitude(half_stroke[(event.leg or 1) - 1]) for event in ordered]
+    return Timeline(frame, kind, leg, valve, np.array(sizes, dtype=float))
 
 
-_Numbers = namedtuple("_Numbers", KINDS)  # type: ignore[misc]
-_IS: Any = _Numbers(*range(len(KINDS)))
+_KindNumbers = namedtuple("_KindNumbers", KINDS)  # type: ignore[misc]
+_KIND: Any = _KindNumbers(*range(len(KINDS)))
 """Numbers of the kinds by name, as a `Timeline` has them; compiled code reads no strings."""
 
 
@@ -183,29 +197,29 @@ def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
     """
     kind, leg, size = timeline.kind[number], timeline.leg[number], timeline.size[number]
     plant = faults.plant[0]
-    if kind == _IS.pump_lost:
+    if kind == _KIND.pump_lost:
         plant.pump_lost = 1.0
-    elif kind == _IS.accumulator_lost:
+    elif kind == _KIND.accumulator_lost:
         plant.accumulators_lost += size
-    elif kind == _IS.supply_hose_burst:
+    elif kind == _KIND.supply_hose_burst:
         plant.burst_area += size
-    elif kind == _IS.overload:
+    elif kind == _KIND.overload:
         plant.overload += size
-    elif kind == _IS.valve_hard_over or kind == _IS.valve_jammed or kind == _IS.valve_dead:
+    elif kind == _KIND.valve_hard_over or kind == _KIND.valve_jammed or kind == _KIND.valve_dead:
         for index in range(2):
             if timeline.valve[number] < 0 or timeline.valve[number] == index:
-                faults.valve[leg, index] = JAMMED if kind == _IS.valve_jammed else OVERRIDE
+                faults.valve[leg, index] = JAMMED if kind == _KIND.valve_jammed else OVERRIDE
                 faults.spool[leg, index] = size
-    elif kind == _IS.sensor_stuck:
+    elif kind == _KIND.sensor_stuck:
         faults.sensor[leg] = STUCK
         faults.reading[leg] = position[leg]
-    elif kind == _IS.sensor_offset:
+    elif kind == _KIND.sensor_offset:
         faults.sensor[leg] = OFFSET
         faults.reading[leg] = size
-    elif kind == _IS.sensor_open:
+    elif kind == _KIND.sensor_open:
         faults.sensor[leg] = OPEN_CIRCUIT
         faults.reading[leg] = size
-    return kind == _IS.emergency_stop
+    return kind == _KIND.emergency_stop
 
 
 @compiled

@@ -133,8 +133,9 @@ def attach_to_hinges(
     for hinge, torque in torques.items():
         half = _half_range(compiled, hinge)
         asked = _motor(compiled, hinge) if torque is None else torque
-        chosen, bore = _sized(hinge, half, asked, parameters, arms.get(hinge))
-        _join(spec, compiled, data, hinge, chosen, -1.0 if hinge in against else 1.0)
+        chosen, bore = _size(hinge, half, asked, parameters, arms.get(hinge))
+        _remove_motors(spec, hinge)
+        _add_tendon(spec, data, hinge, chosen, -1.0 if hinge in against else 1.0)
         name, scale = f"{hinge}_cylinder", bore / parameters.bore_diameter.si
         said = {"unit": "m", "status": "derived", "source": f"{asked:g} N m about {hinge}"}
         changes[name] = {
@@ -162,13 +163,18 @@ def _half_range(model: mujoco.MjModel, hinge: str) -> float:
             f"{hinge}: a range of {np.rad2deg(width):.4g} deg is refused; allowed: above 0, up to "
             f"{np.rad2deg(_WIDEST):.0f} deg"
         )
+    if model.body_jntnum[joint.bodyid[0]] != 1:
+        raise InputError(
+            f"{hinge}: its body moves by other joints too; allowed: a body of its own for each"
+        )
     return 0.5 * width
 
 
 def _motor(model: mujoco.MjModel, hinge: str) -> float:
     """Largest torque of a hinge's motors, or what the hinge lets through [N m]."""
     joint, most = model.joint(hinge), 0.0
-    for index in _motors(model, joint.id):
+    at = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == joint.id)
+    for index in np.flatnonzero(at).tolist():
         motor, force = model.actuator(index), np.inf
         if model.actuator_ctrllimited[index] and not motor.biastype[0]:
             force = float(abs(motor.gainprm[0]) * np.abs(motor.ctrlrange).max())
@@ -182,12 +188,7 @@ def _motor(model: mujoco.MjModel, hinge: str) -> float:
     return most
 
 
-def _motors(model: mujoco.MjModel, joint: int) -> list[int]:
-    at = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == joint)
-    return [int(index) for index in np.flatnonzero(at)]
-
-
-def _sized(
+def _size(
     hinge: str, half: float, torque: float, oil: HydraulicParameters, arm: float | None
 ) -> tuple[HingeCylinder, float]:
     """A cylinder for a torque [N m] over a range, and its bore [m]."""
@@ -210,21 +211,22 @@ def _sized(
     return HingeCylinder(half, chosen), bore / float(np.sqrt(chosen))
 
 
-def _join(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    hinge: str,
-    cylinder: HingeCylinder,
-    sense: float,
+def _remove_motors(spec: mujoco.MjSpec, hinge: str) -> None:
+    """Take a hinge's motors away, and their controls out of the key frames."""
+    goes = [one.target == hinge and one.trntype in _AT_JOINT for one in spec.actuators]
+    for key in spec.keys:
+        if len(key.ctrl):
+            key.ctrl = np.array(key.ctrl)[np.logical_not(goes)]
+    for index in np.flatnonzero(goes)[::-1].tolist():
+        spec.delete(spec.actuators[index])
+    spec.joint(hinge).actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+
+
+def _add_tendon(
+    spec: mujoco.MjSpec, data: mujoco.MjData, hinge: str, cylinder: HingeCylinder, sense: float
 ) -> None:
-    """Take a hinge's motors away; add both sites, and the tendon between them."""
-    joint, element = model.joint(hinge), spec.joint(hinge)
-    for motor in [
-        one for one in spec.actuators if one.target == hinge and one.trntype in _AT_JOINT
-    ]:
-        spec.delete(motor)
-    element.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    """Add the points of a cylinder, where they belong at `qpos0`, and the tendon between them."""
+    joint, child = data.model.joint(hinge), spec.joint(hinge).parent
     axis, anchor, body = data.xaxis[joint.id], data.xanchor[joint.id], int(joint.bodyid[0])
     limb = data.xipos[body] - anchor
     limb = limb - axis * (axis @ limb)
@@ -233,9 +235,14 @@ def _join(
     limb = limb / np.linalg.norm(limb)
     off = float(np.mean(joint.range)) - float(data.qpos[joint.qposadr[0]])
     back = Rotation.from_rotvec(axis * (off - sense * cylinder.middle)).apply(limb)
-    tendon = spec.add_tendon(name=f"{hinge}_cylinder")
-    ends = (int(model.body_parentid[body]), back, cylinder.base), (body, limb, cylinder.arm)
-    for (owner, along, far), part in zip(ends, ("parent", "child"), strict=True):
-        place = data.xmat[owner].reshape(3, 3).T @ (anchor + far * along - data.xpos[owner])
-        site = element.parent if part == "child" else element.parent.parent
-        tendon.wrap_site(site.add_site(name=f"{hinge}_{part}", pos=place).name)
+    names = [f"{hinge}_{part}" for part in ("cylinder", "parent", "child")]
+    for taken in (spec.tendon(names[0]), spec.site(names[1]), spec.site(names[2])):
+        if taken is not None:
+            raise InputError(f"{hinge}: the name {taken.name!r} is taken already; rename it")
+    tendon = spec.add_tendon(name=names[0])
+    for name, element, owner, arm in (
+        (names[1], child.parent, int(data.model.body_parentid[body]), cylinder.base * back),
+        (names[2], child, body, cylinder.arm * limb),
+    ):
+        place = data.xmat[owner].reshape(3, 3).T @ (anchor + arm - data.xpos[owner])
+        tendon.wrap_site(element.add_site(name=name, pos=place).name)

@@ -84,6 +84,7 @@ class FailureResult(NamedTuple):
     """What an event did."""
 
     event: Event  #: What failed.
+    size: float  #: How much, in SI; 0 for kinds without a size.
     dof: str  #: Degree of freedom of the manoeuvre.
     protected: bool  #: Whether a detected fault made an emergency stop.
     static_load: NDArray[np.float64]  #: Axial loads at the start [N], (6,).
@@ -154,7 +155,7 @@ FAILURES = (
     Field("event", of="event.kind", printed=False),
     Field("leg", of="event.leg", printed=False),
     Field("valve", of="event.valve", printed=False),
-    Field("size_si", of="event.magnitude", printed=False),
+    Field("size_si", of="size", printed=False),
     Field("at_s", of="event.at", printed=False),
     *(
         Field(name, of=f"record.metadata.{name}", printed=False)
@@ -226,6 +227,7 @@ def measure_failure(
     state = "out_of_bounds" if message else _final_state(record, plant, event.at, usual, contact)
     return FailureResult(
         event=event,
+        size=event.magnitude(plant.machine.half_stroke),
         dof=dof,
         protected=protected,
         static_load=record["leg_force"][0].copy(),

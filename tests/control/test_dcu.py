@@ -1,6 +1,7 @@
 """The Digital Control Unit: exact where it can be, known where it cannot, at rest in silence."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 from scipy.signal import correlate, correlation_lags
 
+from cmf_mj import InputError
 from cmf_mj.analysis.metrics import harmonics
 from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
+from cmf_mj.control.protection import load_protection, make_protection
 
 Array = NDArray[np.float64]
 RATE = 2048
@@ -457,5 +460,13 @@ def test_bad_arguments_are_refused_by_name() -> None:
         upsample(DCU, resting(DCU), stream._replace(values=stream.values[:, 0]), 10)
     with pytest.raises(ValueError, match="frames: 0"):
         upsample(DCU, resting(DCU), stream, 0)
-    with pytest.raises(ValueError, match="pose"):
-        resting(DCU, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    for wrong in ("abc", [0.0] * 5, [np.nan] * 6, [9.0] * 6):
+        with pytest.raises(InputError, match="pose"):
+            resting(DCU, wrong)
+
+
+@pytest.mark.parametrize("make", [make_dcu, partial(make_protection, load_protection())])
+@pytest.mark.parametrize("frame", [0.0, -1.0, np.nan])
+def test_a_control_frame_takes_time(make: Callable[..., object], frame: float) -> None:
+    with pytest.raises(InputError, match="frame: .* s must be greater than 0"):
+        make(frame=frame)

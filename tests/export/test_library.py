@@ -163,7 +163,7 @@ def test_every_law_on_both_plants_through_a_failure(
     """A valve goes hard over in a step of heave; protection is on."""
     legs = pose_to_legs(signals.step("heave", 0.02, at=0.2, duration=1.0).pose)
     event = Event(at=0.5, kind="valve_hard_over", leg=2, valve=1)
-    words = (KINDS.index(event.kind), event.at, event.leg, event.valve, event.magnitude)
+    words = (KINDS.index(event.kind), event.at, event.leg, event.valve, event.magnitude(0.0))
     options = {"legs": True, "start": np.zeros(6), "protection": "default", "events": [event]}
     for law in law_names("all"):
         folder, table = export(plant(), law, tmp_path / law, False)

@@ -153,6 +153,21 @@ def test_a_load_beyond_stall_is_refused(cylinder: Cylinder, side: int) -> None:
         holding_pressures(cylinder, float("nan"), SUPPLY, 0.0)
 
 
+def test_one_load_and_one_extension_a_cylinder() -> None:
+    pair = make_cylinders(load_hydraulics("hardware"), ["one", "other"])
+    both = holding_pressures(pair, 1e4, SUPPLY, TANK)
+    assert both.shape == (2, 2)
+    assert stiffness(pair, BETA, 0.1).shape == (2,)
+    assert both.tolist() == holding_pressures(pair[0], [1e4, 1e4], SUPPLY, TANK).tolist()
+    for wrong in (np.zeros(3), np.zeros((2, 2)), "abc"):
+        with pytest.raises(ValueError, match="load: "):
+            holding_pressures(pair, wrong, SUPPLY, TANK)
+        with pytest.raises(ValueError, match="extension: "):
+            stiffness(pair, BETA, wrong)
+    with pytest.raises(ValueError, match=r"load: shape is \(2, 2\)"):
+        holding_pressures(pair[0], np.zeros((2, 2)), SUPPLY, TANK)
+
+
 def test_leakage_relaxes_the_force_of_a_displaced_leg_at_the_leak_rate() -> None:
     """dF/dt = -lambda F right after a displacement at neutral: there p_cap : p_rod = 1 : -1, so
     dF/dt = -2 beta L / h (p_cap - p_rod) with F = (A_cap + A_rod) p_cap."""

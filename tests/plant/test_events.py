@@ -126,6 +126,7 @@ def test_emergency_stop_settles_the_platform_at_the_computed_speed(kind: str) ->
         ({"kind": "overload", "size": (1.0, "in")}, "size: unit 'in' is not one of lbf, N"),
         ({"kind": "overload", "size": (-1.0, "N")}, "size: -1 N must be greater than 0 N"),
         ({"kind": "valve_hard_over", "leg": 1, "size": (150.0, "%")}, "at most 100 % either way"),
+        ({"kind": "accumulator_lost", "size": (0.5, "1")}, "size: 0.5 1 must be a whole number"),
     ],
 )
 def test_refusals_name_the_field(fields: dict[str, Any], message: str) -> None:
@@ -141,10 +142,25 @@ def test_a_leg_that_is_not_there_is_refused() -> None:
 
 
 def test_sizes_have_defaults_and_units() -> None:
-    assert Event(at=0.0, kind="overload").magnitude == pytest.approx(10_000 * LBF, rel=1e-12)
-    assert Event(at=0.0, kind="overload", size=(5.0, "N")).magnitude == 5.0
-    assert Event(at=0.0, kind="supply_hose_burst").magnitude == pytest.approx(INCH**2, rel=1e-12)
-    assert Event(at=0.0, kind="pump_lost").magnitude == 0.0
+    for fields, size in (
+        ({"kind": "overload"}, 10_000 * LBF),
+        ({"kind": "overload", "size": (5.0, "N")}, 5.0),
+        ({"kind": "supply_hose_burst"}, INCH**2),
+        ({"kind": "pump_lost"}, 0.0),
+        ({"kind": "sensor_open", "leg": 1, "size": (2.0, "in")}, 2 * INCH),
+    ):
+        assert Event(at=0.0, **fields).magnitude(0.5) == pytest.approx(size, rel=1e-12)
+
+
+@pytest.mark.parametrize(("machine", "half_stroke"), [("cmf", 38 * INCH), ("simona", 0.575)])
+def test_an_open_sensor_reads_the_lower_end_of_its_own_leg(
+    machine: str, half_stroke: float
+) -> None:
+    plant = Hexapod(machine=machine)
+    event = Event(at=0.01, kind="sensor_open", leg=4)
+    record = drive(plant, np.zeros((64, 6)), events=[event])
+    np.testing.assert_array_equal(record["leg_position"][21:, 3], -half_stroke)
+    assert event.magnitude(half_stroke) == -half_stroke
 
 
 def test_a_timeline_is_in_order_of_time_and_events_add_up() -> None:
@@ -153,7 +169,7 @@ def test_a_timeline_is_in_order_of_time_and_events_add_up() -> None:
         Event(at=0.1, kind="valve_dead", leg=2, valve=1),
         Event(at=0.1, kind="overload", size=(50.0, "N")),
     ]
-    timeline = make_timeline(events, 6)
+    timeline = make_timeline(events, np.full(6, 0.5))
     assert list(timeline.frame) == [205, 205, 614]
     assert [KINDS[k] for k in timeline.kind] == ["valve_dead", "overload", "overload"]
     assert (list(timeline.leg), list(timeline.valve)) == ([1, -1, -1], [0, -1, -1])

@@ -14,8 +14,11 @@ ARM = """
   <worldbody>
     <body pos="0.3 0.2 2" euler="0.3 0 0.4">
       <joint name="shoulder" axis="0 1 0" range="{low} {high}" ref="{ref}" pos="0.1 0 0"/>
-      <joint name="spare" type="slide" axis="1 0 0" range="-1 1"/>
       <inertial pos="1.3 0 0" mass="200" diaginertia="1 1 1"/>
+    </body>
+    <body>
+      <joint name="spare" type="slide" axis="1 0 0" range="-1 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
     </body>
   </worldbody>
   <actuator>
@@ -120,7 +123,7 @@ def test_what_no_cylinder_fits_is_refused(hinges, how, said):
 
 def test_every_hinge_named_gets_its_own_cylinder():
     second = '<body><joint name="elbow" axis="1 0 0" range="-1 1"/><geom size="0.1"/></body></body>'
-    pair = ARM.replace("</body>", second).replace("<motor", '<motor joint="elbow"/><motor', 1)
+    pair = ARM.replace("</body>", second, 1).replace("<motor", '<motor joint="elbow"/><motor', 1)
     plant = attach_to_hinges(spec(text=pair), {"elbow": 50.0, "shoulder": None})
     assert plant.actuators == ("elbow_cylinder", "shoulder_cylinder")
     assert plant.model.nu == 3
@@ -138,3 +141,26 @@ def test_hinges_without_torque_or_with_too_wide_a_range_are_refused():
     bare = ARM.replace('ctrlrange="-40 100"', "")
     with pytest.raises(InputError, match="shoulder: has no motor of limited torque"):
         attach_to_hinges(spec(text=bare), ["shoulder"])
+
+
+def test_key_frames_keep_the_controls_of_the_actuators_that_stay():
+    keys = '<keyframe><key ctrl="1 2 3" qpos="0.1 0.2"/><key/></keyframe></mujoco>'
+    model = attach_to_hinges(spec(text=ARM.replace("</mujoco>", keys)), ["shoulder"]).model
+    assert [model.actuator(i).name for i in range(2)] == ["other", "shoulder_cylinder"]
+    assert model.key_ctrl.tolist() == [[3.0, 0.0], [0.0, 0.0]]
+    assert model.key_qpos[0].tolist() == [0.1, 0.2]
+
+
+def test_a_second_joint_and_names_that_are_taken_are_refused():
+    joint = '<joint type="slide" axis="1 0 0"/><inertial'
+    with pytest.raises(InputError, match="shoulder: its body moves by other joints too"):
+        attach_to_hinges(spec(text=ARM.replace("<inertial", joint, 1)), ["shoulder"])
+    spring = '<fixed name="shoulder_cylinder"><joint joint="spare" coef="1"/></fixed>'
+    for name, before, own in (
+        ("shoulder_parent", "<inertial", '<site name="shoulder_parent"/>'),
+        ("shoulder_child", "<inertial", '<site name="shoulder_child"/>'),
+        ("shoulder_cylinder", "<equality>", f"<tendon>{spring}</tendon>"),
+    ):
+        taken = ARM.replace(before, own + before, 1)
+        with pytest.raises(InputError, match=f"shoulder: the name '{name}' is taken already"):
+            attach_to_hinges(spec(text=taken), ["shoulder"])

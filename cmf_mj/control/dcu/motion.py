@@ -21,7 +21,7 @@ constant over a frame, and its state is e, e' and e'' themselves: to begin again
 nothing, so no pattern of arrivals can feed it. The circle criterion holds for any sector up to 3,
 since Re w^3 / (s^3 + 3 w s^2 + 3 w^2 s) >= -1/3 on the imaginary axis. From rest the speed is at
 most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v alone grows to
-0.84 v / w.
+0.84 v / w while that is within L, v < 3.57 V, and to more beyond.
 
 *Poses alone* u, straight lines between frames, go through a Bessel filter of fourth order with the
 delay D. The integral of its |impulse response| is 1.019: its output stays within the range of the
@@ -38,7 +38,7 @@ DOFS = 6
 
 GAP_END = 1e-6  #: Acceleration [m/s^2, rad/s^2] below which a gap, times w^2, w and 1, has ended.
 
-GAP_OVERSHOOT = 0.84  #: What a gap of velocity v alone grows to, in v / w.
+GAP_OVERSHOOT = 0.84  #: What a gap of velocity v alone, below 3.57 V, grows to, in v / w.
 
 
 @compiled

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, model_validator
 from scipy.signal import bessel
 
 from cmf_mj.control.dcu.motion import POSE
-from cmf_mj.core.arrays import compiled_params, record_array
+from cmf_mj.core.arrays import compiled_params, record_array, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import chain
 from cmf_mj.core.quantity import (
@@ -196,6 +196,8 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
     """
     settings = load_dcu(source)
     delay, limits = settings.delay, settings.dcu
+    if not frame > 0.0:
+        raise InputError(f"frame: {frame} s must be greater than 0")
     if limits.minimum_interval.si < 2.0 * frame:
         raise InputError(
             f"minimum_interval: {limits.minimum_interval.si} s must be at least two control "
@@ -340,9 +342,9 @@ class DcuState(NamedTuple):
 
 def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     """State of a DCU that has had no frame and rests at a pose (6,), by default neutral."""
-    at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
-    if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
-        raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
+    at = np.zeros(6) if pose is None else shaped("pose", pose, 6)
+    if (np.abs(at) > dcu.pose).any():
+        raise InputError(f"pose: {at} is refused; allowed: within +-{dcu.pose} m, rad")
     state = DcuState(
         clocks=record_array(Clocks, [Clocks(interval=dcu.host_interval)]),
         events=record_array(Events, [Events()]),
