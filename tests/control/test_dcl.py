@@ -110,65 +110,35 @@ def random_histories(seed: int, frames: int = 400) -> tuple[np.ndarray, LegFeedb
     )
 
 
-def zeros(legs: int) -> DclState:
-    return DclState.zeros(legs)
+def law_with_every_gain() -> Law:
+    """Gains of B and D on all ten signals at once, which no shipped law has."""
+    rng = np.random.default_rng(12)
+    sizes = dict(zip(SIGNALS, [20, 1e-6, 1e-6, 20, 2, 2, 2, 50, 0.1, 1e-3], strict=True))
+    gains = {name: float(size * rng.normal()) for name, size in sizes.items()}
+    inner = {name: 0.1 * value for name, value in gains.items()}
+    table = {"title": "All gains", "state_gain": -0.7, "output_gain": 3.0, "derivative_pole": 200.0}
+    return load_law({"name": "all", "input_gain": inner, "direct_gain": gains} | table)
 
 
-REPORT_LAWS = [name for name in law_names() if load_law(name).reference_model is None]
+LAWS = [law for law in map(load_law, law_names()) if law.reference_model is None]
 
 
-@pytest.mark.parametrize("name", REPORT_LAWS)
-def test_every_law_is_its_published_linear_system(name: str) -> None:
+@pytest.mark.parametrize("law", [*LAWS, law_with_every_gain()], ids=lambda law: law.name)
+def test_every_law_is_its_published_linear_system(law: Law) -> None:
     """400 frames of random demand and feedback, every leg. 1e-12 of the largest output: round-off,
     units included."""
-    law = load_law(name)
     demand, feedback = random_histories(11)
-    output, command, _ = run(make_dcl(law, LEGS), zeros(LEGS), demand, feedback)
-    system = published_system(law)
+    output, command, _ = run(make_dcl(law, LEGS), DclState.zeros(LEGS), demand, feedback)
+    inputs = np.array([demand / INCH, *(f / INCH for f in feedback[:3]), *feedback[3:]])
+    system, time = published_system(law), np.arange(demand.shape[0]) * FRAME
     for leg in range(LEGS):
-        inputs = [
-            demand[:, leg] / INCH,
-            feedback.position[:, leg] / INCH,
-            feedback.velocity[:, leg] / INCH,
-            feedback.acceleration[:, leg] / INCH,
-            feedback.cap_pressure[:, leg],
-            feedback.rod_pressure[:, leg],
-        ]
-        time = np.arange(demand.shape[0]) * FRAME
-        expected = np.ravel(control.forced_response(system, time, np.array(inputs)).outputs)
+        expected = np.ravel(control.forced_response(system, time, inputs[:, :, leg]).outputs)
         size = np.abs(expected).max()
         assert size > 100.0
         np.testing.assert_allclose(100 * output[:, leg], expected, rtol=0, atol=1e-12 * size)
         np.testing.assert_allclose(
             100 * command[:, leg], np.clip(expected, -100, 100), rtol=0, atol=1e-12 * size
         )
-
-
-def test_a_law_using_every_gain_is_its_linear_system() -> None:
-    """Gains of B and D on all ten signals at once, which no shipped law has."""
-    rng = np.random.default_rng(12)
-    sizes = dict(zip(SIGNALS, [20, 1e-6, 1e-6, 20, 2, 2, 2, 50, 0.1, 1e-3], strict=True))
-    gains = {name: float(size * rng.normal()) for name, size in sizes.items()}
-    law = Law.model_validate(
-        {
-            "name": "all",
-            "title": "All gains",
-            "state_gain": -0.7,
-            "output_gain": 3.0,
-            "input_gain": {name: 0.1 * value for name, value in gains.items()},
-            "direct_gain": gains,
-            "derivative_pole": 200.0,
-        }
-    )
-    demand, feedback = random_histories(13, 200)
-    output, _, _ = run(make_dcl(law, LEGS), zeros(LEGS), demand, feedback)
-    inputs = np.array([demand / INCH, *(f / INCH for f in feedback[:3]), *feedback[3:]])
-    time = np.arange(200) * FRAME
-    for leg in range(LEGS):
-        system = published_system(law)
-        expected = np.ravel(control.forced_response(system, time, inputs[:, :, leg]).outputs)
-        size = np.abs(expected).max()
-        np.testing.assert_allclose(100 * output[:, leg], expected, rtol=0, atol=1e-12 * size)
 
 
 LAGS = {"acceleration": 0.01, "acceleration_d2": 0.0}
@@ -234,7 +204,7 @@ def test_below_the_trigger_the_integrator_sees_the_bottom(position: float, seen:
 
 def test_only_the_integrator_sees_the_bottom_below_the_trigger() -> None:
     """Position and error rate use the true position at any leg position."""
-    dcl, state = make_dcl(load_law("position_error_rate"), 1), zeros(1)
+    dcl, state = make_dcl(load_law("position_error_rate"), 1), DclState.zeros(1)
     at = np.full((1, 1), -37.2 * INCH)
     still = np.zeros((1, 1))
     _, _, read = run(dcl, state, at, LegFeedback(at, still, still, still.copy(), still.copy()))
@@ -251,7 +221,7 @@ def test_demands_are_limited_to_the_working_stroke() -> None:
     assert limit(-45 * INCH, WORKING_STROKE) == pytest.approx(-37.5 * INCH, rel=1e-15)
     dcl, far = make_dcl(load_law("velocity_error"), 2), np.array([[50.0, -50.0]]) * INCH
     _, _, read = run(
-        dcl, zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
+        dcl, DclState.zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
     )
     found = read[0, :, SIGNALS.index("reference")] / INCH
     np.testing.assert_allclose(found, [37.5, -37.5], rtol=1e-14)
@@ -277,14 +247,26 @@ def test_engaged_filters_have_settled(name: str, inches: float) -> None:
     np.testing.assert_allclose(output, np.repeat(output[:1], 50, axis=0), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in law_names() if np.any(load_law(n).direct_gain.error_integral)]
+THROUGH = load_law(
+    {
+        "name": "through",
+        "title": "Through the state",
+        "state_gain": 0.8,
+        "output_gain": 3.0,
+        "input_gain": {"error_integral": 5.0, "position": 1.0},
+        "direct_gain": {"reference": 30.0, "position": -31.0, "error_integral": 2.0},
+    }
 )
+"""Its integral acts through B, too, with DC gain C B / (1 - A)."""
+INTEGRAL = [law for law in map(load_law, law_names()) if np.any(law.direct_gain.error_integral)]
+
+
+@pytest.mark.parametrize("law", [*INTEGRAL, THROUGH], ids=lambda law: law.name)
 @pytest.mark.parametrize("inches", [-20.0, 0.0, 15.0])
-def test_engaged_laws_with_an_integral_command_nothing(name: str, inches: float) -> None:
+def test_engaged_laws_with_an_integral_command_nothing(law: Law, inches: float) -> None:
     """The integral has taken up the static offset of pressures and position gains, also with a
     standing position error in the filters. 1e-12: round-off."""
-    dcl = make_dcl(load_law(name), LEGS)
+    dcl = make_dcl(law, LEGS)
     reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
     feedback = feedback_at_rest(reference + 0.001, 4.2e6, 4.1e6)
     state = engaged(dcl, reference, feedback)
@@ -294,24 +276,3 @@ def test_engaged_laws_with_an_integral_command_nothing(name: str, inches: float)
     np.testing.assert_allclose(output, 0.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(command, 0.0, rtol=0, atol=1e-12)
     assert np.abs(state.error.integral).max() > 0.0
-
-
-def test_engaged_integral_through_the_state_commands_nothing() -> None:
-    """The same for a law whose integral acts through B, with DC gain C B / (1 - A)."""
-    law = Law.model_validate(
-        {
-            "name": "through",
-            "title": "Through the state",
-            "state_gain": 0.8,
-            "output_gain": 3.0,
-            "input_gain": {"error_integral": 5.0, "position": 1.0},
-            "direct_gain": {"reference": 30.0, "position": -31.0, "error_integral": 2.0},
-        }
-    )
-    dcl = make_dcl(law, 1)
-    reference = np.array([4 * INCH])
-    feedback = feedback_at_rest(np.array([4 * INCH]))
-    state = engaged(dcl, reference, feedback)
-    held = LegFeedback(*(np.repeat(channel[None], 20, axis=0) for channel in feedback))
-    output, _, _ = run(dcl, state, np.repeat(reference[None], 20, axis=0), held)
-    np.testing.assert_allclose(output, 0.0, rtol=0, atol=1e-12)

@@ -14,7 +14,7 @@ from scipy.signal import correlate, correlation_lags
 from cmf_mj import InputError
 from cmf_mj.analysis.metrics import harmonics
 from cmf_mj.control.dcu.play import Arrivals, upsample
-from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu, resting
+from cmf_mj.control.dcu.state import DcuSettings, DcuState, load_dcu, make_dcu, resting
 from cmf_mj.control.protection import load_protection, make_protection
 
 Array = NDArray[np.float64]
@@ -66,6 +66,12 @@ def sine(amplitude: float, frequency: float) -> Callable[[Array], Array]:
     )
 
 
+def played(stream: Arrivals, frames: int) -> tuple[DcuState, Array]:
+    """State and demand of a DCU that has had a stream, at rest before."""
+    state = resting(DCU)
+    return state, upsample(DCU, state, stream, frames)
+
+
 def drop(stream: Arrivals, *indices: int) -> Arrivals:
     return Arrivals(*(np.delete(column, indices, axis=0) for column in stream))
 
@@ -112,8 +118,7 @@ def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
     poly = Polynomial([0.01, -0.02, 0.03, 0.1, -0.15, 0.05])
     motion = of(poly, poly.deriv(), poly.deriv(2), dof=4)
     stream = arrivals(motion, rate, 2.0)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 4100)
+    state, demand = played(stream, 4100)
     error = demand[SETTLED] - expected(motion, stream, 4100)[SETTLED]
     assert np.abs(error).max(axis=(0, 2)) == pytest.approx(np.zeros(3), abs=1e-11)
     assert state.events.tolist() == [(stream.time.size, 0, 0, 1, 0)]
@@ -132,8 +137,7 @@ def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
         values[frame, 1] = before[1] + before[2] * h + bend * h**2 / 2.0
         values[frame, 0] = before[0] + before[1] * h + before[2] * h**2 / 2.0 + bend * h**3 / 6.0
     stream = Arrivals(np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(200), time, values)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 5300)
+    state, demand = played(stream, 5300)
     assert not state.rejected.any()
     assert not state.clocks.poses[0]
     curve = BPoly.from_derivatives(time, values)
@@ -182,8 +186,7 @@ def test_a_lost_frame_is_bridged_by_the_hold() -> None:
     """Two intervals of 1/80 s fit in the delay: the quintic over both, no stop, no gap."""
     motion = sine(0.05, 1.0)
     stream = drop(arrivals(motion, 80.0, 3.0), 180)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 6100)
+    state, demand = played(stream, 6100)
     error = np.abs(demand - expected(motion, stream, 6100))[2800:, 0, 2].max()
     assert error < 0.05 * (2.0 * np.pi) ** 6 * (1 / 80) ** 6 / 720 * 1.1
     assert state.counts == {
@@ -198,8 +201,7 @@ def test_a_lost_frame_is_bridged_by_the_hold() -> None:
 def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> None:
     motion = sine(0.05, 1.0)
     stream = drop(arrivals(motion, 80.0, 5.0), *range(180, 185))
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 10200)
+    state, demand = played(stream, 10200)
     assert state.counts["missing"] == 5
     assert state.counts["late"] == 1
     error = np.abs(demand - expected(motion, stream, 10200))[2800:, 0, 2]
@@ -264,8 +266,7 @@ def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
 def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not() -> None:
     """1 in, as in section 3.4.2: the frame is held, confirmed by the next, and costs no time."""
     stream = arrivals(of(lambda t: 0.0254 * (t >= 1.0), np.zeros_like, np.zeros_like), 80.0, 2.5)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 5120)
+    state, demand = played(stream, 5120)
     turn = np.ceil((1.0 + whole_delay(stream)) * RATE)
     moving = np.flatnonzero(np.diff(demand[:, 0, 2]))
     assert abs(moving[0] - turn) <= 1
@@ -276,8 +277,7 @@ def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not()
 
     wild = stream._replace(values=np.zeros_like(stream.values))
     wild.values[80, 0, 2] = 1.0
-    state = resting(DCU)
-    demand = upsample(DCU, state, wild, 4096)
+    state, demand = played(wild, 4096)
     assert (demand == 0.0).all()
     assert state.rejections["unconfirmed"] == 1
     assert state.counts["accepted"] == 159
@@ -321,8 +321,7 @@ def test_a_bad_frame_is_counted_by_its_reason_and_leaves_no_trace(
     changes: dict[str, float], reason: str
 ) -> None:
     stream, _ = with_row(**changes)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 2048)
+    state, demand = played(stream, 2048)
     assert {name: n for name, n in state.rejections.items() if n} == {reason: 1}
     assert state.counts["accepted"] == 79
     assert state.counts["missing"] == (1 if reason in ("repeated", "out_of_order") else 0)
@@ -332,8 +331,7 @@ def test_a_bad_frame_is_counted_by_its_reason_and_leaves_no_trace(
 def test_a_host_of_1_khz_is_thinned() -> None:
     motion = sine(0.02, 1.0)
     stream = arrivals(motion, 1000.0, 2.0)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 4096)
+    state, demand = played(stream, 4096)
     assert state.counts["accepted"] == 200
     assert state.rejections["too_soon"] == 1800
     assert state.counts["missing"] == 0
@@ -358,8 +356,7 @@ def test_the_play_clock_follows_a_host_whose_clock_drifts(drift: float) -> None:
     time = np.arange(8000) / 80.0
     frame = np.ceil(time * (1.0 + drift) * RATE).astype(np.int64)
     stream = Arrivals(frame, np.arange(time.size), time, motion(time))
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 204000)
+    state, demand = played(stream, 204000)
     assert state.counts["late"] == 0
     assert not state.rejected.any()
     tail = slice(180000, 200480)  # ten cycles
@@ -373,8 +370,7 @@ def test_a_host_that_falls_behind_for_good_is_followed() -> None:
     motion = sine(0.02, 1.0)
     stream = arrivals(motion, 80.0, 8.0)
     stream.frame[200:] += 205
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 16000)
+    state, demand = played(stream, 16000)
     assert state.counts["late"] * 0.0125 < 2.0 * SETTINGS.dcu.clock_time.si
     assert state.counts["resynchronised"] == 1
     tail = slice(12000, 16000)
@@ -389,8 +385,7 @@ def test_a_host_that_stumbles_and_catches_up_gets_its_delay_back() -> None:
     motion = sine(0.05, 1.0)
     stream = arrivals(motion, 80.0, 6.0)
     stream.frame[200:206] = stream.frame[206]
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 12200)
+    state, demand = played(stream, 12200)
     assert state.counts["late"] > 0
     assert state.counts["resynchronised"] == 1
     error = np.abs(demand - expected(motion, stream, 12200))[:, 0, 2]
@@ -407,8 +402,7 @@ def test_a_host_may_change_its_rate(before: float, after: float) -> None:
     time = np.concatenate([np.arange(0.0, 2.0, 1 / before), np.arange(2.0, 60.0, 1 / after)])
     frame = np.ceil(time * RATE - 1e-6).astype(np.int64)
     stream = Arrivals(frame, np.arange(time.size), time, motion(time))
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 122000)
+    state, demand = played(stream, 122000)
     assert not state.rejected.any()
     tail = slice(110000, 120240)  # five cycles
     found = lag(demand[tail, 0, 2], 1.0, tail.start)
@@ -425,8 +419,7 @@ def test_the_pose_ends_within_its_bound() -> None:
     edge = SETTINGS.dcu.pose_translation.si
     motion = of(lambda t: edge - 2.0 * (1.0 - t), lambda t: 2.0 + 0 * t, np.zeros_like)
     stream = arrivals(motion, 80.0, 1.0)
-    state = resting(DCU)
-    demand = upsample(DCU, state, stream, 6000)
+    state, demand = played(stream, 6000)
     assert edge < demand[:, 0, 2].max() < edge + SETTINGS.dcu.overtravel_translation.si
     assert (demand[-1, 1:] == 0.0).all()
     assert_smooth(demand)

@@ -181,35 +181,28 @@ def test_a_gain_that_is_no_number_is_refused_in_one_line(gain: object) -> None:
     assert line.endswith(" is refused: must be a number, or a list of 6")
 
 
+TWO = OWN + OWN.replace("mine", "other")
+
+
 @pytest.mark.parametrize(
-    ("text", "parts"),
+    ("text", "choice", "parts"),
     [
-        ("[mine\n", ["not valid TOML", "line 1"]),
-        ("", ["holds no law"]),
-        ("gain = 3\n" + OWN, ["gain", "3", "a law is a table"]),
-        (OWN + OWN, ["not valid TOML"]),
+        ("[mine\n", "", ["not valid TOML", "line 1"]),
+        ("", "", ["holds no law"]),
+        ("gain = 3\n" + OWN, "", ["gain", "3", "a law is a table"]),
+        (OWN + OWN, "", ["not valid TOML"]),
+        (TWO, "", ["mine, other", "mine.toml:mine"]),
+        (TWO, ":third", ["'third' is not in", "; it has mine, other"]),
     ],
 )
-def test_a_file_that_is_no_law_is_refused(tmp_path: Path, text: str, parts: list[str]) -> None:
+def test_a_file_without_the_law_asked_for_is_refused(
+    tmp_path: Path, text: str, choice: str, parts: list[str]
+) -> None:
     path = write(tmp_path, text)
-    with pytest.raises(ValueError) as caught:
-        load_law(path)
+    with pytest.raises(InputError) as caught:
+        load_law(f"{path}{choice}")
     for part in (path.name, *parts):
         assert part in str(caught.value)
-
-
-def test_several_laws_without_a_choice_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, OWN + OWN.replace("mine", "other"))
-    with pytest.raises(ValueError) as caught:
-        load_law(path)
-    for part in ("mine, other", f"{path}:mine"):
-        assert part in str(caught.value)
-
-
-def test_an_unknown_choice_lists_the_laws_of_the_file(tmp_path: Path) -> None:
-    path = write(tmp_path, OWN + OWN.replace("mine", "other"))
-    with pytest.raises(ValueError, match="'third' is not in .*; it has mine, other"):
-        load_law(f"{path}:third")
 
 
 @pytest.mark.parametrize("name", ["PERFB", "", "velocity.txt", "velocity ", "a.tomlx"])

@@ -74,12 +74,6 @@ def test_offset_is_the_reading_over_the_stiffness_of_the_law(
     np.testing.assert_allclose(without - with_it, expected, rtol=2e-3)
 
 
-def test_at_neutral_it_is_three_per_cent_of_command() -> None:
-    reading = axial_gravity(np.zeros(6)) / INCH
-    np.testing.assert_allclose(-GAIN * PASSED * reading, 3.21, atol=0.01)
-    np.testing.assert_allclose(-GAIN * PASSED * reading / STIFFNESS, 0.0636, atol=1e-4)
-
-
 def test_an_integral_takes_it_up(feeling: ElectronicsSettings) -> None:
     """From the start, since the law is engaged in equilibrium."""
     record = hold(law(compensated=False, integral=50.0), feeling, np.zeros(6))

@@ -10,7 +10,6 @@ from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.feedback import filter_acceleration
 from cmf_mj.control.law import SIGNALS, Law
-from cmf_mj.control.limiter import make_leg_limiter
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
@@ -73,10 +72,6 @@ def test_the_valve_fades_in_the_same_time(rate: int) -> None:
         states.step(compiled, state, Request.RAISE.value, demand, np.full(6, -0.96), reference)
         frames += 1
     assert frames / rate == pytest.approx(settings.valve_time.si, abs=1.5 / rate)
-
-
-def test_limits_know_the_frame() -> None:
-    assert make_leg_limiter(frame=1e-3).frame == 1e-3
 
 
 def test_the_dcu_gives_the_same_demand_at_common_times() -> None:

@@ -23,6 +23,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.models import CABS
 
+STILL = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
 INCH = 0.0254
 POUND_FORCE = 0.45359237 * 9.80665
 MODAL = load_law("modal_plan")
@@ -141,10 +142,10 @@ def test_the_plan_has_the_response_of_its_poles_at_every_rate(rate: int) -> None
     """1/E of a reference held over a frame, sin(w T/2) / (w T/2) e^(-j w T/2), and its images."""
     law = law_of().at_rate(rate)
     dcl, state = make_dcl(law, MODES), DclState.zeros(MODES)
-    still, omega = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK)), 2.0 * np.pi * 2.0
+    omega = 2.0 * np.pi * 2.0
     found = np.empty(4 * rate)
     for k in range(found.size):
-        blocks.step(dcl, state, np.full(MODES, 0.01 * np.sin(omega * k / rate)), still)
+        blocks.step(dcl, state, np.full(MODES, 0.01 * np.sin(omega * k / rate)), STILL)
         found[k] = state.plan.position[0] / 0.01
     time = np.arange(3 * rate, 4 * rate) / rate
     held = -np.expm1(-1j * omega / rate) * rate / (1j * omega)
@@ -183,10 +184,9 @@ def test_a_plan_that_does_not_overshoot_keeps_the_acceleration_of_its_reference(
     plan = LEG_PLAN["plan"] | {"pairs": [[8.0, 1.0], [20.0, 1.0]], "acceleration": 400.0}  # type: ignore[operator]
     law = law_of(plan=plan)
     dcl, state = make_dcl(law, MODES), DclState.zeros(MODES)
-    still = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
     found = np.empty(6144)
     for k in range(found.size):
-        blocks.step(dcl, state, np.full(MODES, 20.0 * INCH * (k < 3072)), still)
+        blocks.step(dcl, state, np.full(MODES, 20.0 * INCH * (k < 3072)), STILL)
         found[k] = state.plan.acceleration[0] / INCH
     assert 399.0 < np.abs(found).max() <= 400.0 * (1.0 + 1e-9)
     np.testing.assert_allclose(state.plan.position, 0.0, atol=1e-6)
@@ -197,15 +197,14 @@ def test_planned_forces_are_those_of_the_machine_at_its_pose(cab: str) -> None:
     """M_leg l'' of the plant, within the half per cent that the legs' own inertia turns by."""
     law, plant = MODAL.bound_to(cab), Hexapod(cab)
     dcl, state = make_dcl(law, MODES), DclState.zeros(MODES)
-    still = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
     pose = np.array([-0.4, 0.3, -0.25, 0.12, -0.1, 0.15])
     legs = pose_to_legs(pose)
     state.plan.position[:] = state.plan.reference[:] = state.plan.demand[:] = dcl.shape @ legs
     for _ in range(50):
-        blocks.step(dcl, state, legs, still)
+        blocks.step(dcl, state, legs, STILL)
     np.testing.assert_allclose(state.plan.pose, pose, atol=1e-9)
     state.plan.acceleration[:] = np.arange(1.0, 7.0)
-    blocks.step(dcl, state, legs, still)
+    blocks.step(dcl, state, legs, STILL)
     work = dcl.plan.inverse
     expected = plant.reflected_mass(pose) @ work.legs[2]
     np.testing.assert_allclose(work.force[0], expected, atol=5e-3 * np.abs(expected).max())
@@ -234,9 +233,8 @@ def reference_of(law: Law, demand: np.ndarray) -> np.ndarray:
     """Reference of the plan for leg demands (N, n), (N, n)."""
     dcl, found = make_dcl(law, MODES), np.empty(demand.shape)
     state = DclState.zeros(MODES)
-    still = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
     for k, wanted in enumerate(demand):
-        blocks.step(dcl, state, wanted, still)
+        blocks.step(dcl, state, wanted, STILL)
         found[k] = state.plan.reference
     return found
 
@@ -284,7 +282,7 @@ def test_load_feedback_passes_what_swings() -> None:
     law = law_of(plan=None, load_feedback={"gain": 2.0, "corner": 0.5})
     area = 0.25 * np.pi * (5.5 * INCH) ** 2
     dcl = make_dcl(law, MODES)
-    rest = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))._replace(cap_pressure=np.full(6, 4e6))
+    rest = STILL._replace(cap_pressure=np.full(6, 4e6))
     state = engaged(dcl, np.zeros(MODES), rest)
     blocks.step(dcl, state, np.zeros(MODES), rest)
     np.testing.assert_array_equal(dcl.workspace.output, 0.0)
@@ -310,7 +308,7 @@ def test_planned_inertia_is_not_damped() -> None:
     largest = 0.0
     for _ in range(300):
         push = shape.T @ (mass * state.plan.acceleration) / area
-        now = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))._replace(cap_pressure=push)
+        now = STILL._replace(cap_pressure=push)
         blocks.step(dcl, state, demand, now)
         blocks.step(other, twin, demand, now)
         np.testing.assert_allclose(dcl.workspace.output, other.workspace.output, atol=1e-9)

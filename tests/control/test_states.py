@@ -327,13 +327,6 @@ def test_requests_in_turns_do_not_lead_the_legs_away(first, second, hertz):
         assert_smooth(out) if size == 0.2 else None
 
 
-def test_fault_and_reset_and_on_again():
-    requests = [Request.TRIP] * 2048 + [Request.RESET] * (14 * 2048) + [Request.SETTLE] * 4096
-    _, codes, valve = run(at(State.ENGAGED), requests)
-    assert passed(codes) == ["FAULT", "OFF", "SETTLED"]
-    assert valve[-1] == 1.0
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_host_that_sends_no_numbers_is_held_at_its_last_position(bad):
     host = [a[:2048].copy() for a in (HOST, HOST_RATES, HOST_CHANGES)]

@@ -11,7 +11,6 @@ from cmf_mj.machine.leg_motion import (
     track,
     upward,
 )
-from cmf_mj.machine.machine import load_machine
 
 GRAVITY = 9.80665
 INCH = 0.0254
@@ -39,16 +38,6 @@ def test_where_the_hardwares_reading_would_come_from() -> None:
     assert distance == pytest.approx(97.0, abs=0.6)
     found = projected_gravity(np.zeros(6), distance * INCH) / GRAVITY
     np.testing.assert_allclose(found, 0.86, atol=2e-4)
-
-
-def test_equation_c3_between_its_limits() -> None:
-    poses = some_poses(20)
-    lengths = kinematics.pose_to_legs(poses) + load_machine().geometry.neutral
-    np.testing.assert_allclose(projected_gravity(poses, 0.0), GRAVITY, rtol=1e-12)
-    for pose, length in zip(poses, lengths, strict=True):
-        for leg in range(6):
-            whole = projected_gravity(pose, length[leg])[leg]
-            assert whole == pytest.approx(axial_gravity(pose)[leg], rel=1e-12)
 
 
 def test_lengths_and_directions_are_those_of_the_kinematics() -> None:

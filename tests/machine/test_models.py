@@ -78,9 +78,15 @@ def some_poses():
 # Sizes and steps
 
 
-def test_hexapod_sizes(hexapod):
-    """Free joint and 3 joints a leg: 7 + 18 positions, 6 + 18 velocities, 6 motors."""
-    assert (hexapod.nq, hexapod.nv, hexapod.nu) == (25, 24, 6)
+def test_sizes_step_and_gravity_without_friction(hexapod, single_legs):
+    """Free joint and 3 joints a leg: 7 + 18 positions, 6 + 18 velocities, 6 motors. 2048 Hz
+    (section 2.3.1); hydrostatic bearings, friction neglected (section 2.4.2)."""
+    for model, sizes in ((hexapod, (25, 24, 6)), (single_legs, (6, 6, 6))):
+        assert (model.nq, model.nv, model.nu) == sizes
+        assert model.opt.timestep == 1.0 / 2048.0
+        np.testing.assert_array_equal(model.opt.gravity, [0.0, 0.0, -9.80665])
+        for field in ("dof_damping", "dof_frictionloss", "dof_armature", "jnt_stiffness"):
+            assert not getattr(model, field).any()
 
 
 def test_hexapod_has_six_degrees_of_freedom(hexapod):
@@ -92,21 +98,6 @@ def test_hexapod_has_six_degrees_of_freedom(hexapod):
         mujoco.mj_mulJacTVec(hexapod, data, jacobian[row], unit)
     assert equality.sum() == 18
     assert hexapod.nv - np.linalg.matrix_rank(jacobian[equality]) == 6
-
-
-def test_single_legs_sizes(single_legs):
-    assert (single_legs.nq, single_legs.nv, single_legs.nu) == (6, 6, 6)
-
-
-def test_step_is_one_control_frame(hexapod, single_legs):
-    """2048 Hz, section 2.3.1."""
-    assert hexapod.opt.timestep == 1.0 / 2048.0
-    assert single_legs.opt.timestep == 1.0 / 2048.0
-
-
-def test_gravity_is_standard(hexapod, single_legs):
-    for model in (hexapod, single_legs):
-        np.testing.assert_array_equal(model.opt.gravity, [0.0, 0.0, -9.80665])
 
 
 # Masses
@@ -145,13 +136,6 @@ def test_slides_run_along_the_legs_within_the_mechanical_stroke(hexapod, single_
             np.testing.assert_allclose(
                 joint.range / units.INCH, [-38.0, 38.0], rtol=0.0, atol=1e-12
             )
-
-
-def test_joints_are_free_of_friction(hexapod, single_legs):
-    """Hydrostatic bearings, friction neglected (section 2.4.2)."""
-    for model in (hexapod, single_legs):
-        assert not model.dof_damping.any() and not model.dof_frictionloss.any()
-        assert not model.dof_armature.any() and not model.jnt_stiffness.any()
 
 
 # Loading

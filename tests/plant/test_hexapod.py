@@ -128,14 +128,6 @@ def test_reflected_mass_agrees_with_rigid_body_algebra(any_cab, pose):
     assert np.linalg.eigvalsh(mass).min() > 0.0
 
 
-def test_reflected_mass_has_the_machine_symmetry(plant):
-    """Sides exchanged: legs 1 and 6, 2 and 5, 3 and 4; not in a lopsided pose."""
-    for pose, near in ((NEUTRAL, 1e-8), (POSES[1], 0.01)):
-        mass = plant.reflected_mass(pose)
-        off = np.abs(mass[::-1, ::-1] - mass).max() / np.abs(mass).max()
-        assert (off < near) == (not pose.any())
-
-
 @pytest.mark.parametrize("cab", models.CABS)
 def test_heave_effective_mass_of_massless_legs(cab):
     """M / (6 cos^2) a leg, all legs equal; 7200 lbm for 29 920 lbm."""
@@ -146,12 +138,6 @@ def test_heave_effective_mass_of_massless_legs(cab):
     cosine = np.mean((geometry.lower - geometry.upper)[:, 2] / geometry.neutral)
     # Appendix A's rounding makes the six cosines differ by 1e-5.
     assert abs(effective / (payload / (6.0 * cosine**2)) - 1.0) < 1e-4
-
-
-def test_heave_effective_mass_with_legs_is_larger(gfd):
-    """By the rods (150 kg, along the leg) and a share of what turns."""
-    excess = gfd.reflected_mass().sum() / 6.0 - 7200.0 * units.POUND_MASS
-    assert 150.0 < excess < 450.0 / 0.8322**2
 
 
 # Static forces
@@ -293,27 +279,15 @@ def test_both_plants_record_the_same_channels(gfd):
     assert set(hexapod.metadata) == set(single.metadata)
 
 
-def test_single_legs_carry_the_design_point():
-    """7200 lbf and 7200 lbm a leg (section 4.1), wherever the legs stand."""
-    single = SingleLegs()
-    for pose in POSES[:2]:
-        single.start(pose)
-        found = single.static_load() / units.POUND_FORCE
-        np.testing.assert_allclose(found, 7200.0, rtol=1e-9, atol=0.0)
-
-
-def test_single_legs_take_load_and_mass_apart():
-    single = SingleLegs(effective_mass=4000.0, static_load=20000.0)
-    single.start()
-    np.testing.assert_allclose(single.static_load(), 20000.0, rtol=1e-12, atol=0.0)
-    single.data.ctrl[:] = 24000.0
+def test_single_legs_carry_the_design_point_or_any_load():
+    """7200 lbf and 7200 lbm a leg (section 4.1), wherever the legs stand; more than their weight,
+    or a pull, too. 4000 N more than the load move 4000 kg by 1 m/s^2."""
+    for load in (None, -70e3, 0.0, 1e3, 32e3, 150e3):
+        single = SingleLegs(effective_mass=4000.0 if load else None, static_load=load)
+        expected = 7200.0 * units.POUND_FORCE if load is None else load
+        for pose in POSES[:2]:
+            single.start(pose)
+            np.testing.assert_allclose(single.static_load(), expected, rtol=1e-9, atol=1e-9)
+    single.data.ctrl[:] = 154e3
     mujoco.mj_forward(single.model, single.data)
     np.testing.assert_allclose(single.data.qacc, 1.0, rtol=1e-12, atol=0.0)
-
-
-@pytest.mark.parametrize("load", [-70e3, 0.0, 1e3, 32e3, 150e3])
-def test_single_legs_carry_any_load(load):
-    """More than their weight, or a pull, too."""
-    single = SingleLegs(static_load=load)
-    single.start()
-    np.testing.assert_allclose(single.static_load(), load, rtol=1e-12, atol=1e-9)

@@ -1,6 +1,5 @@
 """A user's cab on the hexapod: closed forms of what the legs feel."""
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -8,14 +7,9 @@ from numpy.typing import NDArray
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab, recorded_cab
 from cmf_mj.plant.hexapod import Hexapod, hexapod_model, hexapod_spec
+from cmf_mj.plant.native import saved
 
 LIGHT = 1e-6  #: Factor on the legs' masses that leaves none to speak of.
-
-
-def bytes_of(model: mujoco.MjModel) -> bytes:
-    buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()
 
 
 def box(sizes: tuple[float, float, float], mass: float) -> NDArray[np.float64]:
@@ -45,7 +39,7 @@ def odd() -> Cab:
 
 @pytest.mark.parametrize("name", models.CABS)
 def test_a_shipped_cab_is_the_model_as_it_compiles(name: str) -> None:
-    assert bytes_of(hexapod_model(name)) == bytes_of(hexapod_spec(name).compile())
+    assert saved(hexapod_model(name)) == saved(hexapod_spec(name).compile())
 
 
 @pytest.mark.parametrize("name", models.CABS)
@@ -72,7 +66,7 @@ def test_the_numbers_of_a_shipped_cab_stated_again_are_the_same_machine(name: st
         leg_mass_factor=1.0,
     )
     assert again != cab
-    assert bytes_of(hexapod_model(again)) == bytes_of(hexapod_model(name))
+    assert saved(hexapod_model(again)) == saved(hexapod_model(name))
 
 
 @pytest.mark.parametrize("cab", [odd(), load_cab().changed("heavy", mass=12e3), compact(9e3)])
@@ -80,15 +74,15 @@ def test_editing_the_compiled_model_is_compiling_the_edited_one(cab: Cab) -> Non
     """All but `meansize`, by which MuJoCo scales what it draws."""
     model, compiled = hexapod_model(cab), hexapod_spec(cab).compile()
     model.stat.meansize = compiled.stat.meansize
-    assert bytes_of(model) == bytes_of(compiled)
-    assert bytes_of(model) != bytes_of(hexapod_model(cab.base))
+    assert saved(model) == saved(compiled)
+    assert saved(model) != saved(hexapod_model(cab.base))
 
 
 def test_a_model_that_was_edited_leaves_the_next_one_alone() -> None:
-    before = bytes_of(hexapod_model("gfd"))
+    before = saved(hexapod_model("gfd"))
     hexapod_model("gfd").body_mass[:] = 1.0
     Hexapod(compact(9e3))
-    assert bytes_of(hexapod_model("gfd")) == before
+    assert saved(hexapod_model("gfd")) == before
 
 
 def test_the_plant_says_which_cab_it_carries() -> None:

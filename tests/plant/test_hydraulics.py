@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize
 
 from cmf_mj.plant.events import no_faults
-from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
-from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
+from cmf_mj.plant.hydraulics import advance, loads, rest
+from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters
 
 CAP = 2  #: First column of the pressures in a row (drive, spool, p_cap, p_rod).
 
@@ -310,17 +310,6 @@ def test_leakage_damps_the_leg_mode_at_half_the_leak_rate(name: str, rate: float
     omega = np.pi / (np.diff(turns)[:6].mean() * FRAME / 4) / np.sqrt(1 - zeta**2)
     assert omega == pytest.approx(71.00, rel=1e-2)
     assert zeta == pytest.approx(rate / (2 * 71.00), rel=3e-2)
-
-
-def test_parameters_of_an_actuator_that_is_not_there_are_refused() -> None:
-    table = load_hydraulics("hardware").model_dump(exclude_none=True)
-    leak = table["leak_rate"] | {"value": 3.0}
-    p = HydraulicParameters.model_validate(table | {"actuators": {"boom": {"leak_rate": leak}}})
-    with pytest.raises(ValueError, match="actuators: 'boom' is not an actuator; allowed: leg_1"):
-        make_hydraulics(p, ["leg_1"], FRAME)
-    assert make_hydraulics(p, ["leg_1", "boom"], FRAME).cylinder.leakage[1] == pytest.approx(
-        make_hydraulics(p, ["leg_1", "boom"], FRAME).cylinder.leakage[0] / 5
-    )
 
 
 def test_legs_on_a_constant_supply_do_not_know_each_other() -> None:

@@ -29,8 +29,8 @@ def test_density_slope_is_the_derivative(name: str, pressure: float) -> None:
     assert density(oil, pressure)[1] == pytest.approx(found, rel=1e-5)
 
 
-def test_entrained_gas_softens_oil_at_low_pressure_only() -> None:
-    """Effective modulus 1 / (1 / beta + e / (n pa)) at the atmosphere, beta at high pressure."""
+def test_entrained_gas_softens_oil_at_low_pressure() -> None:
+    """Effective modulus 1 / (1 / beta + e / (n pa)) at the atmosphere."""
     p = load_hydraulics("lossy")
     oil, plain = make_oil(p), make_oil(load_hydraulics("hardware"))
     share, n = 0.005, p.gas_exponent.value
@@ -38,16 +38,6 @@ def test_entrained_gas_softens_oil_at_low_pressure_only() -> None:
     assert ratio == pytest.approx(1 / (1 + share), rel=1e-9)
     compliance = 1 / plain.bulk_modulus + share / (n * ATMOSPHERE)
     assert rise / ratio**2 == pytest.approx(compliance, rel=1e-6)
-    for pressure in (1e6, 1e7):
-        absolute = pressure + ATMOSPHERE
-        gas = share * (ATMOSPHERE / absolute) ** (1 / n)
-        z = pressure / plain.bulk_modulus
-        liquid = 1 / (1 + z + z**2 / 2)
-        expected = (liquid**2 * (1 + z) / plain.bulk_modulus + gas / (n * absolute)) / (
-            liquid + gas
-        )
-        ratio, rise = density(oil, pressure)
-        assert rise / ratio == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_torn_volume_keeps_its_absolute_pressure_above_zero() -> None:
