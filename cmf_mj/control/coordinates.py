@@ -28,7 +28,6 @@ MODES = 6  #: Hydraulic modes of a hexapod.
 
 ORTHONORMAL = 1e-8  #: Largest entry of V^T V - 1 that passes for round-off of a table's ten digits.
 
-
 _SIX = Field(min_length=MODES, max_length=MODES)
 _Six = Annotated[tuple[float, ...], _SIX]
 
@@ -46,11 +45,6 @@ PerMode = Annotated[float | _Six, BeforeValidator(_one_or_six)]
 
 Positive = Annotated[float, Field(gt=0.0)]
 _Positives = Annotated[tuple[Positive, ...], _SIX, BeforeValidator(as_tuples)]
-
-
-def is_per_mode(value: object) -> bool:
-    """Whether a setting is a list, which only laws in hydraulic modes may have."""
-    return isinstance(value, tuple)
 
 
 def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:

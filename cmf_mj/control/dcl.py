@@ -194,6 +194,11 @@ def make_dcl(law: Law, legs: int) -> Dcl:
             f"there are {legs}"
         )
     machine, sizes = law.machine, law.machine.leg_sizes
+    work: dict[str, Any] = {name: np.zeros(legs) for name in Workspace._fields}
+    work["inputs"] = np.zeros((legs, len(SIGNALS)))
+    fields = np.dtype([(name, np.float64) for name in SIGNALS])
+    work["signals"] = work["inputs"].view(fields)[:, 0].view(np.recarray)
+    work["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     return Dcl(
         modal=modes is not None,
         planned=law.plan is not None,
@@ -213,18 +218,8 @@ def make_dcl(law: Law, legs: int) -> Dcl:
         ),
         shape=make_shape(modes, legs),
         offset_stays=float(np.exp(-law.frame / OFFSET_TIME)),
-        workspace=_workspace(legs),
+        workspace=Workspace(**work),
     )
-
-
-def _workspace(legs: int) -> Workspace:
-    inputs = np.zeros((legs, len(SIGNALS)))
-    fields = np.dtype([(name, np.float64) for name in SIGNALS])
-    arrays: dict[str, Any] = {name: np.zeros(legs) for name in Workspace._fields}
-    arrays["inputs"] = inputs
-    arrays["signals"] = inputs.view(fields)[:, 0].view(np.recarray)
-    arrays["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
-    return Workspace(**arrays)
 
 
 @compiled

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
+from cmf_mj.control.coordinates import Modes, PerMode
 from cmf_mj.control.feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
@@ -188,7 +188,7 @@ class Law(Settings):
             f"{table}.{field}"
             for table in ("input_gain", "direct_gain", "plan", "load_feedback")
             for field, value in getattr(self, table) or ()
-            if is_per_mode(value) and field != "pairs"
+            if isinstance(value, tuple) and field != "pairs"
         ]
         if lists and not modal:
             raise InputError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
@@ -270,10 +270,22 @@ class Law(Settings):
 
 
 def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law:
-    """One law from its table, which may be based on another of the tables."""
+    """One law from its table, laid over that of the law it is based on but for title and source."""
     if not isinstance(table, dict):
         raise InputError(f"{where}: {table!r} is refused: a law is a table [name]")
-    whole = {"title": name} | _derived(table, tables, where) | {"name": name}
+    if "based_on" in table:
+        others: dict[str, Any] = {}
+        for file in (*(_tables(family) for family in _FILES), tables):
+            others |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
+        base = table["based_on"]
+        if not isinstance(base, str) or base not in others:
+            raise InputError(
+                f"{where}: based_on: {base!r} is refused: allowed: {', '.join(others)}, laws which "
+                "are based on none"
+            )
+        kept = {k: v for k, v in others[base].items() if k not in ("title", "source")}
+        table = merged(kept, {k: v for k, v in table.items() if k != "based_on"})
+    whole = {"title": name} | table | {"name": name}
     if whole.get("coordinates") == "hydraulic_modes":
         whole = {"modes": read_toml(_MODES)} | whole
     return validated(Law, whole, where)
@@ -301,23 +313,6 @@ def _tables(family: str) -> dict[str, Any]:
 def _shipped() -> dict[str, Law]:
     """All shipped laws, made once; not to be changed."""
     return {name: law for path in _FILES.values() for name, law in _laws_of(path).items()}
-
-
-def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[str, Any]:
-    """A law's table laid over that of the law it is based on, whose title and source it leaves."""
-    if "based_on" not in table:
-        return table
-    others: dict[str, Any] = {}
-    for file in (*(_tables(family) for family in _FILES), tables):
-        others |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
-    name = table["based_on"]
-    if not isinstance(name, str) or name not in others:
-        raise InputError(
-            f"{where}: based_on: {name!r} is refused: allowed: {', '.join(others)}, laws which are "
-            "based on none"
-        )
-    base = {k: v for k, v in others[name].items() if k not in ("title", "source")}
-    return merged(base, {k: v for k, v in table.items() if k != "based_on"})
 
 
 def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[str, ...]:

@@ -87,13 +87,8 @@ class Cab(RigidBody):
         """Platform and cab as one rigid body."""
         parts = (self.platform, self)
         masses = np.array([part.mass.si for part in parts])
-        places = np.array([part.centre_of_mass.si for part in parts])
-        total = float(masses.sum())
-        centre = masses @ places / total
-        inertia = np.zeros((3, 3))
-        for part, mass, arm in zip(parts, masses, places - centre, strict=True):
-            inertia += part.tensor + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return Payload(total, centre, inertia)
+        centres = np.array([part.centre_of_mass.si for part in parts])
+        return Payload.of(masses, centres, (part.tensor for part in parts))
 
     def changed(
         self,

@@ -38,8 +38,8 @@ from cmf_mj.machine.limits import StatedLimits
 from cmf_mj.machine.models import Legs, Mass, Place, RigidBody
 
 _SINGULAR = 1e3
-"""Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
-in usual machines."""
+"""Condition number of the Jacobian at neutral, turning columns per radius of the gimbals, above
+which the legs do not hold the platform; 3 to 6 in usual machines."""
 
 _BORE, _ROD = 5.5 * INCH, 3.875 * INCH  #: Diameters of the CMF's bore and rod [m] (section 2.1).
 
@@ -153,7 +153,9 @@ class Machine(Settings):
                 f"from gimbal to gimbal, must be longer than its stroke, {2.0 * half.si:.4g} m; "
                 f"allowed: below {shortest / 3.0:.4g} m, a third of the neutral length"
             )
-        worst = _conditioning(shape)
+        lines = (shape.upper - shape.lower) / shape.neutral[:, None]
+        arms = shape.upper / np.linalg.norm(shape.upper[:, :2], axis=1).mean()
+        worst = float(np.linalg.cond(np.hstack([lines, np.cross(arms, lines)])))
         if not worst < _SINGULAR:
             raise InputError(
                 f"gimbals: the legs do not hold the platform at neutral, condition number "
@@ -269,13 +271,6 @@ class Machine(Settings):
 @lru_cache
 def _geometry(gimbals: Gimbals) -> Geometry:
     return make_geometry(*gimbals.in_report_axes())
-
-
-def _conditioning(shape: Geometry) -> float:
-    """Condition number of the Jacobian at neutral, turning columns per radius of the gimbals."""
-    lines = (shape.upper - shape.lower) / shape.neutral[:, None]
-    radius = np.linalg.norm(shape.upper[:, :2], axis=1).mean()
-    return float(np.linalg.cond(np.hstack([lines, np.cross(shape.upper, lines) / radius])))
 
 
 def load_machine(source: str | Path | Machine = models.CMF) -> Machine:

@@ -6,6 +6,7 @@ model of a cab the body `cab` and the site `crew`. Axes are MuJoCo's, z up.
 """
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -58,7 +59,7 @@ def machine_tables(path: Path) -> dict[str, Any]:
         return _said(value, "m", path, "derived")
 
     def each(tag: str, name: str) -> list[tuple[float, ...]]:
-        return [_numbers(_named(root, tag, f"{name}_{i}", path), "pos") for i in _LEGS]
+        return [numbers_of(named(root, tag, f"{name}_{i}", path), "pos") for i in _LEGS]
 
     # The slide joint of the legs, whose range is a default of the model.
     slide = next(e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
@@ -67,7 +68,7 @@ def machine_tables(path: Path) -> dict[str, Any]:
         "gimbals": {"upper": said(each("site", "upper")), "lower": said(each("body", "cylinder"))},
         "platform": _body(root, "platform", path),
         "legs": {
-            "half_stroke": said(_numbers(slide, "range")[1]),
+            "half_stroke": said(numbers_of(slide, "range")[1]),
             "accelerometer": said(round(below, 9)),
             "cylinder_mass": _body(root, "cylinder_1", path)["mass"],
             "rod_mass": _body(root, "rod_1", path)["mass"],
@@ -78,7 +79,7 @@ def machine_tables(path: Path) -> dict[str, Any]:
 def cab_table(path: Path) -> dict[str, Any]:
     """Mass properties and station of a cab, from its MJCF."""
     root = _read(path)
-    station = _numbers(_named(root, "site", "crew", path), "pos")
+    station = numbers_of(named(root, "site", "crew", path), "pos")
     return _body(root, "cab", path) | {"station": _said(station, "m", path)}
 
 
@@ -100,26 +101,30 @@ def _said(value: Any, unit: str, path: Path, status: str = "assumed") -> dict[st
     return {"value": value, "unit": unit, "status": status, "source": source}
 
 
-def _named(root: ElementTree.Element, tag: str, name: str, path: Path) -> ElementTree.Element:
+def named(
+    root: ElementTree.Element, tag: str, name: str, path: Path | str = "the machine's"
+) -> ElementTree.Element:
+    """The element of that tag and name in an MJCF, which a refusal calls by its path."""
     for element in root.iter(tag):
         if element.get("name") == name:
             return element
     raise InputError(f"mjcf: {path} has no {tag} {name!r}; allowed: the names of models/")
 
 
-def _numbers(element: ElementTree.Element, name: str) -> tuple[float, ...]:
+def numbers_of(element: ElementTree.Element, name: str) -> tuple[float, ...]:
+    """Numbers of an attribute of an MJCF; three zeros where it is left out."""
     return tuple(map(float, element.get(name, "0 0 0").split()))
 
 
 def _body(root: ElementTree.Element, name: str, path: Path) -> dict[str, Any]:
     """Mass properties that an MJCF gives a body."""
-    inertial = _named(root, "body", name, path).find("inertial")
+    inertial = named(root, "body", name, path).find("inertial")
     if inertial is None:
         raise InputError(f"mjcf: body {name!r} of {path} has no inertial; every body needs one")
-    moments = _numbers(inertial, "diaginertia" if inertial.get("diaginertia") else "fullinertia")
+    moments = numbers_of(inertial, "diaginertia" if inertial.get("diaginertia") else "fullinertia")
     return {
-        "mass": _said(_numbers(inertial, "mass")[0], "kg", path),
-        "centre_of_mass": _said(_numbers(inertial, "pos"), "m", path),
+        "mass": _said(numbers_of(inertial, "mass")[0], "kg", path),
+        "centre_of_mass": _said(numbers_of(inertial, "pos"), "m", path),
         "inertia": _said(moments, "kg m^2", path),
     }
 
@@ -199,3 +204,18 @@ class Payload(NamedTuple):
     mass: float  #: [kg].
     centre: NDArray[np.float64]  #: Centre of mass [m], (3,).
     inertia: NDArray[np.float64]  #: About the centre of mass [kg m^2], (3, 3).
+
+    @classmethod
+    def of(
+        cls,
+        masses: NDArray[np.float64],
+        centres: NDArray[np.float64],
+        tensors: Iterable[NDArray[np.float64]],
+    ) -> "Payload":
+        """Bodies (n,) that move as one: masses [kg], centres (n, 3) [m], inertia about those."""
+        total = float(masses.sum())
+        centre = masses @ centres / total
+        inertia = np.zeros((3, 3))
+        for mass, arm, tensor in zip(masses, centres - centre, tensors, strict=True):
+            inertia += tensor + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return cls(total, centre, inertia)

@@ -104,18 +104,11 @@ class Event(Failure):
     at: Time  #: When [s].
 
 
-def default_event(
-    kind: str,
-    at: float,
-    *,
-    leg: int | None = None,
-    valve: int | None = None,
-    size: tuple[float, str] | None = None,
-) -> Event:
-    """An `Event` of a kind, on leg 1 where it needs a leg and none is named."""
-    chosen = 1 if leg is None and kind in _KINDS and _KINDS[kind].part else leg
-    fields = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
-    return validated(Event, fields, "event")
+def default_event(kind: str, at: float, **fields: Any) -> Event:
+    """An `Event` of a kind, on leg 1 where it needs a leg and none of the `fields` names one."""
+    if fields.get("leg") is None and kind in _KINDS and _KINDS[kind].part:
+        fields["leg"] = 1
+    return validated(Event, fields | {"at": at, "kind": kind}, "event")
 
 
 class PlantFaults(NamedTuple):

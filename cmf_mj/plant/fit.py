@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP, Geometry
+from cmf_mj.machine.models import Payload
 
 SAME = 1e-9  #: Values this close are the same [m, kg, kg m^2], in proportion where above 1.
 
@@ -23,10 +24,10 @@ CLOSED = 1e-6
 _LEGS = range(1, 7)
 
 _PARTS = {
-    mujoco.mjtObj.mjOBJ_SITE: ("upper_#", "rod_end_#"),
-    mujoco.mjtObj.mjOBJ_BODY: ("cylinder_#", "rod_#"),
-    mujoco.mjtObj.mjOBJ_JOINT: ("gimbal_#_x", "gimbal_#_y", "leg_#"),
-    mujoco.mjtObj.mjOBJ_EQUALITY: ("gimbal_#",),
+    "site": ("upper_#", "rod_end_#"),
+    "body": ("cylinder_#", "rod_#"),
+    "joint": ("gimbal_#_x", "gimbal_#_y", "leg_#"),
+    "equality": ("gimbal_#",),
 }
 """Elements of a hexapod that each leg, in the place of #, has."""
 
@@ -110,27 +111,6 @@ def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry
         for element, kinds in _PARTS.items()
         for kind in kinds
     }
-    _check_geometry(model, data, geometry, ids)
-    carried = model.body_rootid == _id(model, mujoco.mjtObj.mjOBJ_BODY, "platform")
-    _check_masses(model, data, cab, carried)
-    for part, stated in (("cylinder", cab.legs.cylinder_mass), ("rod", cab.legs.rod_mass)):
-        for i, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
-            _same_mass(f"mass of {part}_{i}", model.body_mass[body], stated.si, "kg", cab)
-
-
-def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    number: int = mujoco.mj_name2id(model, kind, name)
-    if number < 0:
-        element = kind.name.removeprefix("mjOBJ_").lower()
-        raise InputError(
-            f"spec: has no {element} {name!r}; allowed: the names of the shipped model"
-        )
-    return number
-
-
-def _check_geometry(
-    model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, ids: dict[str, list[int]]
-) -> None:
     upper, lower = geometry.upper * FLIP, geometry.lower * FLIP
     axes = (upper - lower) / geometry.neutral[:, None]
     for what, values, expected, unit in (
@@ -156,24 +136,25 @@ def _check_geometry(
                 f"spec: gimbal_{i} does not pin the rod to the platform; allowed: an active "
                 f"connect constraint of the sites rod_end_{i} and upper_{i}"
             )
+    carried = model.body_rootid == _id(model, "body", "platform")
+    turns = data.ximat[carried].reshape(-1, 3, 3)
+    tensors = (turns * model.body_inertia[carried, None]) @ turns.transpose(0, 2, 1)
+    whole = Payload.of(model.body_mass[carried], data.xipos[carried], tensors)
+    _same_mass("mass of platform and cab", whole.mass, cab.payload.mass, "kg", cab)
+    _same_mass("centre of mass of platform and cab", whole.centre, cab.payload.centre, "m", cab)
+    _same_mass("inertia of platform and cab", whole.inertia, cab.payload.inertia, "kg m^2", cab)
+    for part, mass in (("cylinder", cab.legs.cylinder_mass.si), ("rod", cab.legs.rod_mass.si)):
+        for i, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
+            _same_mass(f"mass of {part}_{i}", model.body_mass[body], mass, "kg", cab)
 
 
-def _check_masses(
-    model: mujoco.MjModel, data: mujoco.MjData, cab: Cab, carried: NDArray[np.bool_]
-) -> None:
-    """Compare the bodies that the platform carries, as one rigid body, with platform and cab."""
-    masses, places = model.body_mass[carried], data.xipos[carried]
-    centre = masses @ places / masses.sum()
-    inertia, payload = np.zeros((3, 3)), cab.payload
-    for mass, arm, moments, turn in zip(
-        masses, places - centre, model.body_inertia[carried], data.ximat[carried], strict=True
-    ):
-        axes = turn.reshape(3, 3)
-        inertia += (axes * moments) @ axes.T
-        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    _same_mass("mass of platform and cab", masses.sum(), payload.mass, "kg", cab)
-    _same_mass("centre of mass of platform and cab", centre, payload.centre, "m", cab)
-    _same_mass("inertia of platform and cab", inertia, payload.inertia, "kg m^2", cab)
+def _id(model: mujoco.MjModel, kind: str, name: str) -> int:
+    try:
+        return int(getattr(model, kind)(name).id)
+    except KeyError:
+        raise InputError(
+            f"spec: has no {kind} {name!r}; allowed: the names of the shipped model"
+        ) from None
 
 
 def _same_mass(what: str, has: ArrayLike, stated: ArrayLike, unit: str, cab: Cab) -> None:

@@ -10,13 +10,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.machine.models import RigidBody
+from cmf_mj.machine.models import RigidBody, named, numbers_of
 
 Element = ElementTree.Element
 
@@ -59,7 +59,7 @@ def with_floor(text: bytes) -> bytes:
     for axis, line in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
         ElementTree.SubElement(floor, "joint", name=f"floor_{axis}", type="slide", axis=line)
     for leg in range(1, 7):
-        cylinder = _named(root, "body", f"cylinder_{leg}")
+        cylinder = named(root, "body", f"cylinder_{leg}")
         world.remove(cylinder)
         floor.append(cylinder)
     world.append(floor)
@@ -84,10 +84,10 @@ def _scene(machine: Machine) -> str:
                 world.remove(geom)
     for tag, name in (("camera", "pos"), ("light", "pos"), ("statistic", "center")):
         for element in root.iter(tag):
-            _set(element, **{name: scale * _numbers(element, name)})
+            _set(element, **{name: scale * np.array(numbers_of(element, name))})
     for statistic in root.iter("statistic"):
-        _set(statistic, extent=scale * _numbers(statistic, "extent"))
-    _set(_named(root, "geom", "floor"), pos=[0.0, 0.0, machine.floor_height])
+        _set(statistic, extent=scale * np.array(numbers_of(statistic, "extent")))
+    _set(named(root, "geom", "floor"), pos=[0.0, 0.0, machine.floor_height])
     for key in root.iter("key"):
         key.attrib.pop("ctrl")
     return ElementTree.tostring(root, encoding="unicode")
@@ -106,9 +106,9 @@ def _machine(machine: Machine, cab: Cab) -> bytes:
             _set(joint, range=[-half, half])
     upper, lower = machine.geometry.upper * FLIP, machine.geometry.lower * FLIP
     for leg in range(6):
-        _set(_named(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
+        _set(named(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
         _make_leg(root, machine, leg, scale)
-    platform = _named(root, "body", "platform")
+    platform = named(root, "body", "platform")
     for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
         _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
         _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
@@ -128,8 +128,8 @@ def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
     geometry, design, bar = machine.geometry, machine.legs, machine.retracted
     length = float(geometry.neutral[leg])
     lower, axis = geometry.lower[leg] * FLIP, (geometry.upper - geometry.lower)[leg] * FLIP
-    cylinder = _named(root, "body", f"cylinder_{leg + 1}")
-    rod = _named(root, "body", f"rod_{leg + 1}")
+    cylinder = named(root, "body", f"cylinder_{leg + 1}")
+    rod = named(root, "body", f"rod_{leg + 1}")
     _set(cylinder, pos=lower, zaxis=axis)
     centres = [
         0.5 * bar if design.cylinder_centre is None else design.cylinder_centre.si,
@@ -144,9 +144,9 @@ def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
         assert inertial is not None
         moments = [across, across, 0.5 * mass * radius**2]
         _set(inertial, pos=[0.0, 0.0, centre], mass=[mass], diaginertia=moments)
-    _set(_named(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
+    _set(named(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
     felt = length - machine.accelerometer_distance
-    _set(_named(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
+    _set(named(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
     thick, thin, top = 0.105 * scale, 0.05 * scale, length - machine.half_stroke - 0.1 * scale
     _add(cylinder, "barrel", size=[thick], fromto=[0, 0, 0, 0, 0, top])
     _add(cylinder, "barrel", size=[1.3 * thick], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
@@ -182,14 +182,6 @@ def _weigh(inertial: Element, part: RigidBody) -> None:
         _set(inertial, fullinertia=[*moments, *products])
     else:
         _set(inertial, diaginertia=moments)
-
-
-def _named(root: Element, tag: str, name: str) -> Element:
-    return next(element for element in root.iter(tag) if element.get("name") == name)
-
-
-def _numbers(element: Element, name: str) -> NDArray[np.float64]:
-    return np.array(element.get(name, "0 0 0").split(), dtype=float)
 
 
 def _add(parent: Element, looks: str, type: str | None = None, **values: Iterable[float]) -> None:  # noqa: A002

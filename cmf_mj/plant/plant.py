@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.core.arrays import copied, frozen_json, shaped
+from cmf_mj.core.arrays import copied, frozen_json, real, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.core.units import FRAME
@@ -176,7 +176,7 @@ class Plant:
 
     def place(self, pose: ArrayLike) -> None:
         """Put the mechanics at rest in generalised positions (nq,); a hexapod, in a pose (6,)."""
-        self.data.qpos[:] = np.asarray(pose, dtype=float)
+        self.data.qpos[:] = shaped("pose", pose, self.model.nq)
         mujoco.mj_forward(self.model, self.data)
 
     def extensions(self) -> NDArray[np.float64]:
@@ -279,7 +279,8 @@ class Plant:
         with self.alone:
             self._reset()
             tables = b"".join(part.tobytes() for part in (*self.hydraulics[:3], self.neutral))
-            asked = (saved(self.model), _bytes(pose), tables, self.hydraulics[3:])
+            numbers = None if pose is None else real("pose", pose).tobytes()
+            asked = saved(self.model), numbers, tables, self.hydraulics[3:]
             if self._rest is None or self._rest[0][0] != asked[0]:
                 self._quiet = quiet(self.model)
             if self._rest is not None and self._rest[0] == asked:  # all of what follows holds
@@ -373,11 +374,3 @@ def set_timestep(option: Any, timestep: float | None, frame: float = FRAME) -> N
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
     option.timestep = timestep
-
-
-def _bytes(pose: ArrayLike | None) -> bytes:
-    """The numbers of a pose, if that is what it is."""
-    try:
-        return b"" if pose is None else np.asarray(pose, dtype=float).tobytes()
-    except (TypeError, ValueError):
-        return b"?"

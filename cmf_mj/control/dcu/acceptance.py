@@ -15,7 +15,7 @@ Derivatives have to fit the poses. Between two frames h apart the quintic has to
     r = p1 - p0 - h (v0 + v1) / 2 - h^2 (a0 - a1) / 12
 
 and bends by about 6 r / h^2 more for it. Where that is more than the poses themselves bend, and
-more than `_FLOOR`, in one of twelve frames that move or more, the derivatives are left aside,
+more than `_FELT`, in one of twelve frames that move or more, the derivatives are left aside,
 until nearly all have fitted for some ten seconds; straight lines between poses take the quintics'
 place.
 """
@@ -24,7 +24,7 @@ import numpy as np
 
 from cmf_mj.control.dcu.motion import (
     ACCELERATION,
-    DOFS,
+    DOF_COUNT,
     GAP_OVERSHOOT,
     POSE,
     VELOCITY,
@@ -45,9 +45,9 @@ AVERAGE, LATENESS = 1.0, 0.1
 
 _BEND = 6.0  #: Bend of a quintic, times h^2 / r, for what it has to make up.
 
-_FLOOR = 0.01  #: Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion.
+_FELT = 0.01  #: Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion.
 
-_JUDGED, _PATIENCE = 40, 10
+_FRAMES_JUDGED, _PATIENCE = 40, 10
 """Frames in motion in which derivatives that do not fit are put aside, and how many times as many
 have to fit before they are taken again: a change between the two is felt."""
 
@@ -64,9 +64,9 @@ def receive(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
     sequence number rises by one from frame to frame; the host's `time` [s] may have any origin;
     `values` (3, 6) are the pose [m, rad], z down, and its first and second derivatives.
     """
-    verdict = _values(dcu, time, values)
+    verdict = _judge_numbers(dcu, time, values)
     if verdict == Verdict.ACCEPTED:
-        verdict = _stream(dcu, state, sequence, time, values)
+        verdict = _judge_in_stream(dcu, state, sequence, time, values)
     if verdict >= 0:
         state.rejected[verdict.value] += 1
         if verdict not in (Verdict.REPEATED, Verdict.OUT_OF_ORDER):
@@ -75,7 +75,7 @@ def receive(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _values(dcu, time, values):  # type: ignore[no-untyped-def]
+def _judge_numbers(dcu, time, values):  # type: ignore[no-untyped-def]
     if not np.isfinite(time):
         return Verdict.NOT_FINITE
     for row in range(3):
@@ -87,14 +87,14 @@ def _values(dcu, time, values):  # type: ignore[no-untyped-def]
         (VELOCITY, dcu.velocity, Verdict.VELOCITY_RANGE),
         (ACCELERATION, dcu.acceleration, Verdict.ACCELERATION_RANGE),
     ):
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             if abs(values[row, i]) > limit[i]:
                 return verdict
     return Verdict.ACCEPTED
 
 
 @compiled
-def _order(dcu, ahead, interval):  # type: ignore[no-untyped-def]
+def _judge_order(dcu, ahead, interval):  # type: ignore[no-untyped-def]
     """Test a frame's number and time against an earlier frame's."""
     if ahead == 0:
         return Verdict.REPEATED
@@ -112,34 +112,34 @@ def _order(dcu, ahead, interval):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
+def _judge_in_stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
     clocks = state.clocks[0]
     if sequence < 0:
         return Verdict.SEQUENCE_JUMP
     relative = time - clocks.anchor
     if clocks.synchronised:
         interval = relative - clocks.newest
-        verdict = _order(dcu, sequence - clocks.sequence, interval)
+        verdict = _judge_order(dcu, sequence - clocks.sequence, interval)
         if verdict != Verdict.ACCEPTED:
             return verdict
         early = relative > clocks.play + play_delay(dcu, state) + dcu.timeout
         if early or clocks.buffered > CAPACITY - 2:
             return Verdict.TOO_EARLY
         newest = state.frame[(clocks.first + clocks.buffered - 1) % CAPACITY]
-        if _joins(dcu, state, newest, values, interval):
+        if _frames_join(dcu, state, newest, values, interval):
             drop_held(state)
-            jumps = _follow(dcu, state, relative, interval, sequence - clocks.sequence)
-            _take(dcu, state, sequence, relative, values, jumps)
+            jumps = _follow_host(dcu, state, relative, interval, sequence - clocks.sequence)
+            _buffer(dcu, state, sequence, relative, values, jumps)
             return Verdict.ACCEPTED
     if clocks.holding:
         interval = time - clocks.held_time
-        verdict = _order(dcu, sequence - clocks.held_sequence, interval)
+        verdict = _judge_order(dcu, sequence - clocks.held_sequence, interval)
         if verdict == Verdict.ACCEPTED:
-            if _joins(dcu, state, state.held, values, interval):
+            if _frames_join(dcu, state, state.held, values, interval):
                 _confirm(dcu, state, sequence, time, values, interval)
                 return Verdict.ACCEPTED
             clocks.before = 0.0
-            _judge(state, state.held, values, interval)
+            _judge_derivatives(state, state.held, values, interval)
         if verdict not in (Verdict.ACCEPTED, Verdict.SEQUENCE_JUMP, Verdict.TIME_JUMP):
             return verdict
     drop_held(state)
@@ -150,7 +150,7 @@ def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _joins(dcu, state, first, last, interval):  # type: ignore[no-untyped-def]
+def _frames_join(dcu, state, first, last, interval):  # type: ignore[no-untyped-def]
     if state.clocks[0].poses:
         return line_joins(dcu, first, last, interval)
     return joins(dcu, first, last, interval)
@@ -186,7 +186,7 @@ def drop_held(state):  # type: ignore[no-untyped-def]
 def to_real_time(state, motion):  # type: ignore[no-untyped-def]
     """Turn derivatives over the play clock into derivatives over time."""
     fast, rate = 1.0 + state.clocks[0].slew, state.clocks[0].slew_rate
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         v = motion[VELOCITY, i]
         motion[VELOCITY, i] = v * fast
         motion[ACCELERATION, i] = motion[ACCELERATION, i] * fast * fast + v * rate
@@ -205,16 +205,16 @@ def clear(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _take(dcu, state, sequence, relative, values, apart):  # type: ignore[no-untyped-def]
+def _buffer(dcu, state, sequence, relative, values, apart):  # type: ignore[no-untyped-def]
     """Append a frame to the buffer."""
     clocks = state.clocks[0]
     place = (clocks.first + clocks.buffered) % CAPACITY
     if clocks.synchronised and not apart:
         newest = state.frame[(place - 1) % CAPACITY]
-        _judge(state, newest, values, relative - clocks.newest)
+        _judge_derivatives(state, newest, values, relative - clocks.newest)
     else:
         clocks.before = 0.0
-    _widen(dcu, state, values)
+    _widen_range(dcu, state, values)
     clocks.buffered += 1
     state.time[place] = relative
     copy(values, state.frame[place])
@@ -227,15 +227,15 @@ def _take(dcu, state, sequence, relative, values, apart):  # type: ignore[no-unt
 
 
 @compiled
-def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
+def _judge_derivatives(state, first, last, h):  # type: ignore[no-untyped-def]
     """Renew the share of frames whose derivatives do not fit the poses."""
     clocks = state.clocks[0]
     moving, unfit, silent = False, False, True
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         step = last[POSE, i] - first[POSE, i]
         carried = 0.5 * h * (first[VELOCITY, i] + last[VELOCITY, i])
         carried += h * h / 12.0 * (first[ACCELERATION, i] - last[ACCELERATION, i])
-        floor = _FLOOR * h * h / _BEND
+        floor = _FELT * h * h / _BEND
         bend = step - state.step[i] * h / clocks.before if clocks.before > 0.0 else 0.0
         moving = moving or max(abs(step), abs(carried)) > floor
         unfit = unfit or abs(step - carried) > max(floor, abs(bend) / _BEND)
@@ -245,7 +245,7 @@ def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
     clocks.before = h
     if not moving:
         return
-    clocks.judged = min(clocks.judged + 1, _JUDGED)
+    clocks.judged = min(clocks.judged + 1, _FRAMES_JUDGED)
     if unfit:
         clocks.misfit += (1.0 - clocks.misfit) / clocks.judged
     else:
@@ -259,10 +259,10 @@ def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
+def _widen_range(dcu, state, values):  # type: ignore[no-untyped-def]
     """Take a frame into the host's range of this second."""
     now, way = state.second, 0.5 * dcu.stop_time + GAP_OVERSHOOT / dcu.gap_rate
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         far = way * abs(values[VELOCITY, i])
         far += dcu.fade_time * dcu.fade_time / 12.0 * abs(values[ACCELERATION, i])
         now.least[i] = min(now.least[i], values[POSE, i])
@@ -271,7 +271,7 @@ def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
+def _follow_host(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
     """Update the means of interval and lateness; whether the clock is set again, 1 or 0.
 
     It is once frame after frame has been late for the timeout, or ahead by a quarter of it
@@ -319,8 +319,8 @@ def _confirm(dcu, state, sequence, time, values, interval):  # type: ignore[no-u
         clocks.late_share = 0.0
         clocks.play = interval - play_delay(dcu, state)
     relative, refused = time - clocks.anchor, clocks.refused
-    _take(dcu, state, clocks.held_sequence, clocks.held_time - clocks.anchor, state.held, 1)
+    _buffer(dcu, state, clocks.held_sequence, clocks.held_time - clocks.anchor, state.held, 1)
     clocks.synchronised, clocks.refused = 1, refused
-    _take(dcu, state, sequence, relative, values, 0)
+    _buffer(dcu, state, sequence, relative, values, 0)
     clocks.late_run = 0
     state.events[0].resynchronised += 1

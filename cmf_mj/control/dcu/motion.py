@@ -34,7 +34,7 @@ from cmf_mj.core.compiled import compiled
 
 POSE, VELOCITY, ACCELERATION = 0, 1, 2  #: Rows of a motion.
 
-DOFS = 6
+DOF_COUNT = 6
 
 GAP_END = 1e-6  #: Acceleration [m/s^2, rad/s^2] below which a gap, times w^2, w and 1, has ended.
 
@@ -45,7 +45,7 @@ GAP_OVERSHOOT = 0.84  #: What a gap of velocity v alone, below 3.57 V, grows to,
 def copy(source, target):  # type: ignore[no-untyped-def]
     """Copy a motion; loops compile many times faster than an assignment of slices."""
     for row in range(3):
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             target[row, i] = source[row, i]
 
 
@@ -53,7 +53,7 @@ def copy(source, target):  # type: ignore[no-untyped-def]
 def add(one, other, out):  # type: ignore[no-untyped-def]
     """Write the sum of two motions."""
     for row in range(3):
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             out[row, i] = one[row, i] + other[row, i]
 
 
@@ -61,14 +61,14 @@ def add(one, other, out):  # type: ignore[no-untyped-def]
 def subtract(one, other, out):  # type: ignore[no-untyped-def]
     """Write the difference of two motions."""
     for row in range(3):
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             out[row, i] = one[row, i] - other[row, i]
 
 
 @compiled
 def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
     """Coefficients c (6, 6), power by degree of freedom, of the quintic between two motions."""
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         v0, v1 = first[VELOCITY, i] * h, last[VELOCITY, i] * h
         a0, a1 = first[ACCELERATION, i] * h * h, last[ACCELERATION, i] * h * h
         d = last[POSE, i] - first[POSE, i]
@@ -84,7 +84,7 @@ def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
 def evaluate(polynomial, h, s, out):  # type: ignore[no-untyped-def]
     """The quintic at the time s, by Horner's rule."""
     x = s / h
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         p, v, a = 0.0, 0.0, 0.0
         for power in range(5, -1, -1):
             a = a * x + v
@@ -98,7 +98,7 @@ def evaluate(polynomial, h, s, out):  # type: ignore[no-untyped-def]
 @compiled
 def joins(dcu, first, last, h):  # type: ignore[no-untyped-def]
     """Whether the quintic between two motions keeps velocity and acceleration limits."""
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         v0, v1 = first[VELOCITY, i] * h, last[VELOCITY, i] * h
         a0, a1 = first[ACCELERATION, i] * h * h, last[ACCELERATION, i] * h * h
         # Bernstein points from the first pose on.
@@ -124,7 +124,7 @@ def stop(dcu, first, s, out):  # type: ignore[no-untyped-def]
     g, slope, way = 1.0 + x * x * (2.0 * x - 3.0), 6.0 * x * (x - 1.0), x - x**3 + 0.5 * x**4
     e, bend = y * (1.0 - y) ** 2, (1.0 - y) * (1.0 - 3.0 * y)
     path = y * y * (0.5 + y * (0.25 * y - 2.0 / 3.0))
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         v, a = first[VELOCITY, i], first[ACCELERATION, i]
         out[POSE, i] = first[POSE, i] + v * tv * way + a * ta * ta * path
         out[VELOCITY, i] = v * g + a * ta * e
@@ -135,7 +135,7 @@ def stop(dcu, first, s, out):  # type: ignore[no-untyped-def]
 def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
     """Take a gap a frame on; one too small to be felt has ended."""
     ended = True
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         p, v, a = gap[POSE, i], gap[VELOCITY, i], gap[ACCELERATION, i]
         held = min(max(p, -dcu.gap_range[i]), dcu.gap_range[i])
         for row in range(3):
@@ -150,7 +150,7 @@ def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
 def smooth_poses(dcu, poses, smoothed):  # type: ignore[no-untyped-def]
     """Take the Bessel filter a frame on: `smoothed` (4, 6) is its output and three derivatives."""
     c = dcu.smoothing
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         x0, x1, x2, x3 = smoothed[0, i], smoothed[1, i], smoothed[2, i], smoothed[3, i]
         for row in range(4):
             now = c[row, 0] * x0 + c[row, 1] * x1 + c[row, 2] * x2 + c[row, 3] * x3
@@ -160,7 +160,7 @@ def smooth_poses(dcu, poses, smoothed):  # type: ignore[no-untyped-def]
 @compiled
 def line_joins(dcu, first, last, h):  # type: ignore[no-untyped-def]
     """Whether the straight line between two poses keeps the velocity limits."""
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         if not abs(last[POSE, i] - first[POSE, i]) <= dcu.velocity[i] * h:
             return False
     return True
@@ -172,7 +172,7 @@ def hold_within(dcu, motion, out):  # type: ignore[no-untyped-def]
 
     With u = (|p| - P) / m the pose becomes P + m tanh u: value, slope and curvature go over at P.
     """
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         p, v, a = motion[POSE, i], motion[VELOCITY, i], motion[ACCELERATION, i]
         if abs(p) > dcu.pose[i]:
             sign = 1.0 if p > 0.0 else -1.0

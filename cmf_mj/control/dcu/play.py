@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.dcu.acceptance import clear, drop_held, receive, to_real_time
 from cmf_mj.control.dcu.motion import (
     ACCELERATION,
-    DOFS,
+    DOF_COUNT,
     POSE,
     VELOCITY,
     add,
@@ -82,7 +82,7 @@ def strayed(state):  # type: ignore[no-untyped-def]
 def _near(dcu, state):  # type: ignore[no-untyped-def]
     """Whether base and demand are as near in velocity and acceleration as a gap may be."""
     for row, limit in ((VELOCITY, dcu.velocity), (ACCELERATION, dcu.acceleration)):
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             if abs(state.motion[row, i] - state.base[row, i]) > limit[i]:
                 return False
     return True
@@ -95,7 +95,7 @@ def _beyond(dcu, state):  # type: ignore[no-untyped-def]
     While a gap closes at its speed, the demand on its way belongs to the range.
     """
     now, before = state.second, state.earlier
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         pose = state.motion[POSE, i]
         if abs(state.gap[POSE, i]) > dcu.gap_range[i]:
             now.least[i] = min(now.least[i], pose)
@@ -174,7 +174,7 @@ def _pose(state):  # type: ignore[no-untyped-def]
         return
     first, share = clocks.first, clocks.local / clocks.duration if clocks.moving else 0.0
     last = (first + 1) % CAPACITY
-    for i in range(DOFS):
+    for i in range(DOF_COUNT):
         before = state.frame[first, POSE, i]
         step = state.frame[last, POSE, i] - before if clocks.moving else 0.0
         state.input[i] = before + share * step
@@ -209,10 +209,10 @@ def _rejoin(dcu, state):  # type: ignore[no-untyped-def]
         _stop_from_first(state, local)
     if state.apart[first] or waited > dcu.hold:
         # Take the filter of poses along where its input jumps: the gap closes the jump.
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             state.smoothed[POSE, i] -= state.input[i]
         _pose(state)
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             state.smoothed[POSE, i] += state.input[i]
         state.apart[first] = 0
     if clocks.smoothing:
@@ -265,7 +265,7 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
         # Another second of the host's range begins, at the pose of now.
         clocks.window = 0.0
         now, before = state.second, state.earlier
-        for i in range(DOFS):
+        for i in range(DOF_COUNT):
             before.least[i], before.most[i], before.stop[i] = now.least[i], now.most[i], now.stop[i]
             now.least[i], now.most[i], now.stop[i] = state.input[i], state.input[i], 0.0
     clocks.silence += frame
