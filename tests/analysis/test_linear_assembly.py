@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 from hydraulic_equations import EQ_4_1, MASS, changed, nearest
-from scipy import special
+from scipy import optimize, special
 from simulated_loops import Comparison, compare_with_simulation
 
-from cmf_mj import Hexapod, Plant, SingleLegs
+from cmf_mj import Hexapod, Plant, SingleLegs, load_cab, load_law
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
@@ -23,6 +23,7 @@ from cmf_mj.analysis.linear.ports import outward_share, port_slopes
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, NotLinearError
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
@@ -339,6 +340,31 @@ def test_the_rest_is_continuous_where_the_valve_begins_to_open() -> None:
     assert commands[0] == 0.0 > commands[-1]
     assert np.abs(np.diff(commands)).max() < 1e-3
     assert np.abs(np.diff(caps[:, 0])).max() < 0.02 * caps[0, 0]
+
+
+def test_legs_loaded_where_the_valve_begins_to_open_drift_nowhere() -> None:
+    """Either rest is stable on its side of that load: the slowest pole falls to 0 from both."""
+    law, sheet = load_law("original"), load_cab(None, "lab")
+
+    def loaded(factor: float) -> Linear:
+        mass = sheet.mass.model_copy(update={"value": factor * sheet.mass.value})
+        cab = sheet.model_copy(update={"mass": mass, "name": "loaded"})
+        return Linear(Hexapod(cab), friction="none")
+
+    light, heavy = (loaded(factor) for factor in (1.0, 1.5))
+    plant, begin = light.plant, light.point.mechanics.load[0]
+    cylinder, supply = plant.hydraulics.cylinder[0], plant.parameters.supply_pressure.si
+    held = (cylinder.cap_area - cylinder.rod_area) * supply
+    edge = held * optimize.bisect(
+        lambda share: hold(plant, 0, share * held, supply, 0.0).command + 1e-8, 0.1, 0.5
+    )
+    slowest = []
+    for share in (0.99, 0.999, 0.9995, 1.0005, 1.001, 1.01):
+        factor = 1.0 + 0.5 * (share * edge - begin) / (heavy.point.mechanics.load[0] - begin)
+        poles = loaded(factor).leg_loop(law).poles()
+        slowest.append(float(np.log(np.abs(poles)).max() / FRAME))
+    assert max(slowest) < 0.0
+    assert slowest[0] < slowest[2] and slowest[-1] < slowest[3]
 
 
 @pytest.mark.parametrize("excitation", ["noise", "sine"])

@@ -120,8 +120,8 @@ _EVEN = 1e-6
 """Oil that an opening gathers in both chambers over what passes, below which it gathers none."""
 _SHUT = 1e-9
 """Opening that counts as shut: where both chambers have one pressure no flow is a balance too."""
-_END = 1e-3
-"""Share of the flow into the chambers within which a closed valve still counts as the rest."""
+_END = 1e-9
+"""Least fill of one way over that of the other, for rounding, of a closed valve at rest."""
 
 
 class OperatingPoint(NamedTuple):
