@@ -35,7 +35,7 @@ from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
-from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, Box, Family
+from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, SLOW, Box, Family
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
@@ -170,11 +170,11 @@ def certify(
         poses.sort(key=lambda pose: pose is not broken[0])
         for ratio in np.arange(effort.ratios) / effort.ratios * min(nominal):
             edge, turn = min(broken[2], LARGEST), float(np.arcsin(ratio))
-            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn, 1.0 / edge)
+            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn, 1.0 / edge, SLOW)
             edge = min(edge, _WIDER / first)  # slopes differ less in a smaller box
             beta = 1.0 / edge
             for pose in poses:
-                beta = peak_bound(pose.within(pose.widths(box, edge)), turn, beta)
+                beta = peak_bound(pose.within(pose.widths(box, edge)), turn, beta, SLOW)
             proven = 1.0 / beta
             found = [_attack(p, box, proven, x, effort.rounds, seed, -1.0)[0] for p, x in begins]
             proofs.append(Proof(float(ratio), proven, min(found)))

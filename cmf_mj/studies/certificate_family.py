@@ -20,6 +20,11 @@ open, against the leak, its slope with pressure is that of the nominal machine. 
 of delay are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for
 s = (2 / T) atanh(w T/2) and the hold for the mean of two frames: right up to (w T)^2 / 12, 2e-4 at
 15 Hz. Left out is what gravity's stiffness and the content of the oil change with the cab.
+
+Poles slower than `SLOW` do not count. They are the mean pressures of chambers, which creep as fast
+as pistons leak; a leg whose valve begins to open under its load has one at 0, where what is left
+out decides its sign. `operating_point` takes rests alone that keep themselves, and machines of
+such boxes, linearised one by one, are stable.
 """
 
 from collections.abc import Mapping
@@ -74,6 +79,7 @@ SIZE = sum(count for _, count in KINDS.values())
 WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
 
 LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
+SLOW = 0.2  #: Re + |Im| of a pole [rad/s] below which it does not count.
 LEAST = 0.05  #: Share of a number that is left of it at least.
 
 
@@ -270,9 +276,10 @@ class Family:
         return bool(low < shares.min() and shares.max() < high)
 
     def damping(self, deltas: Array) -> Array:
-        """Least damping ratio of any pole, (N,): -1 to 1, that of a real pole either of these."""
+        """Least damping ratio of poles, (N,): -1 to 1, of a real one either; slow ones have 1."""
         poles = np.linalg.eigvals(_off(self.loop, deltas))
-        return np.asarray((-poles.real / np.abs(poles)).min(axis=1))
+        slow = poles.real + np.abs(poles.imag) < SLOW
+        return np.asarray(np.where(slow, 1.0, -poles.real / np.abs(poles)).min(axis=1))
 
     def damping_in(self, box: Box, points: Array) -> Array:
         """Damping ratios at points of the unit box."""

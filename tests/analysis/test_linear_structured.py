@@ -55,6 +55,20 @@ def test_pole_at_rest(speed: float) -> None:
     assert 0.98 < 1.0 / peak_bound(loop) <= 1.0
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.1])
+def test_slow_poles_do_not_count(turn: float) -> None:
+    """x' = (-1 + d) x up to d = 1 + slow; a fast oscillator as without; a slow one until the larger
+    of its real poles, those of s^2 + 0.02 (1 + 0.5 d1) s + 0.0025, is 0.3."""
+    one = np.ones((1, 1))
+    loop = Uncertain(-one, one, one, 0.0 * one, (1,))
+    assert 0.98 * 1.3 < 1.0 / peak_bound(loop, turn, slow=0.3) <= 1.3
+    faster = oscillator(frequency=7.331)
+    with_slow = peak_bound(faster, turn, slow=0.3)
+    assert with_slow == pytest.approx(peak_bound(faster, turn), rel=0.02)
+    slower, edge = only(oscillator(0.02, 0.05), 0), 2.0 * (1.0 + (0.3 + 0.0025 / 0.3) / 0.02)
+    assert 0.98 * edge < 1.0 / peak_bound(slower, turn, 0.01, 0.3) <= edge
+
+
 def test_pole_that_runs_to_infinity() -> None:
     """(1 - 0.5 d) x' = -x has its pole at infinity for d = 2: w = 0.5 d x', z = x'."""
     one = np.ones((1, 1))

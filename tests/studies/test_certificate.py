@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.analysis.measures import are_stable
 from cmf_mj.analysis.modes import bound
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario import load_scenario
@@ -89,6 +91,31 @@ def test_other_machines_are_those_of_their_files_too(
     family = Family(plant, law, 0.3 * POSE, friction)
     left_out = 3e-4 if name == "lab" else 1e-3
     assert family.damping(family.deltas(changes))[0] == pytest.approx(exact, abs=left_out)
+
+
+def test_a_leg_loaded_where_its_valve_begins_to_open_is_certified(tmp_path: Path) -> None:
+    """Its chambers creep, which is no loss: every machine of the box, linearised, is stable."""
+    sheet, law = cmf_mj.load_cab(None, "lab"), cmf_mj.load_law("original")
+    mass = sheet.mass.model_copy(update={"value": 1.21 * sheet.mass.value})
+    plant = cmf_mj.Hexapod(sheet.model_copy(update={"mass": mass, "name": "loaded"}))
+    narrow = {
+        name: one.model_copy(update={"deviation": 0.1 * one.deviation})
+        for name, one in BOX.unknowns.items()
+    }
+    box = BOX.model_copy(update={"unknowns": narrow})
+    one = certify(plant, law, tmp_path, box, QUICK._replace(poses=1), friction="none")
+    assert one.proven > 1.0
+    closed = set[bool]()
+    for point in np.random.default_rng(5).uniform(-1.0, 1.0, (6, 1, SIZE)):
+        values = box.values(box.changes(point))
+        cab, oil = (
+            Unknowns(narrow).apply(values, part, "drawn")
+            for part in (plant.cab_parameters, plant.parameters)
+        )
+        linear = Linear(cmf_mj.Hexapod(cab, oil), friction="none")
+        assert are_stable(linear.leg_loop(law).poles())
+        closed |= set(linear.point.command == 0.0)
+    assert closed == {True, False}  # machines on either side
 
 
 def test_box_holds_its_machines(plant: cmf_mj.Hexapod) -> None:

@@ -24,7 +24,8 @@ frequencies so far apart, and beta raised until it serves what lies between, by 
 there. For modes damped by less than 1e-4 the search ends early: beta is too large, never too small.
 
 With `turn` = asin(zeta) the ray is where poles have the damping ratio zeta: as long as none gets
-there all have more.
+there all have more. Where slow poles do not count the ray begins where it meets another, from
+s = slow at 45 degrees, and this one is swept instead up to there.
 """
 
 from itertools import pairwise
@@ -135,11 +136,12 @@ def largest(m: Complex, scaling: Scaling) -> float:
     return float(np.linalg.eigvalsh(_gain(scaled, scaling.s)).max())
 
 
-def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float:
+def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05, slow: float = 0.0) -> float:
     """The bound on s = j w e^(j turn), or `least`, above 0, where that is more.
 
     No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 none of A may be on
-    its right, else none of A above the real axis.
+    its right, else none of A above the real axis; but for those with Re + |Im| < `slow` [rad/s],
+    which do not count. `turn` is below 45 degrees.
 
     >>> from cmf_mj.analysis.linear.structured import Uncertain, peak_bound
     >>> a, b = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[0.0, 0.0], [-1.0, -1.0]])
@@ -148,10 +150,24 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float
     >>> 1.96 < 1.0 / peak_bound(loop) <= 2.0
     True
     """
-    cover = _Cover(loop, turn, least)
-    bottom, top = cover.width(0.0), float(np.abs(cover.poles).max()) / _NARROW
-    begin, end = cover.raised(0.0, 0.5 * bottom, bottom)[1], cover.raised(top, 2.0 * top, np.inf)[0]
-    left = [(begin, end)]
+    meets = slow / (np.cos(turn) - np.sin(turn))
+    if slow > 0.0:
+        shifted = loop._replace(a=loop.a - slow * np.eye(len(loop.a)))
+        least = _swept(
+            _Cover(shifted, 0.25 * np.pi, least), 0.0, np.sqrt(2.0) * np.cos(turn) * meets
+        )
+    return _swept(_Cover(loop, turn, least), meets, np.inf)
+
+
+def _swept(cover: "_Cover", low: float, high: float) -> float:
+    """The beta of a ray from one frequency to another."""
+    if low == 0.0:
+        bottom = cover.width(0.0)
+        low = cover.raised(0.0, 0.5 * bottom, bottom)[1]
+    if np.isinf(high):
+        top = float(np.abs(cover.poles).max()) / _NARROW
+        high = cover.raised(top, 2.0 * top, np.inf)[0]
+    left = [(low, high)]
     while left:
         low, high = left.pop()
         if high <= low:
