@@ -22,7 +22,7 @@ command = partial(app.command, rich_help_panel="Studies")
 drawing = options.drawing(command)
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
-_READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
+_READY, _TUNED = "studies.settings:STUDIES", Path("out/tune/law.toml")
 _SEARCHED = (
     "law whose gains to search: modal_plan, modal, velocity, pressure, feed_forward, acceleration"
 )

@@ -28,7 +28,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from importlib.metadata import version
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -263,11 +263,15 @@ def run_tasks(
     if not pending():
         return
     alone = False
+    how: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
     with libraries().limit(limits=1), _started(workers) as count:
         while left := pending():
             chosen = left[:1] if alone else left
+            together = [list(group) for _, group in groupby(chosen, work.machine)]
+            pool = Parallel(n_jobs=count, return_as="generator_unordered", **how)
             try:
-                for number, rows in _results(chosen, work, count):
+                results = pool(delayed(attempt)(group, work) for group in together)
+                for number, rows in chain.from_iterable(results):
                     journal.add(number, rows)
                     report()
                 alone = False
@@ -339,16 +343,6 @@ CASES = Work(
     _machine,
 )
 """Work of a study of cases."""
-
-
-def _results(tasks: Sequence[Any], work: Work, jobs: int) -> Iterator[tuple[int, list[Row]]]:
-    """What tasks give, as they finish."""
-    together = [list(group) for _, group in groupby(tasks, work.machine)]
-    pool = Parallel(
-        n_jobs=jobs, batch_size=1, pre_dispatch="2*n_jobs", return_as="generator_unordered"
-    )
-    for results in pool(delayed(attempt)(group, work) for group in together):
-        yield from results
 
 
 @contextmanager

@@ -267,14 +267,13 @@ def _contacts(record: Record, plant: Hexapod) -> tuple[Peak | None, Peak | None]
     time, extension = record.time[:-1], record["leg_extension"][:-1]
     on = np.abs(extension) >= plant.hydraulics.cylinder.half_stroke
     met = on[2:] & ~on[1:-1]
-    frames = np.flatnonzero(met.any(axis=1))
-    if frames.size == 0:
+    rows = met.any(axis=1)
+    if not rows.any():
         return None, None
     travel = np.abs(extension[1:-1] - extension[:-2])
     speed = np.where(met, travel / plant.machine.frame, -1.0)
-    every = np.ones(met.shape[0], dtype=bool)
-    first = np.arange(met.shape[0]) == frames[0]
-    return extreme(time[2:], speed, first), extreme(time[2:], speed, every)
+    first = np.arange(rows.size) == rows.argmax()
+    return extreme(time[2:], speed, first), extreme(time[2:], speed, rows)
 
 
 def _off(record: Record) -> NDArray[np.float64]:

@@ -237,13 +237,11 @@ def _sized(table: Mapping[str, Any], size: float, room: Room) -> dict[str, Any]:
 
     found = dict(table)
     for field in {"amplitude", "amplitudes", "acceleration"} & table.keys():
-        match table[field]:
-            case Mapping() as named:
-                found[field] = {dof: x * reach(dof) for dof, x in named.items()}
-            case [*several]:
-                found[field] = [x * reach(str(table["dof"])) for x in several]
-            case one:
-                found[field] = one * reach(str(table["dof"]))
+        sizes = table[field]
+        if isinstance(sizes, Mapping):
+            found[field] = {dof: part * reach(dof) for dof, part in sizes.items()}
+        else:
+            found[field] = (np.array(sizes) * reach(str(table["dof"]))).tolist()
     return found
 
 
@@ -258,10 +256,12 @@ def plan_guide(on: Bench, head: MasterSettings, folder: str | Path) -> Table:
         row = (number, name, command.duration, again, 100.0 * on.use[name], end / 60.0)
         rows.append((*row, f"{name}.1.csv to {name}.{again}.csv"))
     head.write(target)
-    columns = ("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f"))
-    more = (("done after [min]", ".0f"), "record as")
+    columns = [
+        *("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f")),
+        *(("done after [min]", ".0f"), "record as"),
+    ]
     caption = ". ".join(f"{name}: {why}" for name, why in on.impossible.items())
-    table = Table(f"Order of the tests: {on.guide.title}", (*columns, *more), rows, caption)
+    table = Table(f"Order of the tests: {on.guide.title}", columns, rows, caption)
     table.save(target / "plan.md")
     return table
 

@@ -280,8 +280,7 @@ def compare(master: Master, new: Master) -> list[Compared]:
     for name in master.bench.commands:
         if name not in master.records or name not in new.records:
             why = new.head.left_out.get(name) or master.head.left_out.get(name, "")
-            blank = (none, none, none, none, none, none, none, none, none)
-            found.append(Compared(name, "", *blank, f"left out: {why}"))
+            found.append(Compared._make([name, "", *[none] * 9, f"left out: {why}"]))
             continue
         mean, test = master.accelerations(name).mean(axis=0), master.bench.of[name]
         old, now = master.measured(name, mean), new.measured(name, mean)
@@ -315,24 +314,29 @@ def _measure(
     sought: float = float("nan"),
     power: float = 0.9,
 ) -> Compared:
-    n, m = old.size, now.size
-    apart = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
-    gone = apart and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
-    known, seen_now = old[~np.isnan(old)], now[~np.isnan(now)]
-    if known.size > 1 and seen_now.size:  # judged by the repetitions that have the measure
-        old, now, n, m = known, seen_now, known.size, seen_now.size
-    before, after, none = float(old.mean()), float(now.mean()), float("nan")
+    """A measure in repetitions of the master (n,) and since (m,), NaN where one has none.
+
+    `level` is that of its alarm; without a `limit` or a change that is `sought` these are NaN.
+    """
+    n, m, none = old.size, now.size, float("nan")
+    all_or_none = {float(np.isnan(one).mean()) for one in (old, now)} == {0.0, 1.0}
+    gone = all_or_none and 1.0 / comb(n + m, m) < level  # of all orders that chance may give them
+    old_known, now_known = old[~np.isnan(old)], now[~np.isnan(now)]
+    if old_known.size > 1 and now_known.size:  # judged by the repetitions that have the measure
+        old, now, n, m = old_known, now_known, old_known.size, now_known.size
+    before, after = float(old.mean()), float(now.mean())
     spread = float(np.maximum(_deviation(old), _ROUND * abs(before)))
     edge = float(stats.t.isf(level / 2.0, n - 1))
     off = (after - before) / (spread * np.sqrt(1.0 / n + 1.0 / m))
-    seen = spread * smallest(n, m, level, n - 1.0, power)
+    found = spread * smallest(n, m, level, n - 1.0, power)
     if np.isnan(sought):
         sought = SOUGHT_IN.get(measure.rpartition(" ")[2], SOUGHT * abs(before))
     takes = enough(sought / spread, level, 1.0, power) if spread else none
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
-        off, edge, seen, sought, takes, after = none, none, none, none, none, float(now.max())
+        off = edge = found = sought = takes = none
+        after = float(now.max())
     verdict = "changed" if gone or abs(off) > edge else "as before"
     if abs(after) > limit:
         verdict = "beyond its limit"
-    row = (before, spread, after, float(off), edge, seen, sought, takes, limit, verdict)
+    row = (before, spread, after, float(off), edge, found, sought, takes, limit, verdict)
     return Compared(test, measure, *row)

@@ -39,6 +39,7 @@ _MOVES = 4.0  #: Motion, in r0, from which on something moves.
 _STILL = 1e-9  #: Motion that is rounding.
 _CREEP = 1e-3  #: Speed from which on a leg moves [m/s].
 _CLIPS, _FLAT = 2, 4  #: Runs at the limit, and samples of a run, from which a sensor is clipped.
+_TINY = 1e-300  #: Added to what is divided by.
 
 
 class Agreement(NamedTuple):
@@ -73,30 +74,31 @@ def agree(
     kept = (f for f in _CORNERS if smooth(measured[:, legs], rate, f).std() > 0.33 * moving)
     corner = next(kept, _CORNERS[-1])
     every = max(1, int(rate / (10.0 * corner)))
+    spacing = every / rate
 
-    def ready(values: Array) -> Array:
+    def below_corner(values: Array) -> Array:
         low = smooth(values[:, legs], rate, corner)[::every]
         return low - low.mean(axis=0) if rates else low
 
-    moved = [ready(values).std(axis=0).max() for values in (expected, measured)]
+    moved = [below_corner(values).std(axis=0).max() for values in (expected, measured)]
     moves = bool((min if rates else max)(moved) > _MOVES * floor and min(moved) > _STILL)
 
-    def fit(said: str, expected: Array, measured: Array) -> Agreement:
-        e, m = ready(expected), ready(measured)
-        frames = _delay(e, m, rate / every) if moves and not rates else 0.0
-        e = shifted(e, (frames, 0.0), order=1, mode="nearest")
+    def fit(slip: str, expected: Array, measured: Array) -> Agreement:
+        e, m = below_corner(expected), below_corner(measured)
+        late = _delay(e, m, rate / every) if moves and not rates else 0.0
+        e = shifted(e, (late, 0.0), order=1, mode="nearest")
         cost, gain, left = _fit(e, m, floor, moves)
-        apart, speed = m - gain * e, abs(gain) * np.gradient(e, every / rate, axis=0)
-        sizes = (np.sqrt(one.var(axis=0).mean()) + 1e-300 for one in (apart, speed))
+        apart, speed = m - gain * e, abs(gain) * np.gradient(e, spacing, axis=0)
+        sizes = (np.sqrt(one.var(axis=0).mean()) + _TINY for one in (apart, speed))
         doubt = float(2.0 * np.divide(*sizes) / np.sqrt(2.0 * corner * m.size * every / rate))
-        return Agreement(said, frames * every / rate, cost, gain, left, doubt)
+        return Agreement(slip, late * every / rate, cost, gain, left, doubt)
 
-    base, ways = fit("", expected, measured), [fit(*slip) for slip in slips]
-    best = min(ways, key=lambda way: way.cost, default=base)
-    said = " or ".join(way.slip for way in ways if way.cost < best.cost + 0.5 * _PRICE)
+    base, mended = fit("", expected, measured), [fit(*slip) for slip in slips]
+    best = min(mended, key=lambda one: one.cost, default=base)
+    slip = " or ".join(one.slip for one in mended if one.cost < best.cost + 0.5 * _PRICE)
     if best.cost + _PRICE >= base.cost or best.left >= 0.5 * min(1.0, base.left):
-        best, said = base, ""
-    known = best._replace(slip=said, left=base.left)
+        best, slip = base, ""
+    known = best._replace(slip=slip, left=base.left)
     return known if moves else known._replace(delay=np.nan, gain=np.nan)
 
 
@@ -129,14 +131,19 @@ def _delay(expected: Array, measured: Array, rate: float) -> float:
 
 
 def _fit(e: Array, m: Array, floor: float, moves: bool) -> tuple[float, float, float]:
-    """Cost, gain, and the share not explained."""
-    inside = slice(e.shape[0] // 50, e.shape[0] - e.shape[0] // 50)
-    e, m = e[inside], m[inside]
-    still, parts = e - e.mean(axis=0), m - m.mean(axis=0)
-    gain = float((still * parts).sum()) / float((still**2).sum()) if moves else 1.0
-    usual = 0.5 < abs(gain) < 2.0  # a loop's: a pose that is held is met
-    apart = m - gain * (still if usual else e) - usual * np.sign(gain) * e.mean(axis=0)
-    rms, whole = np.sqrt((apart**2).mean(axis=0)), np.sqrt(((parts if moves else m) ** 2).mean())
+    """Cost, gain, and the share not explained, without the ends.
+
+    About the mean legs move by the gain. The mean is met where the gain is that of a loop, which
+    meets a pose that is held; else it has the gain too.
+    """
+    ends = e.shape[0] // 50
+    e, m = e[ends : e.shape[0] - ends], m[ends : e.shape[0] - ends]
+    mean = e.mean(axis=0)
+    e_about, m_about = e - mean, m - m.mean(axis=0)
+    gain = float((e_about * m_about).sum()) / float((e_about**2).sum()) if moves else 1.0
+    loop = 0.5 < abs(gain) < 2.0
+    apart = m - gain * (e_about if loop else e) - loop * np.sign(gain) * mean
+    rms, whole = np.sqrt((apart**2).mean(axis=0)), np.sqrt(((m_about if moves else m) ** 2).mean())
     left = float(np.sqrt((apart**2).mean()) / (whole if moves else max(whole, floor)))
     return float(np.log(rms + floor).sum()), gain, left
 
@@ -161,11 +168,9 @@ def swaps(expected: Array, measured: Array) -> Iterator[Slip]:
 def pose_slips(pose: Array, measured: Array, machine: Machine) -> Iterator[Slip]:
     """One slip in the pose [m, rad], (N, 6), that the expected legs come from."""
     turns, same = np.repeat([0.0, 1.0], 3), [0, 1, 2, 3, 4, 5]
+    signs = zip(DOFS, 1.0 - 2.0 * np.eye(6), strict=True)
     slips = [
-        *(
-            (f"{dof} has the other sign", 1.0 - 2.0 * np.eye(6)[k], same)
-            for k, dof in enumerate(DOFS)
-        ),
+        *((f"{dof} has the other sign", sign, same) for dof, sign in signs),
         ("the pose is z up", np.array([1.0, -1, -1, 1, -1, -1]), same),
         ("surge and sway are exchanged", np.ones(6), [1, 0, 2, 3, 4, 5]),
         ("roll and pitch are exchanged", np.ones(6), [0, 1, 2, 4, 3, 5]),
@@ -212,9 +217,9 @@ def borne(
     """
     legs = there(force)
     rows = parts[:, legs].reshape(-1, parts.shape[2])
-    sides, sizes, _ = np.linalg.svd(rows / (np.linalg.norm(rows, axis=0) + 1e-300), False)
+    sides, sizes, _ = np.linalg.svd(rows / (np.linalg.norm(rows, axis=0) + _TINY), False)
     sides = sides[:, sizes > 1e-3 * sizes[0]]
-    whole = float(np.linalg.norm(force[:, legs])) + 1e-300
+    whole = float(np.linalg.norm(force[:, legs])) + _TINY
 
     def left(values: Array) -> tuple[float, float]:
         """Share, and that of what a better slip may leave."""
@@ -269,9 +274,9 @@ def halves(expected: Array, measured: Array, rate: float) -> tuple[float, float]
         lines, sxx = welch(e, **how)
         spectra = (sxx, welch(m, **how)[1], csd(e, m, **how)[1])
         used = (lines > 1.5 / (size / rate)) & (lines < min(10.0, 0.3 * rate))
-        sxx, syy, sxy = (one[used].sum(axis=1) + 1e-300 for one in spectra)
+        sxx, syy, sxy = (one[used].sum(axis=1) + _TINY for one in spectra)
         found.append((sxx.real, sxy / sxx, np.abs(sxy) ** 2 / (sxx * syy) + 1e-12))
-        axes.append(e.T @ e / (np.linalg.norm(e.T @ e) + 1e-300))
+        axes.append(e.T @ e / (np.linalg.norm(e.T @ e) + _TINY))
     (p1, h1, c1), (p2, h2, c2) = found
     good = (np.minimum(p1 / p1.max(), p2 / p2.max()) > 0.01) & (np.minimum(c1, c2) > 0.8)
     good &= (p1 < 9.0 * p2) & (p2 < 9.0 * p1)
@@ -305,5 +310,5 @@ def stuck(values: Array, leg: int, rate: float) -> tuple[int, int] | None:
     others = np.delete(values, leg, axis=1)[:, np.delete(there(values), leg)]
     if not max(0.5 * rate, 20) <= end - first < 0.98 * len(values) or others.shape[1] < 2:
         return None
-    moved = np.nanstd(others[first : end + 1], axis=0) / (np.nanstd(others, axis=0) + 1e-300)
+    moved = np.nanstd(others[first : end + 1], axis=0) / (np.nanstd(others, axis=0) + _TINY)
     return (first, end + 1) if np.median(moved) > 0.3 else None

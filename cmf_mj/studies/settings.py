@@ -140,7 +140,8 @@ Method = Literal["sweep", "linear"]  #: How a case is measured, see `evaluation`
 
 NOMINAL = -1  #: Draw of the machine without mismatch.
 
-_READY = Path(__file__).parent / "ready"
+_READY = Path(__file__).with_name("ready")
+STUDIES = tuple(sorted(path.stem for path in _READY.glob("*.toml")))  #: Shipped specifications.
 
 
 class StudySettings(Settings):
@@ -181,16 +182,9 @@ class StudyCase:
     def columns(self) -> dict[str, int | str | float]:
         """The case in the table of results."""
         case = self.case
-        return {
-            **{
-                "case": self.number,
-                "method": self.study.method,
-                "rung": self.rung,
-                "cab": case.cab_name,
-            },
-            **{f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)},
-            **{"draw": self.draw, "law": case.law.name},
-        }
+        known = {"case": self.number, "method": self.study.method, "rung": self.rung}
+        pose = {f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)}
+        return known | {"cab": case.cab_name} | pose | {"draw": self.draw, "law": case.law.name}
 
 
 @dataclass(frozen=True)
@@ -226,11 +220,6 @@ class Study:
             "machine": self.cabs[0].machine.recorded(),
             "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
         }
-
-
-def ready_studies() -> tuple[str, ...]:
-    """Names of the shipped specifications."""
-    return tuple(sorted(path.stem for path in _READY.glob("*.toml")))
 
 
 def load_study(
@@ -273,11 +262,11 @@ def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], st
 
 def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
     """A shipped specification, or where `more` allows it that of a file."""
-    if name in ready_studies():
+    if name in STUDIES:
         return read_toml(_READY / f"{name}.toml")
     if more and name.endswith(".toml"):
         return read_toml(Path(name))
-    raise unknown_name(field, name, ready_studies(), more)
+    raise unknown_name(field, name, STUDIES, more)
 
 
 def _check(settings: StudySettings) -> None:

@@ -28,7 +28,7 @@ from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.report_2014.posterior.run import acceleration_law
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.settings import lumped, ready_studies
+from cmf_mj.studies.settings import STUDIES, lumped
 
 BAD = {
     "up": "../../x",
@@ -135,7 +135,7 @@ def test_so_is_the_name_of_a_model() -> None:
 
 def test_all_shipped_and_generated_names_pass() -> None:
     hydraulics = with_valve_gains(load_hydraulics(), 17)
-    names = [*law_names("all"), *CABS, *HYDRAULICS, *scenario_names(), *ready_studies()]
+    names = [*law_names("all"), *CABS, *HYDRAULICS, *scenario_names(), *STUDIES]
     names += [acceleration_law(gain, 0.5).name for gain in (-1e-12, 3e8, -0.25)]
     names += [hydraulics.name, lumped(load_cab()).name]
     assert [checked_name(name) for name in names] == names

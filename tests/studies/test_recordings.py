@@ -25,7 +25,6 @@ LOADS = {"lab": 750.0, "simona": 8100.0, "cmf": 28000.0}  #: Static load of a le
 OTHER = {"lab": "original", "simona": "force", "cmf": "original"}  #: Another law than its own.
 RECORDED = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure", "valve_command")
 SECONDS = 24
-SWAPPED = [0, 4, 2, 3, 1, 5]
 
 
 def rough(machine: Machine) -> HydraulicParameters:
@@ -63,22 +62,33 @@ def recorded(name: str, law: str) -> Record:
     return simulate(plant, law, motion(machine), record_every=4, electronics="noisy")
 
 
+def part(record: Record, channels: tuple[str, ...], end: float = 99.0, **changes: Any) -> Record:
+    """Some channels of a record up to a time [s], with changes."""
+    rows = record.time < end
+    kept = {one: np.array(record[one][rows]) for one in channels}
+    kept |= {one: change(kept[one]) for one, change in changes.items()}
+    return Record(
+        record.time[rows], kept, {one: record.units[one] for one in kept}, record.metadata
+    )
+
+
 def made(name: str, demand: str = "demand_pose", law: str = "", **changes: Any) -> Record:
     """The recording, what a logger has of it, with changes of channels."""
     record = recorded(name, law or load_machine(name).law)
-    channels = {one: np.array(record[one]) for one in (*RECORDED, demand)}
-    for channel, change in changes.items():
-        channels[channel] = change(channels[channel])
-    kept = {one: record.units[one] for one in channels}
-    return Record(record.time, channels, kept, record.metadata)
+    return part(record, (*RECORDED, demand), **changes)
 
 
 def said(name: str, *args: str, **changes: Any) -> str:
     return verdict(check_recording(made(name, *args, **changes), load_machine(name)))
 
 
-def swapped(values: Array) -> Array:
-    return values[:, SWAPPED]
+def exchanged(i: int, j: int) -> Callable[[Array], Array]:
+    order = [*range(6)]
+    order[i], order[j] = j, i
+    return lambda values: values[:, order]
+
+
+swapped = exchanged(1, 4)
 
 
 def reversed_axis(axis: int) -> Callable[[Array], Array]:
@@ -200,22 +210,6 @@ def held(name: str) -> Record:
     demand = poses[first] + (after - poses[first]) * (3.0 - 2.0 * part) * part**2
     plant = Hexapod(machine=machine, hydraulics=rough(machine))
     return simulate(plant, machine.law, demand, record_every=4, electronics="noisy")
-
-
-def part(record: Record, channels: tuple[str, ...], end: float = 99.0, **changes: Any) -> Record:
-    """Some channels of a record up to a time [s], with changes."""
-    rows = record.time < end
-    kept = {one: np.array(record[one][rows]) for one in channels}
-    kept |= {one: change(kept[one]) for one, change in changes.items()}
-    return Record(
-        record.time[rows], kept, {one: record.units[one] for one in kept}, record.metadata
-    )
-
-
-def exchanged(i: int, j: int) -> Callable[[Array], Array]:
-    order = [*range(6)]
-    order[i], order[j] = j, i
-    return lambda values: values[:, order]
 
 
 @pytest.mark.parametrize("name", LOADS)

@@ -59,8 +59,7 @@ _READY = Path(__file__).with_name("ready")
 SHIPPED = tuple(sorted(path.stem for path in _READY.glob("*.toml")))
 """Campaigns of this package: what the 2014 report states of its two plants."""
 
-MEASURED = ("leg_position", "cap_pressure", "rod_pressure")
-"""Channels that a fit explains."""
+MEASURED = ("leg_position", "cap_pressure", "rod_pressure")  #: Channels that a fit explains.
 
 Kind = Literal["hold", "ramp", "sweep", "multisine", "step", "valves"]
 
@@ -165,12 +164,13 @@ def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
     ranges["friction"] = {"path": "hydraulics.friction"} | value
     stuck = {"path": "hydraulics.stiction", "low": 1.0, "high": 2.5, "unit": "1"}
     ranges["stiction"] = value | stuck
-    for axis in "xyz":
-        place: dict[str, Any] = {"effect": "offset", "deviation": reach, "unit": "m"}
-        ranges[f"centre_{axis}"] = {"path": f"{heavy}.centre_of_mass.{axis}"} | place
-    for axis in "xyz":
-        moment = {"path": f"{heavy}.second_moment.{axis}", "low": 0.3, "high": 3.0}
-        ranges[f"moment_{axis}"] = moment | wide
+    place: dict[str, Any] = {"effect": "offset", "deviation": reach, "unit": "m"}
+    moment: dict[str, Any] = {"low": 0.3, "high": 3.0} | wide
+    for what, path, how in (
+        ("centre", "centre_of_mass", place),
+        ("moment", "second_moment", moment),
+    ):
+        ranges |= {f"{what}_{axis}": {"path": f"{heavy}.{path}.{axis}"} | how for axis in "xyz"}
     return Unknowns({name: validated(Unknown, one | said, name) for name, one in ranges.items()})
 
 

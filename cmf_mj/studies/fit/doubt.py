@@ -101,19 +101,12 @@ def left(posterior: Posterior, fitter: Fitter) -> list[Left]:
             still = residual - residual.mean(axis=0)
             block = max(1, round(BLOCK / spacing))
             sizes = [np.std(still[i : i + block]) for i in range(0, len(still) - block + 1, block)]
-            rms = float(np.std(still))
-            worst = int(np.argmax(sizes))
-            found.append(
-                Left(
-                    one.name,
-                    channel,
-                    rms,
-                    rms / max(float(np.std(measured[channel])), 1e-300),
-                    max(_correlated(still[:, i], demand[:, i]) for i in range(still.shape[1])),
-                    one.first / one.rate + worst * block * spacing,
-                    float(sizes[worst]) / max(rms, 1e-300),
-                )
-            )
+            rms, worst = float(np.std(still)), int(np.argmax(sizes))
+            share = rms / max(float(np.std(measured[channel])), 1e-300)
+            correlation = max(map(_correlated, still.T, demand.T))
+            at = one.first / one.rate + worst * block * spacing
+            over = float(sizes[worst]) / max(rms, 1e-300)
+            found.append(Left(one.name, channel, rms, share, correlation, at, over))
     return found
 
 
@@ -204,10 +197,6 @@ def _late(frequency: Array, ratio: NDArray[np.complex128]) -> float:
     return float(frequency @ np.angle(ratio) / (2.0 * np.pi * frequency @ frequency))
 
 
-def _share(value: float) -> str:
-    return number(100.0 * value, ".0f %")
-
-
 class Stated(NamedTuple):
     """A number that is stated."""
 
@@ -222,7 +211,7 @@ class Stated(NamedTuple):
     low: Annotated[float, Field(title="5 %", form=".3g")]
     """5 % of the machines that the fit leaves open lie below; what is held is drawn too."""
     high: Annotated[float, Field(title="95 %", form=".3g")]
-    unstable: Annotated[float, Field(form=_share)]
+    unstable: Annotated[float, Field(form=".0f %", unit="%")]
     """Share of these machines whose linear loop is unstable."""
 
     @property
@@ -320,22 +309,23 @@ class Doubt(NamedTuple):
                 text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
             return "\n".join([*lines, f"{text}."])
         lines.append(f"The model does not explain {what}.")
-        for one in self.missed[:3]:
-            lines.append(
-                f"{one.recording}, {one.channel}: what is left goes with the demand, "
-                f"{one.correlation:.1f} times the bound of chance, most at {one.worst_at:.1f} s."
-            )
-        for two in self.predictions:
-            if not two.close:
-                off = f"{two.gain:+.2f} dB and {two.phase:+.1f} deg"
-                lines.append(f"{two.recording}: held back, predicted {off} off.")
-        for three in self.stated:
-            there = np.isfinite(three.fitted)
-            if not three.close:
-                lines.append(
-                    f"{three.evidence}, {three.what}: {three.role}, stated {three.stated:.3g}, the "
-                    f"fitted machine has {number(three.fitted, '.3g') if there else 'none'}."
-                )
+        lines += [
+            f"{one.recording}, {one.channel}: what is left goes with the demand, "
+            f"{one.correlation:.1f} times the bound of chance, most at {one.worst_at:.1f} s."
+            for one in self.missed[:3]
+        ]
+        lines += [
+            f"{one.recording}: held back, predicted {one.gain:+.2f} dB and "
+            f"{one.phase:+.1f} deg off."
+            for one in self.predictions
+            if not one.close
+        ]
+        lines += [
+            f"{one.evidence}, {one.what}: {one.role}, stated {one.stated:.3g}, the fitted machine "
+            f"has {number(one.fitted if np.isfinite(one.fitted) else 'none', '.3g')}."
+            for one in self.stated
+            if not one.close
+        ]
         helping = ", ".join(one.name for one in self.effects if one.helps)
         if helping:
             lines.append(f"These effects would explain more, the most first: {helping}.")

@@ -62,8 +62,7 @@ MEASURES = {
 _OF_RESPONSE = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db")
 LEAST = "least_damping"
 
-LINES = np.geomspace(0.4, 15.0, 150)
-"""Lines the bandwidths are read between [Hz], 2.5 % apart."""
+LINES = np.geomspace(0.4, 15.0, 150)  #: Lines the bandwidths are read between [Hz], 2.5 % apart.
 _STEP = 1.5  #: Length of linear steps [s]: the overshoot comes within the first half second.
 _FASTEST_HZ = 30.0  #: Modes above it are of valves and sensors, not of the machine [Hz].
 FARTHEST = 8.0  #: Deviations of what a machine does not have at all, such as an overshoot.
@@ -163,14 +162,19 @@ class Evidence(NamedTuple):
             if (law, dof, cab) not in found:
                 signal = dof if isinstance(linear.plant, Hexapod) else "leg_1"
                 loop = linear.loop(laws[law], signal)
-                found[law, dof, cab] = loop, _measured(loop)
+                measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
+                if not measures.stable:
+                    widths = bandwidths(loop_response(loop, LINES))
+                    measures = _with_bandwidths(measures, widths)
+                found[law, dof, cab] = loop, measures
             loop, measures = found[law, dof, cab]
             stable[i] = measures.stable
             if one.field in MEASURES:
                 value[i] = getattr(measures, one.field)
             else:
-                response = loop_response(loop, np.array([hertz])).frdata[0, 0, 0]
-                value[i] = _of_response(one.field, complex(response))
+                response = complex(loop_response(loop, np.array([hertz])).frdata[0, 0, 0])
+                gain, phase = 20.0 * np.log10(abs(response)), np.degrees(np.angle(response))
+                value[i] = gain if one.field == "gain_db" else phase
         return Found(value + self.shift, stable)
 
     def simulated(self, values: Values, plant: Plant, jobs: int) -> Array:
@@ -218,25 +222,10 @@ def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
     return 1.0 if np.isnan(ratio) and are_stable(poles) else ratio
 
 
-def _measured(loop: Any) -> Measures:
-    """Measures of a loop, its bandwidths whether it is stable or not."""
-    measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
-    if measures.stable:
-        return measures
-    return _with_bandwidths(measures, bandwidths(loop_response(loop, LINES)))
-
-
 def _with_bandwidths(measures: Measures, widths: Any) -> Measures:
     """Measures with bandwidths also where the step rings on."""
     there = joined(widths)
     return measures._replace(**{name: getattr(there, name) for name in _OF_RESPONSE})
-
-
-def _of_response(field: str, response: complex) -> float:
-    """Gain [dB] or phase [deg] of a response."""
-    if field == "gain_db":
-        return float(20.0 * np.log10(abs(response)))
-    return float(np.degrees(np.angle(response)))
 
 
 def load_evidence(

@@ -8,13 +8,13 @@ where the linearised model predicts next to no gain.
 
 import copy
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.threads import on_threads
 from cmf_mj.studies.fit.campaign import Campaign
 from cmf_mj.studies.fit.likelihood import Information, cost, information
 from cmf_mj.studies.fit.model import Change, Model, Residuals, minus
@@ -79,8 +79,7 @@ class Fitter:
 
     def all(self, points: Sequence[Array]) -> list[Residuals | None]:
         """Residuals at several points, on threads."""
-        with ThreadPoolExecutor(self.jobs) as pool:
-            return list(pool.map(self.tried, points))
+        return on_threads(self.tried, points, self.jobs)
 
     def derivatives(self, x: Array, here: Residuals, width: Array) -> list[Residuals]:
         """Of the residuals by each coordinate: differences over `width` (n,), forward if it can."""

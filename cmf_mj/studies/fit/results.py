@@ -74,7 +74,12 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     write_parquet(pa.table(columns), plain_path(where, "samples.parquet"))
     write_text(plain_path(where, "box.toml"), tomlkit.dumps(box(posterior)))
     if any(path.startswith("electronics.") for path in paths(posterior)):
-        write_text(plain_path(where, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
+        known, sensors = posterior.campaign.unknowns, posterior.campaign.sensors
+        assert sensors is not None
+        said = {name: one.model_copy(update=_provenance(posterior)) for name, one in known.items()}
+        made = Unknowns(said).apply(known.at(stats.norm.cdf(posterior.z)), sensors)
+        fitted = made.model_dump(mode="json", exclude_none=True, exclude={"name"})
+        write_text(plain_path(where, "sensors.toml"), tomlkit.dumps({"base": "ideal", CAB: fitted}))
     if posterior.campaign.plant.cab_parameters is None:
         return where
     machine = tomlkit.dumps(_machine(posterior, where))
@@ -106,16 +111,6 @@ def _machine(posterior: Posterior, where: Path) -> dict[str, Any]:
         "legs": table["legs"] | bodies["legs"],
     }
     return _identified(posterior, table)
-
-
-def _sensors(posterior: Posterior) -> dict[str, Any]:
-    """The file of the sensors with the fitted numbers."""
-    campaign, provenance = posterior.campaign, _provenance(posterior)
-    known = {name: one.model_copy(update=provenance) for name, one in campaign.unknowns.items()}
-    unknowns = Unknowns(known).on(campaign.plant)
-    assert campaign.sensors is not None
-    made = unknowns.apply(unknowns.at(stats.norm.cdf(posterior.z)), campaign.sensors, CAB)
-    return {"base": "ideal", CAB: made.model_dump(mode="json", exclude_none=True, exclude={"name"})}
 
 
 def _provenance(posterior: Posterior) -> dict[str, Any]:

@@ -25,16 +25,12 @@ from cmf_mj.facility.unknowns import cube
 
 Array = NDArray[np.float64]
 
-_TAILS = 5.0
-"""Degrees of freedom of every later round's distributions."""
+_TAILS = 5.0  #: Degrees of freedom of every later round's distributions.
 _SHARES = (0.5, 0.3)
 """Shares of a later round that are drawn from its two distributions; the rest is of the prior."""
-_TEMPERED = 0.08
-"""Effective sample size of mean and covariance, over the machines of a round."""
-_WIDER = 0.05
-"""Variance added to the covariance."""
-_EDGE = 1e-6
-"""Least distance of a quantile from 0 and 1."""
+_TEMPERED = 0.08  #: Effective sample size of mean and covariance, over the machines of a round.
+_WIDER = 0.05  #: Variance added to the covariance.
+_EDGE = 1e-6  #: Least distance of a quantile from 0 and 1.
 
 
 def quantiles(points: Array) -> Array:

@@ -39,8 +39,7 @@ from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
 LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
 """Frequencies of the responses [Hz]; the report's chirp ends at 10 Hz."""
 
-STEP_TIME = 0.7
-"""Length of the steps [s]."""
+STEP_TIME = 0.7  #: Length of the steps [s].
 
 STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
 """Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,

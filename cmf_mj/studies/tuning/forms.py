@@ -39,14 +39,11 @@ from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
 
-HEAVY = 2
-"""Modes of the pair of surge and sway, which have separate gains."""
+HEAVY = 2  #: Modes of the pair of surge and sway, which have separate gains.
 
-EASY = 2
-"""The next modes, yaw and heave, whose chirp and step ask little of the valves."""
+EASY = 2  #: The next modes, yaw and heave, whose chirp and step ask little of the valves.
 
-EASY_REACH = 8.0
-"""Frequency that bounds the acceleration of their reference [Hz]."""
+EASY_REACH = 8.0  #: Frequency that bounds the acceleration of their reference [Hz].
 
 APPROACH, SMOOTH = 3.5, 6.5
 """Frequencies at which a plan's reference closes small errors, and that bounds its jerk [Hz]."""
@@ -54,11 +51,9 @@ APPROACH, SMOOTH = 3.5, 6.5
 LOAD_CORNER = 5.0
 """Corner of the plan's load feedback [Hz]: above what cabs are disturbed at, where it gives way."""
 
-INTEGRAL = 10.0
-"""Gain of the plan's error integral [%/(in s)]."""
+INTEGRAL = 10.0  #: Gain of the plan's error integral [%/(in s)].
 
-Values = Mapping[str, float]
-"""What a search chose, by name."""
+Values = Mapping[str, float]  #: What a search chose, by name.
 
 
 class Template(NamedTuple):

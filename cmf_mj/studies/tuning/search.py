@@ -31,14 +31,11 @@ from cmf_mj.studies.engine import libraries
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate, least_damping
 from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate, named
 
-FASTER = 1.5
-"""Factor on all valve gains at which the loop must still be well damped."""
+FASTER = 1.5  #: Factor on all valve gains at which the loop must still be well damped.
 
-MEAN = 0.1
-"""Weight of the mean bandwidth next to the lowest."""
+MEAN = 0.1  #: Weight of the mean bandwidth next to the lowest.
 
-Seeds = Sequence[int | None]
-"""Sets of valve gains, `valve_gains`."""
+Seeds = Sequence[int | None]  #: Sets of valve gains, `valve_gains`.
 
 
 class Requirements(NamedTuple):
