@@ -82,9 +82,10 @@ class Settings(BaseModel):
             named += [] if field.exclude else [field.serialization_alias or name]
             taken |= {name, *getattr(field.validation_alias, "choices", ())}
         others = table.keys() - taken if isinstance(table, Mapping) else ()
-        for key in sorted(others, key=str) if cls.model_config["extra"] == "forbid" else ():
-            said = f"is not a known field; allowed: {', '.join(sorted(named))}{similar(key, named)}"
-            raise PydanticCustomError(_UNKNOWN, "{said}", {"said": f"{key}: {said}"})
+        if others and cls.model_config["extra"] == "forbid":
+            allowed = f"is not a known field; allowed: {', '.join(sorted(named))}"
+            said = [f"{key}: {allowed}{similar(key, named)}" for key in sorted(others, key=str)]
+            raise PydanticCustomError(_UNKNOWN, "{said}", {"said": "\n".join(said)})
         return table
 
 
@@ -228,7 +229,7 @@ def validated(model: type[Model], table: object, where: str) -> Model:
 
 
 def _refusal(error: ValidationError, where: str) -> InputError:
-    said = [_explain(e, where) for e in error.errors()]
+    said = [line for e in error.errors() for line in _explain(e, where)]
     more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
     return InputError("\n".join(said[:_FAULTS] + more))
 
@@ -377,19 +378,20 @@ _NO_KEY = re.compile(r"[a-z-]*\[.*|constrained-(str|int|float)$")
 """What pydantic calls the alternatives of a union, and keys, which are no keys of the file."""
 
 
-def _explain(error: Any, where: str) -> str:
+def _explain(error: Any, where: str) -> list[str]:
+    """Lines of a refusal, one a fault."""
     location = [part for part in map(str, error["loc"]) if not _NO_KEY.match(part)]
     field = ".".join(location)
     message = error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]
-    if not field and error["type"] != _UNKNOWN:
-        return "\n".join(f"{where}: {line}" for line in message.splitlines())
     if error["type"] == _UNKNOWN:
-        return f"{where}: {'.'.join([*location, message])}"
+        return [f"{where}: {'.'.join([*location, line])}" for line in message.splitlines()]
+    if not field:
+        return [f"{where}: {line}" for line in message.splitlines()]
     if error["type"] == "missing":
-        return f"{where}: {field}: is missing"
+        return [f"{where}: {field}: is missing"]
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
-        return "\n".join(f"{where}: {field}: {line}" for line in message.splitlines())
+        return [f"{where}: {field}: {line}" for line in message.splitlines()]
     given = repr(error["input"])
     given = given if len(given) <= _SHOWN else f"{given[:_SHOWN]}..."
-    return f"{where}: {field}: {given} is refused: {allowed}"
+    return [f"{where}: {field}: {given} is refused: {allowed}"]

@@ -188,9 +188,14 @@ def test_a_fault_is_found_under_a_key_with_a_hyphen() -> None:
     assert "[" not in str(raised.value)
 
 
-def test_keys_of_other_kinds_are_refused() -> None:
-    with pytest.raises(InputError, match="my.toml: 1: is not a known field"):
-        validated(Part, {1: 2, "a": 3}, "my.toml")
+def test_all_keys_that_are_not_known_are_named_whatever_their_kind() -> None:
+    with pytest.raises(InputError) as raised:
+        validated(Part, {1: 2, "a": 3, "lenth": 1.0}, "my.toml")
+    said = "is not a known field; allowed: length, width"
+    assert str(raised.value).splitlines() == [
+        f"my.toml: {key}: {said}{guess}"
+        for key, guess in (("1", ""), ("a", ""), ("lenth", "; did you mean length?"))
+    ]
 
 
 def test_a_name_with_a_null_character_is_no_file() -> None:
