@@ -67,6 +67,8 @@ def film(
         end = min(end, chosen.start + chosen.seconds)
     named = titles or [str(record.metadata["law"]) for record in records]
     every = traces or [traces_of(record, leg=busiest_leg(*records)) for record in records]
+    if len({len(panels) for panels in every}) > 1:
+        raise InputError(f"traces: {[*map(len, every)]} panels; allowed: as many of each record")
     reels = [
         Reel(model_of(record), record.time, record["generalised_position"], title, panels)
         for record, title, panels in zip(records, named, every, strict=True)

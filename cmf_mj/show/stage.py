@@ -154,12 +154,10 @@ def busiest_leg(*records: Record) -> int:
 def traces_of(record: Record, system: str = "US", leg: int | None = None) -> Panels:
     """A degree of freedom of a record, and pressures of a leg, the busiest by default.
 
-    It is the one whose demand moves most, lengths against 1 in and angles against 1 deg. The system
-    is one of `UNITS`.
+    It is the one whose demand, or without one whose response, moves most, lengths against 1 in and
+    angles against 1 deg. The system is one of `UNITS`.
     """
     length, angle, pressure, _ = UNITS[system]
-    scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
-    dof = int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())
     leg = busiest_leg(record) if leg is None else leg
 
     def line(
@@ -169,21 +167,23 @@ def traces_of(record: Record, system: str = "US", leg: int | None = None) -> Pan
         return Curve(name, record.time, values / units.factor(unit), colour, width=width)
 
     title, column, unit = f"leg {leg + 1}", leg, length
-    channels = ("leg_reference", "leg_extension")
+    demand, response = "leg_reference", "leg_extension"
     if "platform_pose" in record.channels:
-        title, column, unit = DOFS[dof], dof, by_kind(dof, length, angle)
-        channels = ("demand_pose", "platform_pose")
-    motion = (
-        line("demand", channels[0], column, unit, GREY, 2.2),
-        line("response", channels[1], column, unit, BLUE, 1.2),
-    )
+        demand, response = "demand_pose", "platform_pose"
+        scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
+        moved = record.channels.get(demand, record[response]) / scale
+        column = int(np.ptp(moved, axis=0).argmax())
+        title, unit = DOFS[column], by_kind(column, length, angle)
+    motion = [line("response", response, column, unit, BLUE, 1.2)]
+    if demand in record.channels:
+        motion.insert(0, line("demand", demand, column, unit, GREY, 2.2))
     pressures = (
         line("cap", "cap_pressure", leg, pressure, ORANGE),
         line("rod", "rod_pressure", leg, pressure, GREEN),
         line("supply", "supply_pressure", 0, pressure, DARK),
     )
     below = Panel(f"leg {leg + 1} [{pressure}]", pressures, from_zero=True)
-    return Panel(f"{title} [{unit}]", motion), below
+    return Panel(f"{title} [{unit}]", tuple(motion)), below
 
 
 class Strip:
@@ -201,15 +201,17 @@ class Strip:
 
         The axes take in the range of the panels of `every` run.
         """
+        if not panels:
+            raise InputError("panels: none is given; give at least one")
         self._span, columns = span, -(-len(panels) // _MOST)
-        rows = len(panels) // columns
+        rows = -(-len(panels) // columns)
         size, letters = (width / _DPI, height / _DPI), min(8.0, height / (12.0 * rows))
         small: dict[str, Any] = {"fontsize": letters - 1.0, "frameon": False}
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
         figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.04)
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         shared = len({tuple(curve.name for curve in panel.curves) for panel in panels}) == 1
-        axes = list(grid.T.ravel())
+        axes = list(grid.T.ravel())[: len(panels)]
         for axis, panel, *others in zip(axes, panels, *(every or [panels]), strict=True):
             plot_panel(axis, panel)
             axis.yaxis.label.set_fontsize(letters)
@@ -218,8 +220,12 @@ class Strip:
             axis.tick_params(labelsize=letters - 1.0)
             if not shared:
                 axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **small)
-        for axis in grid[-1]:
-            axis.set_xlabel("time [s]", fontsize=letters)
+        for column in grid.T:
+            drawn = [axis for axis in column if axis.has_data()]
+            drawn[-1].set_xlabel("time [s]", fontsize=letters)
+            drawn[-1].tick_params(labelbottom=True)
+        for axis in grid.flat:
+            axis.set_visible(axis.has_data())
         if shared:
             lines = axes[0].lines
             below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(lines)}
@@ -246,12 +252,22 @@ class Strip:
         return pixels
 
 
+def samples_within(
+    curve: Curve, span: tuple[float, float]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Times and values of a curve within a span of time; at its ends where no sample is in it."""
+    inside = (curve.x >= span[0]) & (curve.x <= span[1])
+    if inside.any():
+        return curve.x[inside], curve.y[inside]
+    return np.array(span), np.interp(span, curve.x, curve.y)
+
+
 def limits_of(panels: Panels, span: tuple[float, float]) -> tuple[float, float]:
     """Ends of an axis that holds the curves of all panels within a span of time."""
     curves = [curve for panel in panels for curve in panel.curves]
-    values = np.concatenate([c.y[(c.x >= span[0]) & (c.x <= span[1])] for c in curves])
+    values = np.concatenate([samples_within(curve, span)[1] for curve in curves])
     low, high = float(values.min()), float(values.max())
     if panels[0].from_zero:
-        return min(0.0, low), 1.08 * high
+        return min(0.0, low), max(1.08 * high, _LEAST)
     margin = 0.08 * max(high - low, _LEAST)
     return low - margin, high + margin

@@ -10,16 +10,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj import Record
+from cmf_mj import Hexapod, Record, Run
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
-from cmf_mj.core.errors import MissingExtraError
+from cmf_mj.core.errors import InputError, MissingExtraError
 from cmf_mj.facility import scenario
+from cmf_mj.facility.signal import ValveCommands
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import stage
 from cmf_mj.show.film import FilmSettings, film
 from cmf_mj.show.look import Curve, Panel
-from cmf_mj.show.stage import FilmStage, Strip, busiest_leg, choose_backend, traces_of
+from cmf_mj.show.stage import (
+    FilmStage,
+    Strip,
+    busiest_leg,
+    choose_backend,
+    limits_of,
+    traces_of,
+)
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 
@@ -168,6 +177,44 @@ def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
     cursors = np.flatnonzero(red[drawn[0]])
     assert cursors.size == 4  # two pixels each
     assert cursors[0] < 300 < cursors[-1]
+
+
+@pytest.mark.parametrize("count", [5, 7, 8])
+def test_a_last_column_may_be_shorter(count: int) -> None:
+    """A cursor, two pixels wide, a panel, each panel in the strip's own rows and column."""
+    time = np.linspace(0.0, 1.0, 50)
+    panels = [Panel(f"q{i} [m]", (Curve("a", time, time, "#0072b2"),)) for i in range(count)]
+    red = (Strip(panels, 600, 300, (0.0, 1.0)).picture(0.5) == (200, 30, 30)).all(axis=2)
+    starts = np.diff(red.astype(int), axis=0, prepend=0) == 1
+    assert starts.sum() == 2 * count
+
+
+def test_limits_hold_what_is_drawn() -> None:
+    """Also of no pressure, and of a span between two samples, where lines are drawn."""
+    time = np.linspace(0.0, 1.0, 11)
+    still = Panel("cap [psi]", (Curve("cap", time, 0.0 * time, "k"),), from_zero=True)
+    sinking = Panel("cap [psi]", (Curve("cap", time, time - 3.0, "k"),), from_zero=True)
+    rising = Panel("heave [in]", (Curve("response", time, time, "k"),))
+    for panel, span, least, most in (
+        *((still, (0.0, 1.0), 0.0, 0.0), (sinking, (0.0, 1.0), -3.0, 0.0)),
+        (rising, (0.42, 0.44), 0.42, 0.44),
+    ):
+        low, high = limits_of([panel], span)
+        assert low <= least and most <= high and low < high
+    with pytest.raises(InputError, match="panels: none is given"):
+        Strip([], 100, 100, (0.0, 1.0))
+
+
+def test_an_open_loop_shows_its_response(record: Record, tmp_path: Path) -> None:
+    valves = ValveCommands(np.tile([0.1, 0.1, -0.05, -0.05, -0.05, -0.05], (64, 1)))
+    opened = Run(plant=Hexapod(), law=None, source=valves, electronics=None).record()
+    motion, _ = traces_of(opened)
+    (response,) = motion.curves
+    column = DOFS.index(motion.y_title.split()[0])
+    scale = units.factor(dof_unit(column))
+    np.testing.assert_array_equal(response.y, opened["platform_pose"][:, column] / scale)
+    with pytest.raises(InputError, match=r"traces: \[0, 2\] panels; allowed: as many"):
+        film([record, opened], tmp_path / "x.html", traces=[(), traces_of(opened)])
 
 
 def test_traces_grow_from_left_to_right(record: Record) -> None:

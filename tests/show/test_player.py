@@ -132,6 +132,10 @@ def test_a_step_is_said_in_words(tmp_path: Path) -> None:
     )
     assert "each swing 50% of the last" in text
     assert f"<td>{-2 * top:.2f} at 0.66 s</td><td>0.00 at 0.00 s</td>" in text
+    pulse = curves[0]._replace(y=np.where(np.abs(time - 1.0) < 0.5, 1.0, 0.0))
+    assert writer._said(panel._replace(curves=(pulse, curves[1])), (0.0, 5.0)) == ""
+    between = writer._words(reels, (1.0002, 1.0004))
+    assert "<td>-2.000</td><td>-2.000 at 1.00 s</td>" in between
 
 
 # In Chromium, with WebGL in software

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.show.look import Panel
-from cmf_mj.show.stage import Panels, Reel, limits_of
+from cmf_mj.show.stage import Panels, Reel, limits_of, samples_within
 
 SAMPLES_A_SECOND = 128.0  #: Of time on the page at real speed, at most; it draws lines between.
 
@@ -148,11 +148,11 @@ def digits_of(range_: float) -> int:
 def _said(panel: Panel, span: tuple[float, float]) -> str:
     """How far a response goes after a step, where it ends and how it swings; else nothing."""
     demand, *rest = panel.curves
-    inside = (demand.x >= span[0]) & (demand.x <= span[1])
-    if demand.name != "demand" or np.unique(demand.y[inside]).size != 2:
+    x, asked = samples_within(demand, span)
+    step = asked[-1] - asked[0]
+    if demand.name != "demand" or np.unique(asked).size != 2 or step == 0.0:
         return ""
-    x, (begun, *_, asked) = demand.x[inside], demand.y[inside]
-    y = (rest[0].y[inside] - begun) / (asked - begun)
+    y = (samples_within(rest[0], span)[1] - asked[0]) / step
     off, inner = y - y[-1], y[1:-1]
     tops = 1 + np.flatnonzero((inner > y[:-2]) & (inner >= y[2:]) & (off[1:-1] > 0.02))
     text = f"{panel.y_title}: {rest[0].name} goes to {y.max():.2f} of the step, ends at {y[-1]:.2f}"
@@ -172,8 +172,7 @@ def _words(reels: Sequence[Reel], span: tuple[float, float]) -> str:
             digits = digits_of(np.ptp(limits_of([panel], span)))
             rows.append(_said(panel, span))
             for curve in panel.curves:
-                inside = (curve.x >= span[0]) & (curve.x <= span[1])
-                x, y = curve.x[inside], curve.y[inside]
+                x, y = samples_within(curve, span)
                 ends = 0, y.argmin(), y.argmax(), -1
                 cells = [f"{y[i].round(digits) + 0.0:.{digits}f}" for i in ends]
                 for cell in (1, 2):
