@@ -93,15 +93,6 @@ def measure_command(
     show(report.recordings_table(measures), written(paths))
 
 
-def parse_orders(text: str) -> tuple[int, int, int]:
-    """Orders of the command line, `na,nb,nk`."""
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 3 or not all(part.isdigit() for part in parts):
-        raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
-    na, nb, nk = (int(part) for part in parts)
-    return na, nb, nk
-
-
 @drawing("identify")
 def identify_command(
     files: options.Recordings,
@@ -115,6 +106,9 @@ def identify_command(
     from cmf_mj.record.columns import read_mapped
     from cmf_mj.show import fit as report
 
-    chosen = parse_orders(orders)
-    model = identify([read_mapped(path, columns) for path in files], dof, chosen)
+    parts = [part.strip() for part in orders.split(",")]
+    if len(parts) != 3 or not all(part.isdigit() for part in parts):
+        raise InputError(f"orders: {orders!r} is refused; allowed: na,nb,nk such as 4,3,1")
+    na, nb, nk = map(int, parts)
+    model = identify([read_mapped(path, columns) for path in files], dof, (na, nb, nk))
     show(report.model_table(model), written(report.save_identification(model, out)))

@@ -71,7 +71,6 @@ def recording_check_command(
 campaigns = typer.Typer(no_args_is_help=True, help="Recordings that tell a machine: plan, record.")
 app.add_typer(campaigns, name="campaign", rich_help_panel="Studies")
 
-_HELD = "of a recording held back; default a slower one"
 SomeCab = Annotated[str | None, name_or_file(options.CABS, "CAB", "default the machine's first")]
 SomeOil = Annotated[str | None, name_or_file(options.OIL, "SET", "default the machine's")]
 SomeLaw = Annotated[str | None, name_or_file(options.LAWS, "LAW", "default the machine's")]
@@ -83,16 +82,14 @@ def plan_command(
     cab: SomeCab = None,
     hydraulics: SomeOil = None,
     law: SomeLaw = None,
-    other_law: Annotated[str | None, name_or_file(options.LAWS, "LAW", _HELD)] = None,
     seconds: Annotated[float, Option(help="length of each recording [s]")] = 20.0,
-    share: Annotated[float, Option(help="most of a limit that a demand uses")] = 0.4,
     out: options.Out = Path("out/campaign"),
 ) -> None:
     """Write what to record of a machine: scenarios, host files and campaign.toml."""
     from cmf_mj.studies.fit.plan import plan_campaign
 
-    how: dict[str, Any] = {"seconds": seconds, "share": share, "other_law": other_law}
-    show(f"written: {plan_campaign(machine, cab, hydraulics, law, out, **how)}")
+    made = plan_campaign(machine, cab, hydraulics, law, out, seconds=seconds)
+    show(f"written: {made}")
 
 
 @campaigns.command("record")

@@ -31,7 +31,6 @@ _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _SERVED = f"of cmf: {_BEGIN}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
-_DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
 BeginOfServe = Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)]
@@ -39,7 +38,6 @@ StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six pos
 FrameRate = Annotated[
     float | None, Option(min=1.0, max=2048.0, help="frames a second; default as stamped")
 ]
-Derivatives = Annotated[str, choice(_DERIVATIVES, "KIND", _VELOCITIES)]
 
 
 def _start(begin: str, noise: bool) -> dict[str, Any]:
@@ -70,10 +68,10 @@ def _end(operation: Operation) -> str:
     return end
 
 
-def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
+def _stream(file: Path, rate: float | None, cab: Cab | None = None) -> HostStream:
     from cmf_mj.facility.host.stream import read_stream, resample, unit_doubts
 
-    stream = read_stream(file, derivatives=derivatives)
+    stream = read_stream(file)
     doubts = unit_doubts(stream.time, stream.pose, cmf_mj.load_cab(cab).machine)
     show(*(f"{file}: {doubt}" for doubt in doubts))
     return stream if rate is None else resample(stream, rate)
@@ -155,7 +153,6 @@ def serve_command(
 def operate_command(
     file: StreamFile,
     rate: FrameRate = None,
-    derivatives: Derivatives = "spline",
     seconds: options.Seconds = None,
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
@@ -170,7 +167,7 @@ def operate_command(
     from cmf_mj.show import operation as report
 
     plant = cmf_mj.Hexapod(cab, hydraulics)
-    stream = _stream(file, derivatives, rate, plant.cab_parameters)
+    stream = _stream(file, rate, plant.cab_parameters)
     operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
     paths = report.save_operation(operation, out)
     show(report.account_table(operation), _end(operation), written(paths))
@@ -182,7 +179,6 @@ def host_command(
     to: Annotated[str, Option(metavar="ADDRESS:PORT", help="of the receiver")],
     port: Annotated[int, Option(help="UDP port to send from; 0 takes a free one")] = 0,
     rate: FrameRate = None,
-    derivatives: Derivatives = "spline",
     speed: Annotated[float, Option(help="stamped time over real time: 0.9 is a slow host")] = 1.0,
     jitter: Annotated[float, Option(help="largest random delay of a frame [s]")] = 0.0,
     stutter: Annotated[float, Option(help="pause twice a second [s]")] = 0.0,
@@ -193,7 +189,7 @@ def host_command(
     from cmf_mj.facility.host.udp import parse_target, send_stream
 
     target = parse_target(to)
-    stream = _stream(file, derivatives, rate)
+    stream = _stream(file, rate)
     timing = HostTiming(speed, jitter, stutter, loss)
     sent = send_stream(stream, *target, source_port=port, timing=timing)
     show(

@@ -80,7 +80,7 @@ def of_machine(source: str, metavar: str, text: str, every: str = "") -> Any:
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=_machine, every=every)
+    plain = choice(source, metavar, text, free=True, make=_of_machine, every=every)
     named = plain.callback
 
     def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -138,7 +138,8 @@ size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 
 new_file = partial(file, callback=check_writable)  #: Option of a file to write.
 
-_machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
+_of_machine, _of_film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
+_read_first = partial(Option, is_eager=True)  #: Before the options whose names depend on it.
 
 ALL, VELOCITY = ["all"], ["velocity"]  #: Defaults of options that take several names.
 
@@ -147,42 +148,40 @@ NEUTRAL = "0,0,0,0,0,0"  #: Default of a pose.
 CAMERAS = ("overview", "side", "front")  #: Cameras of the machine.
 
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
+CABS, OIL = "machine.models:CABS", "plant.parameters:HYDRAULICS"
+MACHINES, SCENARIOS = "machine.models:machine_names", "facility.scenario:scenario_names"
+PLANTS, WASHOUTS = "plant.hexapod:PLANTS", "pilot.washout_settings:WASHOUTS"
 """Where names stand, for `names_in`."""
-CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
-OIL, MACHINES = "plant.parameters:HYDRAULICS", "machine.models:machine_names"
-SCENARIOS = "facility.scenario:scenario_names"
-_SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
+
+_OWN = "name or TOML file; other defaults below are its own"
+_LAWS = "laws by name or TOML file; `all` of the report"
+_SETS = "report, hardware, lossy or TOML file"
+_WASHOUTS = "simona, reid_nahon, optimal, predictive or TOML file"
 _FORMATS = "of figures: png (default), svg or pdf"
-_WASHOUTS = "pilot.washout_settings:WASHOUTS"
-_SHIPPED = "simona, reid_nahon, optimal, predictive or TOML file"
-_MANY_LAWS = "laws by name or TOML file; `all` of the report"
+_MAP = "TOML file of `cmf recording new`; default the facility's columns"
+"""Texts of help that fit no line below."""
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
-_first = partial(_machine, is_eager=True)
-_BRINGS = "name or TOML file; other defaults below are its own"
-Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", _BRINGS, make=_first)]
+_machine = partial(name_or_file, MACHINES, "MACHINE")
+Machine = Annotated[str, _machine(_OWN, make=partial(_of_machine, is_eager=True))]
 """Motion base whose cab, hydraulics and law the others name; read before them."""
+OtherMachine = Annotated[str | None, _machine("replaces the file's", make=_read_first)]
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
-Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
+Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _LAWS, every="control.law:law_names")]
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
-_other = partial(Option, is_eager=True)
-OtherMachine = Annotated[
-    str | None, name_or_file(MACHINES, "MACHINE", "replaces the file's", make=_other)
-]
 OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenario's")]
-PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
-Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
+PlantName = Annotated[str, choice(PLANTS, "PLANT", "hexapod or single_legs")]
+Plants = Annotated[list[str], choice(PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
-Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
+Washout = Annotated[str, name_or_file(WASHOUTS, "WASHOUT", _WASHOUTS)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
 Friction = Annotated[str | None, Option(help="dry friction: none, stuck, or legs' speed [m/s]")]
-Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or '0.2 deg'")]
 Jobs = Annotated[
     int | None, Option(min=1, max=1024, help="threads or processes; default one a core")
 ]
@@ -194,12 +193,13 @@ FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxH
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]
-_MAP = "TOML file of `cmf recording new`; default the facility's columns"
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
-Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
-Speed = Annotated[float, film(help="times real speed")]
-Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]
-Width = Annotated[int, film(help="of the picture of one run [px]")]
+Fps = Annotated[int, _of_film(help="frame rate of a film [1/s]")]
+Speed = Annotated[float, _of_film(help="times real speed")]
+Camera = Annotated[
+    str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=_of_film)
+]
+Width = Annotated[int, _of_film(help="of the picture of one run [px]")]
 Height = Width
-Start = Annotated[float, film(help="time in the run when a film begins [s]")]
+Start = Annotated[float, _of_film(help="time in the run when a film begins [s]")]
 Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]

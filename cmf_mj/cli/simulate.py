@@ -22,7 +22,7 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.cli.options import argument, file, name_or_file, new_file, size
+from cmf_mj.cli.options import argument, name_or_file, new_file, size
 from cmf_mj.core.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -148,7 +148,6 @@ def failure_command(
     amplitude: Annotated[str | None, size(help="of the sine; on the CMF '6 in' or '4 deg'")] = None,
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.5,
     protection: Annotated[bool, Option(help="whether a fault stops the machine")] = True,
-    thresholds: Annotated[str, file(help="default or TOML, of the protection")] = "default",
     jobs: options.Jobs = None,
     out: options.Out = Path("out/failure"),
 ) -> None:
@@ -159,10 +158,8 @@ def failure_command(
 
     events, sine = events_of(event, at, leg, valve, size), amplitude_option(dof, amplitude)
     case = make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=sine)
-    limits = thresholds if protection else None
-    results = run_failures(
-        events, case, frequency=frequency, after=after, protection=limits, jobs=jobs
-    )
+    how: dict[str, Any] = {"protection": "default" if protection else None, "jobs": jobs}
+    results = run_failures(events, case, frequency=frequency, after=after, **how)
     paths = report.save_failures(results, out)
     load = max(results, key=lambda result: abs(result.load.after.value)).load.after
     show(
@@ -289,12 +286,12 @@ def studio_command(
 
     for package in ("viser", "mjviser"):
         require(package, "studio")
-    from cmf_mj.show.studio.desk import first_scenario
+    from cmf_mj.show.studio.desk import ready_scenarios
     from cmf_mj.show.studio.server import Studio
 
     # A picture on its way to a tab that has just been closed is nothing to tell of.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    begun = cmf_mj.load_scenario(scenario) if scenario else first_scenario()
+    begun = cmf_mj.load_scenario(scenario) if scenario else ready_scenarios()["studio"]
     print("compiling the loop: up to a minute the first time", flush=True)
     studio = Studio(host, port, _changed(begun, machine=machine, law=law, cab=cab))
     try:

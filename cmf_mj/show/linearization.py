@@ -179,12 +179,6 @@ _STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _MOVES = 0.05  #: Share of the kinetic energy from which on a degree of freedom names a mode.
 
 
-def title_of(modes: HydraulicModes, name: str = "") -> str:
-    """Cab, name of the pose if it has one, and the pose."""
-    parts = (modes.cab.upper(), name, pose_text(modes.pose, ".1f"))
-    return ", ".join(part for part in parts if part)
-
-
 def mode_names(modes: HydraulicModes) -> list[str]:
     """What moves in each mode: most of the kinetic energy, and the next that has a part of it."""
     orders = ((shares, np.argsort(-shares)[:2]) for shares in modes.share.T)
@@ -201,7 +195,8 @@ def mode_table(modes: HydraulicModes, name: str = "") -> Table:
         mass = units.from_si("lbm", modes.leg_mass[i])
         rows.append((named, modes.frequency_hz[i], mass, moving))
     numbers = ("mode", ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
-    return Table(title_of(modes, name), (*numbers, "share of the kinetic energy"), rows)
+    title = ", ".join(filter(None, (modes.cab.upper(), name, pose_text(modes.pose, ".1f"))))
+    return Table(title, (*numbers, "share of the kinetic energy"), rows)
 
 
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
@@ -226,7 +221,8 @@ def sweep_figure(ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Swee
             along = units.from_si(dof_unit(one.dof), one.excursion)
             for mode, colour in zip(one.frequency_hz.T, look.COLOURS, strict=False):
                 axis.plot(along, mode, style, color=colour)
-            axis.set_xlabel(_axis_text(one.dof))
+            down = ", down" if one.dof == "heave" else ""
+            axis.set_xlabel(f"{one.dof} [{dof_unit(one.dof)}]{down}")
     for axis in panels[:, 0]:
         look.frequency_axis(axis.yaxis)
     alike = zip(*(mode_names(each.modes[0]) for each in ranges), strict=True)
@@ -240,10 +236,6 @@ def sweep_figure(ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Swee
     look.legend(figure, handles=entries)
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
     return figure
-
-
-def _axis_text(dof: str) -> str:
-    return f"{dof} [{dof_unit(dof)}]" + (", down" if dof == "heave" else "")
 
 
 def save_modes(

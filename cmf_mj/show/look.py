@@ -228,13 +228,6 @@ def plot_bound(gain: Axes, phase: Axes, response: FrequencyResponse, **style: An
         axis.fill_between(response.frequency, middle + low, middle + high, alpha=0.25, **style)
 
 
-def _numbers(axes: Axes) -> list[Text]:
-    """Numbers at the ticks, whose powers of ten are formulas."""
-    both = (axes.xaxis, axes.yaxis)
-    texts = [axis.get_offset_text() for axis in both]
-    return texts + [t for axis in both for t in axis.get_ticklabels(which="both")]
-
-
 def _fit(figure: Figure, size: str | None) -> None:
     """Bring a figure to the size that is asked for, and its text to what can be read."""
     own = figure.get_size_inches()
@@ -262,9 +255,11 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     path = path if form is None else path.with_suffix(f".{form}")
     kind, dpi = path.suffix[1:], dpi if size is None else _DPI
     _fit(figure, size)
-    numbers = {id(text) for axes in figure.axes for text in _numbers(axes)}
     for text in figure.findobj(Text):
-        text.set_parse_math(id(text) in numbers)  # a title with $ signs is no formula
+        text.set_parse_math(False)  # a title with $ signs is no formula
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        for text in (axis.get_offset_text(), *axis.get_ticklabels(which="both")):
+            text.set_parse_math(True)  # but powers of ten at the ticks are
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with whole_file(path) as partial, rc_context({"svg.hashsalt": path.stem}):
         figure.savefig(partial, dpi=dpi, format=kind, metadata=metadata.get(kind))
@@ -334,7 +329,6 @@ class Panel(NamedTuple):
 
 def plot_panel(axes: Axes, panel: Panel) -> None:
     """Draw the lines of a panel, and name its y axis."""
-    for curve in panel.curves:
-        style: dict[str, Any] = {"color": curve.colour, "linewidth": curve.width}
-        axes.plot(curve.x, curve.y, label=curve.name, **style)
+    for name, x, y, colour, width in panel.curves:
+        axes.plot(x, y, label=name, color=colour, linewidth=width)
     axes.set_ylabel(panel.y_title)

@@ -47,7 +47,14 @@ def overview_figure(
     first = 0 if state else 1
     figure, axes = look.stack(9.0, 11.0 if state else 9.6, *labels[first:], ratios=heights[first:])
     if state:
-        _operating(axes[0], record)
+        states = [code.name.lower() for code in State]
+        axes[0].step(time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
+        axes[0].set_yticks([int(code) for code in State], states)
+        axes[0].set_ylim(-0.5, len(State) - 0.5)
+        if "host_stale" in record.channels:
+            late = np.maximum(record["host_stale"], record["host_late"]) > 0.5
+            look.shade(axes[0], time, late)
+            axes[0].set_title("operating state; shaded: host silent or late")
     motion, error, valve, pressure, supply = axes[-5:]
     plot_motion(motion, record)
     missing = (record["leg_reference"] - record["leg_extension"]) / units.INCH
@@ -56,12 +63,8 @@ def overview_figure(
     for side, line in (("cap", "-"), ("rod", "--")):
         pressure.set_prop_cycle(color=look.COLOURS)
         pressure.plot(time, record[f"{side}_pressure"] / units.PSI, line, lw=0.8)
-    supply.plot(
-        time, record["supply_pressure"] / units.PSI, color=look.DARK, lw=1.0, label="supply"
-    )
-    supply.plot(
-        time, record["return_pressure"] / units.PSI, color=look.GREY, lw=1.0, label="return"
-    )
+    for name, colour in (("supply", look.DARK), ("return", look.GREY)):
+        supply.plot(time, record[f"{name}_pressure"] / units.PSI, color=colour, lw=1.0, label=name)
     supply.set_ylim(bottom=0.0)
     times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
     for axis, (at, colour, line) in product(axes, times):
@@ -83,16 +86,6 @@ def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
         "overview.png": overview_figure(record, scenario.title, changes, events),
     }
     return look.save_files(files, folder)
-
-
-def _operating(axis: Axes, record: Record) -> None:
-    axis.step(record.time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
-    axis.set_yticks([int(code) for code in State], [code.name.lower() for code in State])
-    axis.set_ylim(-0.5, len(State) - 0.5)
-    if "host_stale" in record.channels:
-        troubled = np.maximum(record["host_stale"], record["host_late"]) > 0.5
-        look.shade(axis, record.time, troubled)
-        axis.set_title("operating state; shaded: host silent or late")
 
 
 def plot_motion(axis: Axes, record: Record) -> None:
@@ -175,9 +168,8 @@ def save_operation(
         "account.csv": {"name": counts.keys(), "count": counts.values()},
         "operation.png": overview_figure(operation.record),
     }
-    timing = operation.timing
-    if timing is not None:
-        files["timing.csv"] = timing_table(timing)
+    if operation.timing is not None:
+        files["timing.csv"] = timing_table(operation.timing)
     return look.save_files(files, folder)
 
 

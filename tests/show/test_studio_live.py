@@ -565,7 +565,7 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
 
 
 def test_first_scenario_is_a_file_too() -> None:
-    begun = desk.first_scenario()
+    begun = desk.ready_scenarios()["studio"]
     assert scenario_of(parsed_toml(scenario_toml(begun), "again"), "again") == begun
 
 

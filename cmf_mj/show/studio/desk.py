@@ -91,18 +91,17 @@ def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list
     return [basic | signal_settings(kind) | settings]
 
 
-def first_scenario() -> Run:
-    """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
-    signal = signal_table("sine", "heave", 2.0)
-    return scenario_of({"title": "studio session", "signal": signal, "duration": "open"}, "studio")
-
-
 @cache
 def ready_scenarios() -> dict[str, Run]:
-    """Shipped scenarios of the hexapod by name, and as `studio` the one of a tab without."""
+    """Shipped scenarios of the hexapod by name, and as `studio` the one of a tab without.
+
+    That is a gentle heave of the lightest cab with the law that flew.
+    """
+    signal = signal_table("sine", "heave", 2.0)
+    begun = {"title": "studio session", "signal": signal, "duration": "open"}
     shipped = {name: load_scenario(name) for name in scenario_names()}
     shown = {name: run for name, run in shipped.items() if run.plant == "hexapod"}
-    return {"studio": first_scenario()} | shown
+    return {"studio": scenario_of(begun, "studio")} | shown
 
 
 def from_rest(scenario: Run) -> Run:

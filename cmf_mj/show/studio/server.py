@@ -111,7 +111,7 @@ class Studio:
         """Begin to serve; other machines reach it with the host `0.0.0.0` and the token in `url`.
 
         The next free port is taken if `port` is in use. Each tab begins with `scenario`, by
-        default `desk.first_scenario`.
+        default that of `ready_scenarios`.
         """
         _one_heap()
         self._scenario = scenario or ready_scenarios()["studio"]
