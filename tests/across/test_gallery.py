@@ -40,10 +40,6 @@ print(time.process_time())
 """
 
 
-def test_there_are_at_least_fifteen() -> None:
-    assert len(SCRIPTS) >= 15
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_a_script_begins_with_a_title_and_what_is_to_be_seen(script: Path) -> None:
     text = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8")))

@@ -4,10 +4,10 @@ Each case shook the machine up to a hundred times beyond its host before the gap
 demand had a state of its own.
 """
 
+# ruff: noqa: E402
 import itertools
 import socket
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,37 +21,24 @@ from tests.facility.test_moog import NEW_POSITION, command
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
-import search_amplification as search  # noqa: E402
-from search_amplification import DERIVATIVES, Host  # noqa: E402
+import search_amplification as search
+from search_amplification import DERIVATIVES, Host
 
-from cmf_mj import Hexapod, Record, signals  # noqa: E402
-from cmf_mj.cli.facility import _end  # noqa: E402
-from cmf_mj.control.dcu.acceptance import play_delay  # noqa: E402
-from cmf_mj.control.dcu.play import Arrivals, feed, step, upsample  # noqa: E402
-from cmf_mj.control.dcu.state import resting  # noqa: E402
-from cmf_mj.control.states import State  # noqa: E402
-from cmf_mj.core.units import STANDARD_GRAVITY  # noqa: E402
-from cmf_mj.facility.host.moog import MoogServer  # noqa: E402
-from cmf_mj.facility.host.stream import (  # noqa: E402
-    HostStream,
-    HostTiming,
-    arrivals,
-    from_command,
-)
-from cmf_mj.facility.host.udp import (  # noqa: E402
-    UdpReceiver,
-    encode_frame,
-)
-from cmf_mj.facility.operation import (  # noqa: E402
-    Operation,
-    operate,
-    serve,
-)
-from cmf_mj.facility.run import Run  # noqa: E402
-from cmf_mj.facility.session import Session  # noqa: E402
-from cmf_mj.facility.settings import HostChain  # noqa: E402
-from cmf_mj.pilot import telemetry as live  # noqa: E402
-from cmf_mj.pilot.washout import Washout  # noqa: E402
+from cmf_mj import Hexapod, Record, signals
+from cmf_mj.cli.facility import _end
+from cmf_mj.control.dcu.acceptance import play_delay
+from cmf_mj.control.dcu.play import Arrivals, feed, step, upsample
+from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.states import State
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.host.moog import MoogServer
+from cmf_mj.facility.host.stream import HostStream, HostTiming, arrivals, from_command
+from cmf_mj.facility.operation import Operation, operate, serve
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.session import Session
+from cmf_mj.facility.settings import HostChain
+from cmf_mj.pilot import telemetry as live
+from cmf_mj.pilot.washout import Washout
 
 SLOW = pytest.mark.slow  #: A case among others that are not.
 
@@ -284,36 +271,6 @@ def test_jitter_of_a_moog_client_is_not_felt() -> None:
     random = np.random.default_rng(1)
     times = (now + random.uniform(0.0, 0.004) for now in ticks(60.0))
     check_moog(moog(times, wave(0.12, 0.2)), 0.12, HARSHEST, 0.2)
-
-
-class Native:
-    """The native door, given time to take what was sent."""
-
-    def __init__(self, receiver: UdpReceiver) -> None:
-        self.ring, self.sent = receiver.ring, 0
-        self._receiver = receiver
-
-    def attend(self, _: Session) -> None:
-        end = time.monotonic() + 5.0
-        while self._receiver.received < self.sent:
-            assert time.monotonic() < end
-            time.sleep(1e-5)
-
-
-def test_a_host_of_80_hz_that_comes_at_72_is_followed_over_udp() -> None:
-    stream = sine(0.005, 80.0, 10.0, 0.2 / 0.9)
-    rows = map(stream.row, range(stream.time.size))
-    with UdpReceiver() as receiver, socket.socket(type=socket.SOCK_DGRAM) as line:
-        door = Native(receiver)
-
-        def send(_: float) -> None:
-            line.sendto(encode_frame(next(rows)), receiver.address)
-            door.sent += 1
-
-        record = over_udp(ticks(72.0), send, door, 9.0).record
-    clean = operate(Hexapod(), "velocity", sine(0.005, 80.0, 9.0), record_every=8).record
-    for name, most in (("demand_pose", 1.2), ("platform_pose", 1.1)):
-        assert np.abs(record[name][:, 2]).max() <= most * np.abs(clean[name][:, 2]).max()
 
 
 def telemetry(silence: float) -> Record:

@@ -36,14 +36,21 @@ def plain() -> runs.Run:
     return runs.run(Plan(way_out=0.1))
 
 
-def with_channel(name: str, change: Callable[[np.ndarray], np.ndarray]) -> runs.Run:
-    """The plain run as if it had gone otherwise."""
+def otherwise(
+    channels: dict[str, np.ndarray] | None = None, fault: str = "", accepted: int = 0
+) -> runs.Run:
+    """The plain run as if channels, its fault or the count of accepted frames were others."""
     (part,) = plain().parts
-    record = part.operation.record
-    channels = {**record.channels, name: change(record[name].copy())}
-    changed = Record(record.time, channels, record.units, record.metadata)
-    operation = part.operation._replace(record=changed)
+    was, counts = part.operation.record, part.operation.counts
+    of = {"fault": {"name": fault, "leg": None, "time": 3.9}} if fault else {}
+    record = Record(was.time, was.channels | (channels or {}), was.units, was.metadata | of)
+    counts = counts | {"accepted": counts["accepted"] + accepted}
+    operation = part.operation._replace(record=record, counts=counts)
     return plain()._replace(parts=[part._replace(operation=operation)])
+
+
+def with_channel(name: str, change: Callable[[np.ndarray], np.ndarray]) -> runs.Run:
+    return otherwise({name: change(plain().parts[0].operation.record[name].copy())})
 
 
 def put(rows: slice, value: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -52,22 +59,6 @@ def put(rows: slice, value: float) -> Callable[[np.ndarray], np.ndarray]:
         return values
 
     return change
-
-
-def with_fault(name: str) -> runs.Run:
-    (part,) = plain().parts
-    record = part.operation.record
-    metadata = {**record.metadata, "fault": {"name": name, "leg": None, "time": 3.9}}
-    changed = Record(record.time, record.channels, record.units, metadata)
-    operation = part.operation._replace(record=changed)
-    return plain()._replace(parts=[part._replace(operation=operation)])
-
-
-def miscounted() -> runs.Run:
-    (part,) = plain().parts
-    counts = {**part.operation.counts, "accepted": part.operation.counts["accepted"] + 1}
-    operation = part.operation._replace(counts=counts)
-    return plain()._replace(parts=[part._replace(operation=operation)])
 
 
 late = slice(7000, None)
@@ -93,12 +84,12 @@ DEFECTS: dict[str, tuple[str, Callable[[], runs.Run]]] = {
         lambda: with_channel("energy", lambda e: e * [1.01, *[1.0] * 8]),
     ),
     "lost oil": ("balance", lambda: with_channel("tank_content", put(late, 0.0))),
-    "a frame counted twice": ("counts", miscounted),
+    "a frame counted twice": ("counts", lambda: otherwise(accepted=1)),
     "a stop of the run": ("bounds", lambda: plain()._replace(stopped="beyond the proof pressure")),
     "a chamber beyond proof": ("bounds", lambda: with_channel("cap_pressure", put(late, 1e8))),
     "a chamber below vacuum": ("bounds", lambda: with_channel("rod_pressure", put(late, -2e5))),
-    "a fault of a clean host": ("alarm", lambda: with_fault("tracking_error")),
-    "a demand that left its host's range": ("alarm", lambda: with_fault("host_range")),
+    "a fault of a clean host": ("alarm", lambda: otherwise(fault="tracking_error")),
+    "a demand that left its host's range": ("alarm", lambda: otherwise(fault="host_range")),
     "half a record": ("disk", lambda: plain()._replace(damage="cap_pressure came back otherwise")),
     "no way out": ("way_out", lambda: plain()._replace(end=State.OFF)),
 }

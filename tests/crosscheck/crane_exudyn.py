@@ -7,46 +7,21 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import RunError, require
 from cmf_mj.core.units import FRAME
-from crosscheck.crane import (
-    ANGLE,
-    BALL,
-    CAP,
-    CHAMBER,
-    COMMANDS,
-    CRANE,
-    FOOT,
-    GRAVITY,
-    HOSES,
-    INERTIA,
-    LAG,
-    LENGTH,
-    MODULI,
-    NOMINAL,
-    PUMP,
-    ROD,
-    ROPE,
-    START,
-    TANK,
-    TIMES,
-    VISCOUS,
-    History,
-    Terms,
-    history,
-    stop,
-)
+from crosscheck import crane
+from crosscheck.crane import History, Terms, history, stop
 
 
 def _spools(times: NDArray[Any]) -> NDArray[np.float64]:
     """Spool positions at times [s]: the lag's answer to straight lines, in closed form."""
     found, spool = np.empty(len(times)), 0.0
-    for turn in range(int(times[-1] / TIMES[-1]) + 1):
-        for i, first in enumerate(COMMANDS[:-1]):
-            start, end = turn * TIMES[-1] + TIMES[i : i + 2]
-            slope = (COMMANDS[i + 1] - first) / (end - start)
+    for turn in range(int(times[-1] / crane.TIMES[-1]) + 1):
+        for i, first in enumerate(crane.COMMANDS[:-1]):
+            start, end = turn * crane.TIMES[-1] + crane.TIMES[i : i + 2]
+            slope = (crane.COMMANDS[i + 1] - first) / (end - start)
             inside = (times >= start) & (times < end)
             passed = np.append(times[inside], end) - start
-            behind = (spool - first + slope * LAG) * np.exp(-passed / LAG)
-            answer = first + slope * (passed - LAG) + behind
+            behind = (spool - first + slope * crane.LAG) * np.exp(-passed / crane.LAG)
+            answer = first + slope * (passed - crane.LAG) + behind
             found[inside], spool = answer[:-1], answer[-1]
     return found
 
@@ -56,29 +31,29 @@ def _crane(exudyn: Any, items: Any, system: Any) -> int:
     still = {"referenceCoordinates": [0.0, 0.0]}
     swing = items.NodeGenericODE2(
         numberOfODE2Coordinates=2,
-        initialCoordinates=[ANGLE, -ANGLE],
+        initialCoordinates=[crane.ANGLE, -crane.ANGLE],
         initialCoordinates_t=[0.0, 0.0],
         **still,
     )
     place = np.eye(4)
-    place[0, 3] = LENGTH
+    place[0, 3] = crane.LENGTH
     tree = system.AddObject(
         items.ObjectKinematicTree(
             nodeNumber=system.AddNode(swing),
-            gravity=[0.0, -GRAVITY, 0.0],
+            gravity=[0.0, -crane.GRAVITY, 0.0],
             jointTypes=[exudyn.JointType.RevoluteZ] * 2,
             linkParents=[-1, 0],
             jointHTs=[np.eye(4), place],
-            linkMasses=[CRANE, BALL],
-            linkInertiasCOM=exudyn.Matrix3DList([INERTIA * np.eye(3)] * 2),
-            linkCOMs=exudyn.Vector3DList([[0.5 * LENGTH, 0.0, 0.0], [0.0, -ROPE, 0.0]]),
+            linkMasses=[crane.CRANE, crane.BALL],
+            linkInertiasCOM=exudyn.Matrix3DList([crane.INERTIA * np.eye(3)] * 2),
+            linkCOMs=exudyn.Vector3DList([[0.5 * crane.LENGTH, 0.0, 0.0], [0.0, -crane.ROPE, 0.0]]),
         )
     )
     foot = items.MarkerBodyPosition(
-        bodyNumber=system.AddObject(items.ObjectGround()), localPosition=[FOOT, 0.0, 0.0]
+        bodyNumber=system.AddObject(items.ObjectGround()), localPosition=[crane.FOOT, 0.0, 0.0]
     )
     eye = items.MarkerKinematicTreeRigid(
-        objectNumber=tree, linkNumber=0, localPosition=[0.5 * LENGTH, 0.0, 0.0]
+        objectNumber=tree, linkNumber=0, localPosition=[0.5 * crane.LENGTH, 0.0, 0.0]
     )
     ends = {"markerNumbers": [system.AddMarker(foot), system.AddMarker(eye)]}
 
@@ -88,24 +63,26 @@ def _crane(exudyn: Any, items: Any, system: Any) -> int:
     system.AddObject(
         items.SpringDamper(referenceLength=0.5, springForceUserFunction=spring, **ends)
     )
-    oil = items.NodeGenericODE1(numberOfODE1Coordinates=2, initialCoordinates=list(START), **still)
+    oil = items.NodeGenericODE1(
+        numberOfODE1Coordinates=2, initialCoordinates=list(crane.START), **still
+    )
     return int(
         system.AddObject(
             items.HydraulicActuatorSimple(
                 nodeNumbers=[system.AddNode(oil)],
-                offsetLength=0.5 - CHAMBER,
-                strokeLength=2.0 * CHAMBER,
-                chamberCrossSection0=CAP,
-                chamberCrossSection1=ROD,
-                hoseVolume0=HOSES[0],
-                hoseVolume1=HOSES[1],
-                actuatorDamping=VISCOUS,
-                oilBulkModulus=MODULI[0],
-                hoseBulkModulus=MODULI[1],
-                cylinderBulkModulus=MODULI[2],
-                nominalFlow=NOMINAL,
-                systemPressure=PUMP,
-                tankPressure=TANK,
+                offsetLength=0.5 - crane.CHAMBER,
+                strokeLength=2.0 * crane.CHAMBER,
+                chamberCrossSection0=crane.CAP,
+                chamberCrossSection1=crane.ROD,
+                hoseVolume0=crane.HOSES[0],
+                hoseVolume1=crane.HOSES[1],
+                actuatorDamping=crane.VISCOUS,
+                oilBulkModulus=crane.MODULI[0],
+                hoseBulkModulus=crane.MODULI[1],
+                cylinderBulkModulus=crane.MODULI[2],
+                nominalFlow=crane.NOMINAL,
+                systemPressure=crane.PUMP,
+                tankPressure=crane.TANK,
                 useChamberVolumeChange=True,
                 **ends,
             )
@@ -126,7 +103,7 @@ def in_exudyn(seconds: float, steps: int = 1) -> History:
     step, frames = FRAME / steps, round(seconds / FRAME)
     spools = _spools((np.arange(frames * steps) + 0.5) * step)
     kept, data = np.zeros((4, frames)), system.systemData
-    kept[:3, 0] = (*START, ANGLE)
+    kept[:3, 0] = (*crane.START, crane.ANGLE)
 
     def begin(_system: Any, time: float) -> bool:
         spool = float(spools[round(time / step) - 1])  # the time is that of the step's end

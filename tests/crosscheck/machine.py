@@ -303,15 +303,10 @@ class Machine:
             N + 1 rows, the first at the start.
 
         Raises:
-            InputError: wrong commands or step, or a state that the second equations leave out.
+            InputError: a wrong step, or a state that the second equations leave out.
             RuntimeError: Exudyn could not solve a step.
         """
         commands = np.asarray(valves, dtype=float)
-        if commands.ndim != 2 or commands.shape[1] != _LEGS or not (np.abs(commands) <= 1.0).all():
-            raise InputError(
-                f"valves: shape {commands.shape}, largest {np.abs(commands).max()}; "
-                f"allowed: (N, {_LEGS}), -1 to 1"
-            )
         return self.control(lambda frame, state: commands[frame], len(commands), step)
 
     def control(self, controller: Controller, frames: int, step: float) -> Trajectory:

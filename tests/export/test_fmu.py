@@ -115,25 +115,6 @@ def test_the_reference_result_of_the_python_loop_comes_back(file: Path, folder: 
         assert np.array(slave.legs()).tobytes() == np.array(list(after)[1:7]).tobytes()
 
 
-def test_fmpy_runs_it_as_the_reference_result(file: Path, folder: Path) -> None:
-    lines = (folder / "resources" / "reference_in.csv").read_text().split("\n")
-    names = lines[0].split(",")
-    rows = np.array([[float(x) for x in line.split(",")] for line in lines[1:] if line])
-    given = np.array([tuple(row) for row in rows], dtype=[(name, float) for name in names])
-    shown = [f"leg_extension[{leg}]" for leg in range(1, 7)]
-    result = fmpy.simulate_fmu(
-        str(file),
-        input=given,
-        output=shown,
-        output_interval=1.0 / 80.0,
-        stop_time=1.0,
-        set_input_derivatives=False,
-    )
-    expected = np.loadtxt(folder / "resources" / "reference_out.csv", delimiter=",", skiprows=1)
-    found = np.array([[row[name] for name in shown] for row in result])
-    assert np.abs(found - expected[:, 1:7]).max() < 1e-12
-
-
 @pytest.mark.parametrize(
     ("file", "importer"), [(2, by_cosim), (2, by_ecos), (3, by_ecos)], indirect=["file"]
 )

@@ -126,7 +126,7 @@ def opened(browser: Browser, studio: Studio) -> Iterator[Tab]:
 @pytest.fixture
 def tab(opened: Tab) -> Iterator[Tab]:
     """The tab, at the beginning of the first scenario."""
-    scenario = desk.first_scenario()
+    scenario = desk.ready_scenarios()["studio"]
 
     def begun() -> bool:
         present = opened.behind.live.scenario().result()
@@ -198,10 +198,15 @@ def test_law_chosen_on_the_page_changes_the_response(tab: Tab) -> None:
 
 
 @pytest.mark.usefixtures("fewer_pictures")
-def test_a_bad_setting_is_named_on_the_page_and_the_run_goes_on(tab: Tab) -> None:
+def test_a_setting_acts_and_a_bad_one_is_named_on_the_page_and_the_run_goes_on(tab: Tab) -> None:
     tab.choose("signal", "noise")
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
-    tab.page.get_by_label("stop [Hz]", exact=True).first.fill("-1")
+    field = tab.page.get_by_label("stop [Hz]", exact=True).first
+    field.fill("0.8")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
+    (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
+    assert signal.kind == "noise" and signal.band == (0.05, 0.8)
+    field.fill("-1")
     assert "noise.stop: -1.0 is refused" in tab.status("noise.stop")
     since = tab.time()
     tab.wait(lambda: tab.time() > since + 0.5)
@@ -336,16 +341,6 @@ def test_page_offers_every_law_and_failure(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
     (change,) = tab.behind.live.scenario().result().change
     assert change.failure[0].kind == "valve_hard_over" and change.failure[0].leg == 1
-
-
-@pytest.mark.usefixtures("fewer_pictures")
-def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
-    tab.choose("signal", "noise")
-    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
-    tab.page.get_by_label("stop [Hz]", exact=True).first.fill("0.8")
-    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
-    (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
-    assert signal.kind == "noise" and signal.band == (0.05, 0.8)
 
 
 @pytest.mark.usefixtures("fewer_pictures")
