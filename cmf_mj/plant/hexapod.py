@@ -31,16 +31,6 @@ from cmf_mj.plant.single_legs import SingleLegs
 
 _LEGS = range(1, 7)
 
-_SOFT, _PIN_LOSS = 1e-3, 1e-4  #: Impedance of pins that yield, and damping over stiffness [s].
-
-
-class Floor(NamedTuple):
-    """What the legs stand on where it yields: a mass on equal springs in x, y and z."""
-
-    mass: float  #: [kg].
-    stiffness: float  #: In each direction [N/m].
-    damping_ratio: float = 0.03  #: With the machine on it, its legs rigid.
-
 
 class HydraulicModes(NamedTuple):
     """Undamped modes of the reflected mass on the oil springs at one pose, lowest first.
@@ -230,55 +220,21 @@ def hexapod_spec(
     cab: str | Path | Cab | None = None,
     machine: str | Path | Machine | None = None,
     *,
-    floor: Floor | None = None,
+    sliding: bool = False,
 ) -> mujoco.MjSpec:
     """The editable MuJoCo model of a machine in its hall with a cab, for users who extend it.
 
-    By default the legs stand on rigid ground. A `floor` does not tilt; its springs bear the weight
-    of all where it is without one.
+    The legs stand on rigid ground or, `sliding`, on a body `floor` that slides in x, y and z and
+    has no mass yet; `yielding` gives it one, and springs.
     """
     chosen = load_cab(cab, machine)
     scene, files = model_texts(load_cab(chosen.base, chosen.machine))
-    if floor is not None:
+    if sliding:
         files[MACHINE_FILE] = with_floor(files[MACHINE_FILE])
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
         edit.apply(spec.body(edit.body))
-    if floor is not None:
-        whole, body = sum(body.mass for body in spec.bodies) + floor.mass, spec.body("floor")
-        body.mass, body.inertia, body.explicitinertial = floor.mass, [floor.mass] * 3, True
-        for axis in "xyz":
-            joint = spec.joint(f"floor_{axis}")
-            joint.stiffness[0] = floor.stiffness
-            joint.damping[0] = 2.0 * floor.damping_ratio * np.sqrt(floor.stiffness * whole)
-        joint.springref = whole * -spec.option.gravity[2] / floor.stiffness
     return spec
-
-
-def on_floor(plant: Plant, floor: Floor) -> Hexapod:
-    """A motion base on a floor."""
-    cab, step = plant.cab_parameters, plant.model.opt.timestep
-    return Hexapod(cab, plant.parameters, spec=hexapod_spec(cab, floor=floor), timestep=step)
-
-
-def on_mounts(plant: Plant, stiffness: float) -> Plant:
-    """A motion base whose legs yield with that stiffness [N/m] between rod ends and platform.
-
-    A soft pin of MuJoCo of impedance d, with the inverse mass w of its ends that the compiler found
-    in the pose it began in, is a spring k and a damper c for K = k (1 - d) w and B = c (1 - d) w as
-    its direct settings, beside a mass d / (1 - d) / w, here a thousandth. It yields across the leg
-    as much, where nothing pushes.
-    """
-
-    def soften(model: mujoco.MjModel) -> None:
-        for leg in _LEGS:
-            pin, ends = model.equality(f"gimbal_{leg}"), (f"rod_{leg}", "platform")
-            light = sum(model.body_invweight0[model.body(end).id, 0] for end in ends)
-            size = stiffness * (1.0 - _SOFT) * light
-            pin.solref[:] = -size, -_PIN_LOSS * size
-            pin.solimp[:2] = _SOFT
-
-    return plant.changed(plant.parameters, soften)
 
 
 def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) -> mujoco.MjModel:

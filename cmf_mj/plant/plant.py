@@ -371,6 +371,6 @@ def set_timestep(option: Any, timestep: float | None, frame: float = FRAME) -> N
     """
     if timestep is None:
         timestep = frame / math.ceil(frame / FRAME)
-    if not timestep > 0.0:
-        raise InputError(f"timestep: {timestep} s must be greater than 0")
+    if not 0.0 < timestep < math.inf:
+        raise InputError(f"timestep: {timestep} s must be greater than 0 and finite")
     option.timestep = timestep

@@ -22,8 +22,8 @@ from cmf_mj.facility.signal import ValveCommands
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
-from cmf_mj.plant.hexapod import Floor, on_floor
 from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.plant.yielding import Floor, on_floor
 from cmf_mj.signals.signal import plain
 from cmf_mj.studies.diagnosis import moved_machine, numbers_of
 

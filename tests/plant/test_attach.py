@@ -98,8 +98,9 @@ def test_cylinders_that_do_not_fit_are_named(cylinders, said):
 def test_a_step_an_integrator_a_body_and_a_file_that_cannot_be_used_are_named(tmp_path):
     with pytest.raises(ValueError, match="integrator: RK4 cannot take its step in two halves"):
         attach_hydraulics(mixed("RK4"), {"ram": -0.5})
-    with pytest.raises(ValueError, match="timestep: 0.0 s must be greater than 0"):
-        attach_hydraulics(spec(), ["ram"], timestep=0.0)
+    for step in (0.0, np.inf):
+        with pytest.raises(ValueError, match=f"timestep: {step} s must be greater than 0"):
+            attach_hydraulics(spec(), ["ram"], timestep=step)
     with pytest.raises(ValueError, match="payload: 'cargo' is not one of load, others, world"):
         attach_hydraulics(mixed(), {"ram": -0.5}, payload=["cargo"])
     with pytest.raises(ValueError, match="model: .*none.xml cannot be read"):

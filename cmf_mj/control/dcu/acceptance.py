@@ -30,8 +30,8 @@ from cmf_mj.control.dcu.motion import (
     VELOCITY,
     copy,
     evaluate,
-    joins,
-    line_joins,
+    line_keeps_limits,
+    quintic_keeps_limits,
 )
 from cmf_mj.control.dcu.state import CAPACITY, Verdict
 from cmf_mj.core.compiled import compiled
@@ -152,8 +152,8 @@ def _judge_in_stream(dcu, state, sequence, time, values):  # type: ignore[no-unt
 @compiled
 def _frames_join(dcu, state, first, last, interval):  # type: ignore[no-untyped-def]
     if state.clocks[0].poses:
-        return line_joins(dcu, first, last, interval)
-    return joins(dcu, first, last, interval)
+        return line_keeps_limits(dcu, first, last, interval)
+    return quintic_keeps_limits(dcu, first, last, interval)
 
 
 @compiled

@@ -18,10 +18,9 @@ and rests at p + v Tv / 2 + a Ta^2 / 12 from max(Tv, Ta) on.
 
 within L three poles at -w, beyond it a closing speed of V. It is integrated exactly with sat
 constant over a frame, and its state is e, e' and e'' themselves: to begin again from them changes
-nothing, so no pattern of arrivals can feed it. The circle criterion holds for any sector up to 3,
-since Re w^3 / (s^3 + 3 w s^2 + 3 w^2 s) >= -1/3 on the imaginary axis. From rest the speed is at
-most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v alone grows to
-0.84 v / w while that is within L, v < 3.57 V, and to more beyond.
+nothing, so no pattern of arrivals can feed it. `docs/reference/dcu.md` proves it stable. From rest
+the speed is at most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v
+alone grows to 0.84 v / w while that is within L, v < 3.57 V, and to more beyond.
 
 *Poses alone* u, straight lines between frames, go through a Bessel filter of fourth order with the
 delay D. The integral of its |impulse response| is 1.019: its output stays within the range of the
@@ -96,7 +95,7 @@ def evaluate(polynomial, h, s, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def joins(dcu, first, last, h):  # type: ignore[no-untyped-def]
+def quintic_keeps_limits(dcu, first, last, h):  # type: ignore[no-untyped-def]
     """Whether the quintic between two motions keeps velocity and acceleration limits."""
     for i in range(DOF_COUNT):
         v0, v1 = first[VELOCITY, i] * h, last[VELOCITY, i] * h
@@ -133,7 +132,7 @@ def stop(dcu, first, s, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
-    """Take a gap a frame on; one too small to be felt has ended."""
+    """Advance a gap by a frame; one too small to be felt has ended."""
     ended = True
     for i in range(DOF_COUNT):
         p, v, a = gap[POSE, i], gap[VELOCITY, i], gap[ACCELERATION, i]
@@ -148,7 +147,7 @@ def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
 
 @compiled
 def smooth_poses(dcu, poses, smoothed):  # type: ignore[no-untyped-def]
-    """Take the Bessel filter a frame on: `smoothed` (4, 6) is its output and three derivatives."""
+    """Advance the Bessel filter by a frame; `smoothed` (4, 6) has three derivatives, too."""
     c = dcu.smoothing
     for i in range(DOF_COUNT):
         x0, x1, x2, x3 = smoothed[0, i], smoothed[1, i], smoothed[2, i], smoothed[3, i]
@@ -158,7 +157,7 @@ def smooth_poses(dcu, poses, smoothed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def line_joins(dcu, first, last, h):  # type: ignore[no-untyped-def]
+def line_keeps_limits(dcu, first, last, h):  # type: ignore[no-untyped-def]
     """Whether the straight line between two poses keeps the velocity limits."""
     for i in range(DOF_COUNT):
         if not abs(last[POSE, i] - first[POSE, i]) <= dcu.velocity[i] * h:

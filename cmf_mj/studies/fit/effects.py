@@ -20,8 +20,9 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.unknown import Unknown, nominal
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.plant.hexapod import Floor, Hexapod, on_floor, on_mounts
+from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
 from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improved
 from cmf_mj.studies.fit.model import Change, minus
 

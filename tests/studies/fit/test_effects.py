@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 import cmf_mj
-from cmf_mj.plant.hexapod import Floor, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
 from cmf_mj.studies.fit import effects
 from cmf_mj.studies.fit.campaign import load_campaign
 from cmf_mj.studies.fit.effects import EFFECTS, Effect, tried

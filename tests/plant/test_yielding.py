@@ -9,8 +9,8 @@ from cmf_mj import Hexapod
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
-from cmf_mj.plant.hexapod import Floor, on_floor, on_mounts
 from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
 
 STEPS, RATE = 8192, 2048.0
 
