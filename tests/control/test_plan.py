@@ -8,7 +8,6 @@ from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_la
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space
 from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES
 from cmf_mj.control.dcl import DclState, make_dcl
@@ -86,21 +85,6 @@ def outputs(law: Law, demand: np.ndarray, feedback: LegFeedback) -> tuple[np.nda
         found[k] = dcl.workspace.output
         np.testing.assert_array_equal(dcl.workspace.limited, np.clip(wanted, -0.9525, 0.9525))
     return found, state
-
-
-@pytest.mark.parametrize("cab", CABS)
-def test_shipped_modes_are_those_of_the_nominal_plant(cab: str) -> None:
-    """Orthonormal, and V^T M V diagonal with the masses, to the digits of the table."""
-    modes, plant = MODAL.modes[cab], Hexapod(cab)
-    shape, mass = np.array(modes.shape), np.array(modes.mass) * 0.45359237
-    np.testing.assert_allclose(shape @ shape.T, np.eye(MODES), atol=1e-10)
-    reflected = shape @ plant.reflected_mass() @ shape.T
-    np.testing.assert_allclose(reflected, np.diag(mass), atol=1e-5 * mass.max())
-    hertz = plant.hydraulic_modes().frequency / (2.0 * np.pi)
-    np.testing.assert_allclose(modes.frequency, hertz, rtol=1e-5)
-    found = nominal_modes(plant)
-    np.testing.assert_allclose(found.frequency, modes.frequency, rtol=1e-5)
-    np.testing.assert_allclose(np.abs(np.array(found.shape) @ shape.T), np.eye(MODES), atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["velocity", "acceleration", "model_reference_adaptive"])
@@ -346,7 +330,6 @@ def test_all_degrees_of_freedom_answer_alike_on_the_linear_plant() -> None:
 def test_a_run_is_replayed_and_says_what_it_was_bound_to() -> None:
     run = simulate(Hexapod("rfd"), "modal_plan", signals.step("roll", 0.01, at=0.1, duration=0.5))
     assert list(run.metadata["law_parameters"]["modes"]) == ["rfd"]
-    assert replay(run, "modal_plan").identical
     assert replay(run, Law.model_validate(run.metadata["law_parameters"])).identical
     legs = simulate(SingleLegs(), "modal_plan", signals.step("heave", 0.01, at=0.1, duration=0.5))
     assert replay(legs, "modal_plan").identical

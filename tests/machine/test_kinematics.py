@@ -93,28 +93,6 @@ def test_single_axis_excursions(dof):
     np.testing.assert_allclose(found, EXCURSIONS[dof], rtol=0.0, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("dof", "side", "limit", "margin"),
-    [
-        ("surge", 0, -57.0, 1.2),
-        ("surge", 1, 70.0, 1.2),
-        ("sway", 0, -58.0, 1.2),
-        ("sway", 1, 58.0, 1.2),
-        ("heave", 0, -43.0, 1.2),
-        ("roll", 0, -30.0, 0.8),
-        ("roll", 1, 30.0, 0.8),
-        ("pitch", 1, 30.0, 0.8),
-        ("yaw", 0, -40.0, 0.8),
-        ("yaw", 1, 40.0, 0.8),
-    ],
-)
-def test_legs_explain_the_mechanical_limits(dof, side, limit, margin):
-    """Table 2-1, in and deg. Heave down and 27 deg nose down are set by something else."""
-    row = DOFS.index(dof)
-    found = kinematics.excursion_envelope()[row, side] / POSE_UNITS[row]
-    assert abs(found - limit) < margin
-
-
 def test_first_leg_reaches_its_travel_at_the_excursion():
     for dof, side in itertools.product(range(6), range(2)):
         pose = single(DOFS[dof], kinematics.excursion_envelope()[dof, side])

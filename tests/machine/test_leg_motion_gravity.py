@@ -1,8 +1,7 @@
 """Appendix C: gravity along the legs."""
 
 import numpy as np
-import pytest
-from shared import WORKING_STROKE, axial_gravity, projected_gravity
+from shared import WORKING_STROKE, axial_gravity
 
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.leg_motion import (
@@ -24,20 +23,6 @@ def some_poses(count: int, share: float = 1.0) -> np.ndarray:
     reach = np.abs(kinematics.pose_to_legs(poses)).max(axis=1) < WORKING_STROKE
     assert reach.sum() >= count
     return poses[reach][:count]
-
-
-def test_where_the_hardwares_reading_would_come_from() -> None:
-    """0.86 g is the cosine with legs 13.8 in out, or Eq C.3's magnitude 97 in down the leg."""
-    horizontal = 88.62
-    out = horizontal / np.sqrt(1.0 - 0.86**2) - 159.845
-    assert out == pytest.approx(13.8, abs=0.1)
-    pose = kinematics.legs_to_pose(np.full(6, out * INCH))
-    np.testing.assert_allclose(axial_gravity(pose) / GRAVITY, 0.86, atol=2e-4)
-    cosine = 133.03 / 159.845
-    distance = 159.845 * (1.0 - np.sqrt((0.86**2 - cosine**2) / (1.0 - cosine**2)))
-    assert distance == pytest.approx(97.0, abs=0.6)
-    found = projected_gravity(np.zeros(6), distance * INCH) / GRAVITY
-    np.testing.assert_allclose(found, 0.86, atol=2e-4)
 
 
 def test_lengths_and_directions_are_those_of_the_kinematics() -> None:

@@ -178,32 +178,6 @@ def test_start_pressures_carry_the_static_forces(plant):
 # Modes
 
 
-@pytest.mark.parametrize("pose", POSES[:2])
-def test_modes_solve_the_eigenvalue_problem(plant, pose):
-    """K s = w^2 M s, s' M s = 1, lowest first; platform shapes move the legs as the leg shapes."""
-    modes, mass = plant.hydraulic_modes(pose), plant.reflected_mass(pose)
-    shapes, modulus = modes.leg_shape, plant.parameters.bulk_modulus.si
-    legs = kinematics.pose_to_legs(pose)
-    left = cylinder.stiffness(plant.hydraulics.cylinder, modulus, legs)[:, None] * shapes
-    right = mass @ shapes * modes.frequency**2
-    np.testing.assert_allclose(left, right, rtol=0.0, atol=1e-9 * np.abs(left).max())
-    np.testing.assert_allclose(shapes.T @ mass @ shapes, np.eye(6), rtol=0.0, atol=1e-9)
-    moved = kinematics.pose_jacobian(pose) @ modes.pose_shape
-    np.testing.assert_allclose(moved, shapes, rtol=0.0, atol=1e-12)
-    assert (np.diff(modes.frequency) > 0.0).all()
-
-
-def test_mode_frequencies_of_the_gfd(gfd):
-    """Surge/pitch and sway/roll low as a pair, heave near 11.30 Hz less what the legs weigh."""
-    modes = gfd.hydraulic_modes()
-    hertz = modes.frequency / units.HERTZ
-    assert (np.abs(hertz[:2] - 4.8) < 0.1).all()
-    assert set(np.abs(modes.pose_shape[:3, :2]).argmax(axis=0)) == {0, 1}
-    heave = np.abs(modes.leg_shape.sum(axis=0)).argmax()
-    assert abs(hertz[heave] - 10.9) < 0.1
-    assert np.abs(modes.pose_shape[:3, heave]).argmax() == 2
-
-
 def test_heave_frequency_of_massless_legs_is_the_single_leg_mode():
     """Eq 4.1: 71.00 rad/s for 7200 lbm; 29 920 lbm puts heave at exactly 11.30 Hz."""
     modes = massless("gfd").hydraulic_modes()

@@ -11,19 +11,17 @@ from hydraulic_equations import (
     areas,
     changed,
     content_ratio,
-    gain_of_both,
     jacobian,
     machine,
     neutral,
     one_step,
-    orifice_flow,
     rates,
     rows_of,
     state_of,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import integrate, optimize
+from scipy import integrate
 
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads, rest
@@ -239,49 +237,6 @@ def test_rest_state_does_not_move(supply: str, rate: float) -> None:
     loads(hydraulics.cylinder, state.pressure, state.friction, held)
     np.testing.assert_allclose(held, weights, rtol=1e-9)
     assert not state.energy.any() or np.abs(state.energy).max() < 1e-6
-
-
-@pytest.mark.parametrize("opening", [-0.3, 0.2])
-def test_a_free_leg_reaches_its_steady_speed(opening: float) -> None:
-    """No load, no leakage: A_cap p_cap = A_rod p_rod, and what passes a port fills its chamber,
-
-        v r(p) = k e phi(drop),    to first order v = leg_speed e sqrt(2 A_cap / (A_cap + A_rod))
-
-    extending; retracting, the chambers exchange parts and the other area stands on top.
-    2e-4: oil compressed as the chambers change length. The first-order form leaves out the
-    laminar share and the compression of the oil, 2 %.
-    """
-    p = changed("hardware", supply="constant", leak_rate=0.0)
-    hydraulics = machine(p)
-    cap_area, rod_area = areas(p)
-    high, k = p.supply_pressure.si, gain_of_both(p)
-    inner, outer = (cap_area, rod_area) if opening > 0 else (rod_area, cap_area)
-
-    def speed(pressure: float, drop: float) -> float:
-        return k * orifice_flow(p, abs(opening), 0.0, drop) / content_ratio(p, pressure)
-
-    def excess(pressure: float) -> float:
-        opposite = pressure * inner / outer
-        return speed(pressure, high - pressure) - speed(opposite, opposite)
-
-    pressure = optimize.brentq(excess, 0.0, high, xtol=1e-3)
-    expected = speed(pressure, high - pressure) * np.sign(opening)
-    simple = p.leg_speed.si * opening * np.sqrt(2 * inner / (inner + outer))
-    assert expected == pytest.approx(simple, rel=2e-2)
-    middle = 0.5 * high
-    x, v = np.array([-0.5 * np.sign(opening)]), np.zeros(1)
-    rows = np.array([[opening, opening, middle * rod_area / cap_area, middle]])
-    state = state_of(p, hydraulics, rows, x)
-    force = np.empty(1)
-    path = []
-    for _ in range(5 * 2048):
-        loads(hydraulics.cylinder, state.pressure, state.friction, force)
-        v = v + FRAME * force / 300.0  # a light rod: rings out in a second
-        moved = x + FRAME * v
-        assert advance(hydraulics, state, no_faults(1), np.array([opening]), x, moved)
-        x = moved
-        path.append(x[0])
-    assert (path[-1] - path[-513]) / (512 * FRAME) == pytest.approx(expected, rel=2e-4)
 
 
 @pytest.mark.parametrize("name", ["report", "hardware"])
