@@ -39,7 +39,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.certificate_family import Box
 from cmf_mj.studies.fit.campaign import FILE
-from cmf_mj.studies.fit.plan import LEAD, Planned, Room, plan_campaign, record_campaign
+from cmf_mj.studies.fit.plan import LEAD, Planned, Workspace, plan_campaign, record_campaign
 from cmf_mj.studies.tuning.evaluation import least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import Template, make_template
 from cmf_mj.studies.tuning.search import Requirements, judged, search
@@ -352,18 +352,18 @@ def _swept(kind: Kind, planned: Path, folder: Path) -> None:
     """Write a campaign of sweeps, as large as the planned one allows and as long."""
     said = read_toml(planned / FILE)
     one = load_scenario(planned / said["recordings"]["axes_large"]["source"])
-    room, span = Room(Hexapod(machine=kind.machine), 0.4), float(one.duration or 0.0) - LEAD
+    space, span = Workspace(Hexapod(machine=kind.machine), 0.4), float(one.duration or 0.0) - LEAD
     tables = {}
     for i, dof in enumerate(DOFS):
 
         def sweep(size: float, i: int = i, dof: str = dof) -> list[dict[str, Any]]:
-            about = {"kind": "chirp", "dof": dof, "amplitude": float(size * room.reach[i])}
+            about = {"kind": "chirp", "dof": dof, "amplitude": float(size * space.reach[i])}
             about |= {"start": SWEPT[0], "stop": SWEPT[1], "duration": span - 0.2, "settle": 0.1}
             return [{"at": LEAD, "fade": 0.0, "signal": [about | {"fade": 0.05 * span}]}]
 
         how = one.table() | {"title": f"sweep in {dof}"}
         how.pop("change", None)
-        run = room.fitted(Planned("sweep", "neutral", sweep), how)
+        run = space.fitted(Planned("sweep", "neutral", sweep), how)
         source = Path("scenarios") / f"{dof}.toml"
         text = {key: value for key, value in run.table().items() if value is not None}
         write_text(folder / source, tomlkit.dumps(text))

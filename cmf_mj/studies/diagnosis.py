@@ -181,16 +181,16 @@ class _Problem(NamedTuple):
         return self.known.slope / self.deviation[:, None]
 
     def fitted(self, places: tuple[int, ...]) -> "_Fit":
-        """A hypothesis simulated."""
+        """A hypothesis, the numbers at these places moved, simulated and fitted."""
         numbers = [self.known.numbers[i] for i in places]
-        theta, rest, local = np.zeros(len(places)), self.z, self.slope[:, list(places)]
+        theta, left, slope = np.zeros(len(places)), self.z, self.slope[:, list(places)]
         damping = 0.0
         for _ in range(_STEPS):
-            before = float(rest @ rest)
+            before = float(left @ left)
             weight = self.independent / (self.z.size + _OFF[-1] ** 2 * before)
-            inner = weight * local.T @ local + np.eye(theta.size) / _WIDE**2
-            along = weight * local.T @ rest - theta / _WIDE**2
-            step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), along)
+            inner = weight * slope.T @ slope + np.eye(theta.size) / _WIDE**2
+            gradient = weight * slope.T @ left - theta / _WIDE**2
+            step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), gradient)
             if not step.any():  # at its bound a number moves nothing
                 break
             moved = map(float, theta + step)
@@ -198,10 +198,11 @@ class _Problem(NamedTuple):
             damping = max(10.0 * damping, _DAMPED)
             if there is not None:
                 after = self.z - (there - self.known.base) / self.deviation
-                local = local + np.outer(rest - after - local @ step, step) / float(step @ step)
+                missed = left - after - slope @ step
+                slope = slope + np.outer(missed, step) / float(step @ step)
                 if float(after @ after) < before:
-                    theta, rest, damping = theta + step, after, 0.0
-        return _Fit(places, np.asarray(theta), float(rest @ rest) / rest.size, True)
+                    theta, left, damping = theta + step, after, 0.0
+        return _Fit(places, np.asarray(theta), float(left @ left) / left.size, True)
 
 
 class Cause(NamedTuple):

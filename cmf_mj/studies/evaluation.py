@@ -24,7 +24,6 @@ from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import CHANNELS, load_sensors
 from cmf_mj.facility.unknowns import Unknowns
-from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
@@ -76,7 +75,8 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     mismatch, values = Unknowns(study.mismatch), {}
     if study_case.draw != NOMINAL:
         values = mismatch.streams(study.seed, study_case.draw)
-    cab = mismatch.apply(values, case.cab or load_cab("gfd"))
+    assert case.cab is not None  # of the machine, also where single legs are made of it
+    cab = mismatch.apply(values, case.cab)
     plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
     case = replace(case, law=mismatch.apply(values, case.law))
     ideal = load_sensors("ideal")

@@ -34,7 +34,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
-from cmf_mj.core.settings import Name, Settings, merged, read_toml, validated
+from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
@@ -46,7 +46,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command, Dof, plain
 from cmf_mj.studies.case import frames_a_row
-from cmf_mj.studies.fit.plan import STEP_CORNER, Room, named_beside, write_host
+from cmf_mj.studies.fit.plan import STEP_CORNER, Workspace, named_beside, write_host
 from cmf_mj.studies.measurement import MEASURES, SIGNED, Lines, lines_of
 
 Array = NDArray[np.float64]
@@ -126,10 +126,8 @@ def load_guide(source: str | Path) -> GuideSettings:
     >>> load_guide("part60").tests["leg_balance"].no_limit
     'based on simulator capability'
     """
-    shipped = str(source) in GUIDES
-    path = _FOLDER / f"{source}.toml" if shipped else Path(source)
-    if not shipped and path.suffix != ".toml":
-        check_name("guide", str(source), GUIDES)
+    shipped = _FOLDER / f"{source}.toml"
+    path = shipped if str(source) in GUIDES else user_file("guide", GUIDES, source)
     table = read_toml(path)
     if "based_on" in table:
         base = check_name("based_on", str(table.pop("based_on")), GUIDES)
@@ -194,13 +192,13 @@ def bench(
     """
     plant = Hexapod(cab, hydraulics, machine=machine)
     commands, of, use, impossible = {}, {}, {}, {}
-    room = Room(plant, 1.0)
+    space = Workspace(plant, 1.0)
     for name, one in guide.tests.items():
         for dof in one.dofs or ("",):
             each = f"{name}_{dof}" if dof else name
             table = dict(one.signal) | ({"dof": dof} if dof else {})
             with within(f"tests.{name}.signal"):
-                command, share = _command(table, one.share, room, plant)
+                command, share = _command(table, one.share, space, plant)
             if share > 1.0:
                 impossible[each] = f"asks for {share:.2f} times what the machine can"
             else:
@@ -209,31 +207,31 @@ def bench(
 
 
 def _command(
-    table: dict[str, Any], share: float | None, room: Room, plant: Hexapod
+    table: dict[str, Any], share: float | None, space: Workspace, plant: Hexapod
 ) -> tuple[Command, float]:
     """The command of a signal within its share of the machine's limits, and what it uses."""
     kind, rate = str(table.get("kind")), plant.machine.rate
     corner = STEP_CORNER if kind in ("step", "pulse", "chirp") else None
     if kind in MAKERS:
         command = MAKERS[kind](table, plant)
-        return command, room.use(command.pose)
+        return command, space.use(command.pose)
     chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
 
     def made(table: Mapping[str, Any]) -> Command:
         return validated(chosen, plain(table) | {"rate": rate}, kind).command()
 
     if share is not None:
-        size = room.largest(lambda size: made(_sized(table, size, room)).pose, share, corner)
-        table = _sized(table, size, room)
+        size = space.largest(lambda size: made(_sized(table, size, space)).pose, share, corner)
+        table = _sized(table, size, space)
     command = made(table)
-    return command, room.use(command.pose, corner)
+    return command, space.use(command.pose, corner)
 
 
-def _sized(table: Mapping[str, Any], size: float, room: Room) -> dict[str, Any]:
+def _sized(table: Mapping[str, Any], size: float, space: Workspace) -> dict[str, Any]:
     """A signal with its sizes in parts of what the machine reaches along each axis."""
 
     def reach(dof: str) -> float:
-        return size * float(room.reach[dof_index(dof)])
+        return size * float(space.reach[dof_index(dof)])
 
     found = dict(table)
     for field in {"amplitude", "amplitudes", "acceleration"} & table.keys():

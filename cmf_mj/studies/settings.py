@@ -44,8 +44,8 @@ from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, check_name, unknown_name, within
-from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
+from cmf_mj.core.errors import InputError, check_name, within
+from cmf_mj.core.settings import Settings, check_distinct, read_toml, user_file, validated
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.machine.cab import Cab, load_cab, load_cabs
 from cmf_mj.machine.geometry import DOFS, dof_unit
@@ -254,19 +254,13 @@ def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], st
     if isinstance(source, dict):
         where, table = "study", dict(source)
     else:
-        where, table = str(source), _table("study", str(source), " nor a .toml file")
+        where, shipped = str(source), _READY / f"{source}.toml"
+        known = str(source) in STUDIES
+        table = read_toml(shipped if known else user_file("study", STUDIES, source))
     while "base" in table:
-        table = _table(f"{where}: base", str(table.pop("base"))) | table
+        base = check_name(f"{where}: base", str(table.pop("base")), STUDIES)
+        table = read_toml(_READY / f"{base}.toml") | table
     return table, where
-
-
-def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
-    """A shipped specification, or where `more` allows it that of a file."""
-    if name in STUDIES:
-        return read_toml(_READY / f"{name}.toml")
-    if more and name.endswith(".toml"):
-        return read_toml(Path(name))
-    raise unknown_name(field, name, STUDIES, more)
 
 
 def _check(settings: StudySettings) -> None:

@@ -289,6 +289,10 @@ def test_an_acceleration_step_keeps_its_acceleration_whatever_its_hold(hold):
     history = heave(signals.acceleration_step("heave", 1.0, hold=hold))
     assert np.abs(np.diff(history, 2)).max() * RATE**2 == pytest.approx(1.0, rel=1e-6)
     assert history[-1] == history[-2] == pytest.approx((round(hold * RATE) / RATE) ** 2, rel=1e-12)
+    with pytest.raises(ValueError, match="acceleration: 0 is refused; allowed: any other number"):
+        signals.acceleration_step("surge", 0.0, hold=hold)
+    with pytest.raises(ValueError, match=r"hold: 0.0005 s must be two frames or more, 0.00097"):
+        signals.acceleration_step("surge", 0.2, hold=0.0005)
 
 
 def test_fades_leave_the_amplitude_its_time():

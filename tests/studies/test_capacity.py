@@ -13,23 +13,17 @@ import pyarrow as pa
 import pytest
 from hydraulic_equations import GPM, INCH, PSI, changed
 from scipy.optimize import brentq
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.analysis.periodic import fit_sines
-from cmf_mj.cli.common import app
 from cmf_mj.core.files import write_table
 from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.studies.asymptotes import FREQUENCIES, asymptotes, envelope, full_speed
-from cmf_mj.studies.capacity import (
-    capacity,
-    least_allowed,
-    manoeuvre,
-    pressure_margin,
-)
+from cmf_mj.studies.capacity import capacity, least_allowed, manoeuvre, pressure_margin
 from tests.control.test_plan import actuator_polynomial
 
 GALLON = 231.0 * INCH**3
@@ -314,18 +308,10 @@ def test_frames_of_a_file_are_passed_through(tmp_path, name):
 # The command
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(app, ["capacity", *arguments])
-    return result.exit_code, result.output
-
-
 def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
     out = tmp_path / "out"
-    code, output = run(
-        *("--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd"),
-        *("--dofs", "pitch", "--out", str(out)),
-    )
-    assert code == 0, output
+    arguments = ["--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd"]
+    output = cmf("capacity", *arguments, "--dofs", "pitch", "--out", out)
     assert "supply holds" in output and "valve command" in output
     lines = [x for x in (out / "envelope.md").read_text().splitlines() if x[:1] == "|"]
     rows = [line.split(" | ") for line in lines[2:]]
@@ -340,9 +326,6 @@ def test_command_says_no_and_takes_a_file(tmp_path: Path) -> None:
     time = np.arange(161) / 32.0
     motion = dict.fromkeys(DOFS, 0.0 * time) | {"heave": 0.38 * np.sin(0.8 * np.pi * time) ** 3}
     write_table(pa.table({"time": time} | motion), path)
-    code, output = run(
-        *("--signal", str(path), "--least-pressure", "1490", "--dofs", "heave"),
-        *("--out", str(tmp_path / "out")),
-    )
-    assert code == 0, output
+    arguments = ["--signal", path, "--least-pressure", 1490, "--dofs", "heave"]
+    output = cmf("capacity", *arguments, "--out", tmp_path / "out")
     assert "NO" in output and "1490 psi" in output

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,9 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from distributed import Client
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj.analysis.measures import Measures
-from cmf_mj.cli.common import app
 from cmf_mj.studies import engine
 from cmf_mj.studies.engine import JOURNAL, RESULTS, Journal, Row, run_study
 from cmf_mj.studies.evaluation import failed
@@ -114,24 +113,30 @@ def test_threads_and_processes_give_the_same_bits(
     assert seen[-1] == (CASES, CASES)
 
 
+@contextmanager
+def killing(processes: Callable[[], list[int]]) -> Iterator[engine.Progress]:
+    """A progress that kills the first of some processes once two tasks are done."""
+    killed: list[int] = []
+
+    def kill_one(done: int, _: int) -> None:
+        if done >= 2 and not killed:
+            killed.append(processes()[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    yield kill_one
+    assert killed
+
+
 @pytest.mark.slow
 def test_a_killed_process_of_the_pool_loses_nothing(
     study: Study, finished: Path, tmp_path: Path
 ) -> None:
-    killed: list[int] = []
+    def pool() -> list[int]:
+        children = psutil.Process().children()
+        return [one.pid for one in children if any("LokyProcess" in x for x in one.cmdline())]
 
-    def kill_one(done: int, total: int) -> None:
-        if done >= 2 and not killed:
-            pool = [
-                child.pid
-                for child in psutil.Process().children()
-                if any("LokyProcess" in word for word in child.cmdline())
-            ]
-            killed.append(pool[0])
-            os.kill(killed[0], signal.SIGKILL)
-
-    run_study(study, tmp_path, jobs=2, backend="loky", progress=kill_one)
-    assert killed
+    with killing(pool) as kill_one:
+        run_study(study, tmp_path, jobs=2, backend="loky", progress=kill_one)
     assert bits(tmp_path) == bits(finished)
 
 
@@ -185,16 +190,8 @@ def cluster() -> Iterator[tuple[str, list[int]]]:
 def test_a_dask_cluster_that_loses_a_worker_loses_nothing(
     study: Study, finished: Path, tmp_path: Path
 ) -> None:
-    killed: list[int] = []
-    with cluster() as (address, workers):
-
-        def kill_one(done: int, total: int) -> None:
-            if done >= 2 and not killed:
-                killed.append(workers[0])
-                os.kill(workers[0], signal.SIGKILL)
-
+    with cluster() as (address, workers), killing(lambda: workers) as kill_one:
         run_study(study, tmp_path, backend="dask", scheduler=address, progress=kill_one)
-    assert killed
     assert bits(tmp_path) == bits(finished)
 
 
@@ -258,12 +255,8 @@ def test_an_interrupted_run_says_how_to_go_on(
     assert process.returncode == 130, printed
     assert "interrupted; the same command continues" in printed
     assert 1 <= lines(tmp_path) < CASES
-    again = CliRunner().invoke(
-        app, ["study", str(specification), "--out", str(tmp_path), "--backend", "threading"]
-    )
-    assert again.exit_code == 0, again.output
-    assert "20 cases" in again.output
-    assert RESULTS in again.output
+    again = cmf("study", specification, "--out", tmp_path, "--backend", "threading")
+    assert "20 cases" in again and RESULTS in again
     assert bits(tmp_path) == bits(finished)
     with (tmp_path / "rates.csv").open(newline="") as file:
         laws = {row["law"] for row in csv.DictReader(file)}

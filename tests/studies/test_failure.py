@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, InputError, load_machine, simulate
-from cmf_mj.cli.common import app
 from cmf_mj.cli.simulate import events_of
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.machine import Machine
@@ -353,14 +352,6 @@ def test_crew_sits_in_the_cab(cab: str) -> None:
 # Interface
 
 
-def test_results_do_not_depend_on_threads() -> None:
-    events = [default_event(kind, 1.0) for kind in ("sensor_open", "valve_dead")]
-    one, two = (run_failures(events, after=4.0, jobs=jobs) for jobs in (1, 2))
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a.record["axial_load"], b.record["axial_load"])
-        assert a.load.after == b.load.after and a.state == b.state
-
-
 def at_rate(rate: int) -> Machine:
     """The CMF with control frames of another length."""
     hertz = {"value": rate, "unit": "Hz", "status": "assumed", "source": "a test"}
@@ -441,9 +432,7 @@ def test_command_writes_table_csv_and_figure(tmp_path: Path, drawn: dict[str, se
     out = tmp_path / "out"
     arguments = ["failure", "valve_hard_over", "--leg", "2", "--valve", "1", "--size", "-50 %"]
     arguments += ["--at", "1", "--after", "4", "--dof", "roll", "--no-protection"]
-    result = CliRunner().invoke(app, [*arguments, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "protection off" in result.output
+    assert "protection off" in cmf(*arguments, "--out", out)
     with (out / "failures.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert (row["event"], row["leg"], row["valve"]) == ("valve_hard_over", "2", "1")

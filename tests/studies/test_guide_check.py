@@ -8,9 +8,8 @@ import pytest
 import tomlkit
 from guide_files import SHORT, written
 from scipy import stats
-from typer.testing import CliRunner
+from shared import cmf
 
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.studies import guide_check
@@ -215,25 +214,19 @@ def test_wrong_folders_and_recordings_are_refused_in_a_sentence(
     forged = edited(folder, "new", tmp_path / "forged", digests={"all.1.parquet": "00000000"})
     with pytest.raises(InputError, match=r"digest: \w+ is not the 00000000"):
         load_master(forged)
-    runner = CliRunner()
-    said = runner.invoke(app, ["guide", "check", str(tmp_path), "--against", str(tmp_path)])
-    assert said.exit_code != 0
-    assert f"holds no {FILE}" in str(said.output) + str(said.exception)
+    said = cmf("guide", "check", tmp_path, "--against", tmp_path, code=2)
+    assert f"holds no {FILE}" in " ".join(said.split())
 
 
 def test_a_guide_is_run_checked_and_drawn_from_the_command_line(
     folder: Path, tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
-    given = ["guide", "run", str(folder / "mine.toml"), "--recordings", str(folder / "master")]
-    made = CliRunner().invoke(app, given)
-    assert made.exit_code == 0, made.output
+    cmf("guide", "run", folder / "mine.toml", "--recordings", folder / "master")
     page = (folder / "master" / "guide.html").read_text()
     assert page.count("<table>") == 4
     assert '<img src="all.png" alt="all" />' in page
-    out = ["--against", str(folder / "master"), "--out", str(tmp_path / "out")]
-    checked = CliRunner().invoke(app, ["guide", "check", str(folder / "new"), *out])
-    assert checked.exit_code == 0, checked.output
-    assert "as before" in checked.output
+    out = ("--against", folder / "master", "--out", tmp_path / "out")
+    assert "as before" in cmf("guide", "check", folder / "new", *out)
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"all.png", "all_bode.png", "measures.csv", "guide.html"}
     assert {"surge", "surge, now"} <= drawn["all_bode.png"] and "all.png" in drawn

@@ -5,7 +5,6 @@ import pytest
 
 from cmf_mj import SingleLegs, frequency_response, signals, simulate
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.units import RATE
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import acceleration_step, stepped_sines
 from cmf_mj.studies.case import AMPLITUDE
@@ -49,21 +48,6 @@ def test_hysteresis_is_the_lag_of_the_loop(dwells: Record) -> None:
     width = MEASURES["hysteresis"](slow)["heave 0.01 Hz hysteresis [%]"]
     gain = 47.0 / 50.48
     assert width == pytest.approx(100.0 * gain * np.sin(2e-2 * np.pi * delay), rel=0.1)
-
-
-def test_acceleration_step_moves_at_constant_acceleration() -> None:
-    command = acceleration_step("surge", 0.2, hold=0.5)
-    history = command.pose[:, 0]
-    second = np.diff(history, 2) * RATE**2
-    inside = slice(RATE + 5, RATE + 1000)
-    np.testing.assert_allclose(second[inside], 0.2, rtol=1e-6)
-    assert history[-1] == pytest.approx(0.2 * 0.25, rel=1e-12)
-    assert history[-1] == history[-2]
-    assert np.abs(second).max() < 0.2001  # also where it turns round, and at its ends
-    with pytest.raises(ValueError, match="acceleration: 0 is refused; allowed: any other number"):
-        acceleration_step("surge", 0.0, hold=0.5)
-    with pytest.raises(ValueError, match=r"hold: 0.0005 s must be two frames or more, 0.00097"):
-        acceleration_step("surge", 0.2, hold=0.0005)
 
 
 def test_delay_of_a_slow_step_is_that_of_the_phase(dwells: Record) -> None:

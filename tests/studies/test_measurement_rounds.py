@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
-from cmf_mj.cli.common import app
 from cmf_mj.core.threads import on_threads
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import read_mapped, write_facility_csv
@@ -126,13 +125,8 @@ def test_rounds_of_different_rates_or_without_demand_are_refused() -> None:
 
 def test_files_are_measured_from_the_command_line(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "m"
-    measured = CliRunner().invoke(app, ["measure", *map(str, files), "--out", str(out)])
-    assert measured.exit_code == 0, measured.output
-    assert re.search(r"-90 deg bandwidth +2\.7", measured.output)
-    joined = CliRunner().invoke(
-        app, ["measure", *map(str, files), "--estimator", "report", "--out", str(tmp_path / "j")]
-    )
-    assert joined.exit_code == 0, joined.output
+    assert re.search(r"-90 deg bandwidth +2\.7", cmf("measure", *files, "--out", out))
+    cmf("measure", *files, "--estimator", "report", "--out", tmp_path / "j")
     with (tmp_path / "j" / "measures.csv").open() as file:
         found = {row["measure"]: row["value"] for row in csv.DictReader(file)}
     assert float(found["-90 deg bandwidth"].removesuffix(" Hz")) == pytest.approx(2.7, abs=0.05)

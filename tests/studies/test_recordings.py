@@ -306,17 +306,6 @@ def test_a_delay_is_as_sure_as_the_noise_allows() -> None:
     assert held >= 34
 
 
-def test_delay_is_that_of_the_shift() -> None:
-    """A demand 50 ms earlier is 50 ms more of delay, to a sample."""
-    machine = load_machine("lab")
-
-    def delay(record: Record) -> float:
-        return next(f.value for f in check_recording(record, machine) if f.name == "clock")
-
-    earlier = delay(made("lab", demand_pose=later(-0.05))) - delay(made("lab"))
-    assert earlier == pytest.approx(1e3 * round(0.05 * 512) / 512, abs=2.0)
-
-
 def test_command_maps_and_checks(tmp_path: Path) -> None:
     """Columns of her own, in ms, mm and bar: a guess of the map, then the check."""
     record, columns = made("lab", "leg_reference"), {}

@@ -7,10 +7,9 @@ import matplotlib.image
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, load_hydraulics, signals, simulate, step_metrics
-from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.units import POUND_MASS
 from cmf_mj.machine.cab import load_cab
@@ -178,10 +177,8 @@ def test_heave_keeps_its_single_leg_all_the_way_up(tmp_path: Path) -> None:
     Nothing but heave moves before the centre of mass leaves the centroid, in front of the legs'
     axis of symmetry.
     """
-    arguments = ["study", "ablation", "--laws", "velocity", "--dofs", "heave"]
-    arguments += ["--out", str(tmp_path)]
-    done = CliRunner().invoke(app, [*arguments, "--jobs", "2", "--backend", "threading"])
-    assert done.exit_code == 0, done.output
+    arguments = ("study", "ablation", "--laws", "velocity", "--dofs", "heave", "--out", tmp_path)
+    cmf(*arguments, "--jobs", 2, "--backend", "threading")
     rows = pq.read_table(tmp_path / RESULTS).to_pylist()
     assert [row["rung"] for row in rows] == [rung.name for rung in LADDER]
     for row in rows:

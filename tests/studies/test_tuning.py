@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Cab, Law, Linear, load_cab, load_hydraulics, load_law, load_machine
 from cmf_mj.analysis.modes import nominal_modes
-from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS
@@ -178,10 +177,8 @@ def test_a_law_is_found_with_friction() -> None:
 @pytest.mark.slow
 def test_tune_command(tmp_path: Path) -> None:
     out = tmp_path / "law.toml"
-    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1"]
-    result = CliRunner().invoke(app, [*arguments, "--peak", "-9", "--file", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "limits not kept: peak by " in result.output and "cmf compare --laws" in result.output
+    said = cmf("tune", "--cabs", "gfd", "--evaluations", 1, "--peak", -9, "--file", out)
+    assert "limits not kept: peak by " in said and "cmf compare --laws" in said
     assert "--evaluations 1 --seed 1" in load_law(out).source
 
 

@@ -119,18 +119,18 @@ def plan_campaign(
             raise InputError(f"{field}: {value:g} is refused; allowed: {low} to {high}")
     sheet = {"machine": machine, "cab": cab, "hydraulics": hydraulics, "law": law}
     named = {name: str(one) for name, one in sheet.items() if one is not None}
-    room = Room(Hexapod(cab, hydraulics, machine=machine), share)
-    if named.get("law") == room.machine.law:
+    space = Workspace(Hexapod(cab, hydraulics, machine=machine), share)
+    if named.get("law") == space.machine.law:
         del named["law"]
     held = _kept("other_law", other_law, target) if other_law is not None else ""
     named |= {name: _kept(name, one, target) for name, one in named.items() if name not in _WHERE}
-    every = max(round(room.machine.rate / (RECORDER if room.machine.name == CMF else SAMPLES)), 1)
+    every = max(round(space.machine.rate / (RECORDER if space.machine.name == CMF else SAMPLES)), 1)
     usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
-    held = held or str(_slower(load_law(law or room.machine.law), target / "other_law.toml"))
+    held = held or str(_slower(load_law(law or space.machine.law), target / "other_law.toml"))
     tables = {}
-    for name, one in _planned(room, seconds - LEAD).items():
+    for name, one in _planned(space, seconds - LEAD).items():
         law_ = {"law": held} if one.other_law else {}
-        run = room.fitted(one, named | usual | law_ | {"title": f"{name}: {one.pose}"})
+        run = space.fitted(one, named | usual | law_ | {"title": f"{name}: {one.pose}"})
         scenario = run.table() | {"law": None} | named_beside(named | law_, target / SCENARIOS)
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
@@ -185,7 +185,7 @@ def demand(run: Run) -> Array:
     return layered.poses(0, run.frames or 0)
 
 
-class Room:
+class Workspace:
     """What a machine leaves to a demand, and signals that take their share of it."""
 
     def __init__(self, plant: Hexapod, share: float) -> None:
@@ -272,7 +272,7 @@ def _path(times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]:
     return {"kind": "waypoints", "times": _rounded(times), "poses": _rounded(poses)}
 
 
-def _planned(room: Room, span: float) -> dict[str, Planned]:
+def _planned(space: Workspace, span: float) -> dict[str, Planned]:
     """The recordings, of so many seconds after the rest at neutral."""
     neutral, slot = np.zeros(6), span / len(DOFS)
 
@@ -280,24 +280,24 @@ def _planned(room: Room, span: float) -> dict[str, Planned]:
         return [{"at": LEAD, "fade": 0.0, "signal": list(signals)}]
 
     def hold(size: float) -> list[dict[str, Any]]:
-        poses = np.repeat([neutral, *(room.pose(one, size) for one in POSES)], 2, axis=0)
+        poses = np.repeat([neutral, *(space.pose(one, size) for one in POSES)], 2, axis=0)
         moves = [0.5 * (i + 1) * slot for i in range(2 * len(POSES))]
         return once(_path([0.0, *moves, span], list(poses)))
 
     def ramp(size: float) -> list[dict[str, Any]]:
-        out = [room.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
+        out = [space.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
         poses = [neutral, *(sign * pose for pose in out for sign in (1.0, -1.0)), neutral]
         return once(_path(np.linspace(0.0, span, len(poses)).tolist(), poses))
 
     def axes(size: float) -> list[dict[str, Any]]:
         return [
-            {"at": LEAD + i * slot, "fade": 0.0, "signal": [room.multisine(dof, size, slot, i)]}
+            {"at": LEAD + i * slot, "fade": 0.0, "signal": [space.multisine(dof, size, slot, i)]}
             for i, dof in enumerate(DOFS)
         ]
 
     def steps(size: float) -> list[dict[str, Any]]:
         one = {"kind": "pulse", "width": _on_rows(0.4 * slot)}
-        sizes = enumerate(_rounded(size * room.reach))
+        sizes = enumerate(_rounded(size * space.reach))
         pulses = (
             {"dof": DOFS[i], "amplitude": a, "at": _on_rows((i + 0.2) * slot)} for i, a in sizes
         )
@@ -306,10 +306,10 @@ def _planned(room: Room, span: float) -> dict[str, Planned]:
     def everything(first: int, where: Mapping[str, float] | None, size: float) -> Any:
         moved = []
         if where is not None:
-            pose = room.pose(where, 0.5 * room.share)
+            pose = space.pose(where, 0.5 * space.share)
             moved = [_path([0.0, 2.0, span - 2.0, span], [neutral, pose, pose, neutral])]
         seeded = enumerate(DOFS, first)
-        return once(*moved, *(room.multisine(dof, size, span, seed) for seed, dof in seeded))
+        return once(*moved, *(space.multisine(dof, size, span, seed) for seed, dof in seeded))
 
     multisine = partial(Planned, "multisine")
     return {
