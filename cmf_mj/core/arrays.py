@@ -152,9 +152,11 @@ _PLAIN = frozenset((str, float, int, bool, type(None)))
 
 
 def frozen_json(content: Any) -> Any:
-    """JSON values that nobody can write to, down to the last table and list."""
+    """JSON values that nobody can write to, down to the last table and list; of NumPy too."""
     if isinstance(content, FrozenDict | FrozenList):
         return content
+    if isinstance(content, np.ndarray | np.generic):
+        return frozen_json(content.tolist())
     if isinstance(content, dict):
         return FrozenDict(zip(content, frozen_json(tuple(content.values())), strict=True))
     if isinstance(content, list | tuple):

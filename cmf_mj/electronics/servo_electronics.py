@@ -135,7 +135,7 @@ def step(electronics, state, raised, command, position):  # type: ignore[no-unty
         target = 0.0 if tripped else volts / electronics.full_command
         target = min(max(target, -electronics.velocity_clamp), electronics.velocity_clamp)
         before, change = state.command[leg], electronics.change
-        # A bound at a time, so that an unlimited command passes to the bit.
+        # Bounds of the command: a bounded change added to `before` would round.
         state.command[leg] = min(max(target, before - change), before + change)
         command[leg] = state.command[leg]
     return tripped

@@ -308,7 +308,12 @@ class Session:
         )
 
     def engage(self, law: Law) -> None:
-        """Hand over to another law, from the next frame on, as `control.engage` says."""
+        """Hand over to another law, from the next frame on, as `control.engage` says.
+
+        Refused in an open loop, which has none to hand over from.
+        """
+        if self._law is None:
+            raise InputError(f"law: {law.name} is refused; allowed: in a loop closed by a law")
         self._engaged = bound(law, self.plant)
         controller, memory = self.controller, self.memory
         dcl = make_dcl(self._engaged, self.plant.legs)

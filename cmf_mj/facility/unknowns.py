@@ -39,6 +39,7 @@ import mujoco
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
+from pydantic import ConfigDict
 from scipy.stats import qmc
 
 from cmf_mj.control.law import Law
@@ -330,14 +331,19 @@ def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
     return validated(type(part), dict(part) | {name: new}, one.path)
 
 
-def _checked(tables: Mapping[str, Any], where: str) -> Unknowns:
-    return Unknowns({key: validated(Unknown, tables[key], f"{where}: {key}") for key in tables})
+class _File(Settings):
+    """A file with unknowns, among other tables."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    unknowns: dict[str, Unknown] = {}
 
 
 @cache
 def _shipped() -> dict[str, Unknowns]:
     tables = read_toml(Path(__file__).with_suffix(".toml"))
-    return {name: _checked(table, name) for name, table in tables.items()}
+    files = {name: validated(_File, {"unknowns": table}, name) for name, table in tables.items()}
+    return {name: Unknowns(file.unknowns) for name, file in files.items()}
 
 
 def load_unknowns(source: str | Path) -> Unknowns:
@@ -345,7 +351,7 @@ def load_unknowns(source: str | Path) -> Unknowns:
     if str(source) in _shipped():
         return _shipped()[str(source)]
     path = user_file("unknowns", tuple(_shipped()), source)
-    return _checked(read_toml(path).get("unknowns", {}), path.name)
+    return Unknowns(validated(_File, read_toml(path), path.name).unknowns)
 
 
 def valve_gains(seed: int | None) -> Array:

@@ -50,9 +50,9 @@ class RecordHeader(FileHeader):
     metadata: dict[str, Any]  #: Of the record.
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Record:
-    """Labelled time histories of one run.
+    """Labelled time histories of one run; equal where all samples, to the bit, and metadata are.
 
     >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", np.zeros((4, 6)))
     >>> record["leg_position"].shape, record.units["leg_position"]
@@ -68,11 +68,15 @@ class Record:
 
     def __post_init__(self) -> None:
         """Freeze the histories, copying those that may be written, and check that they match."""
-        histories = {name: frozen(values) for name, values in self.channels.items()}
-        object.__setattr__(self, "time", frozen(self.time))
+        histories = {n: frozen(real(n, values)) for n, values in self.channels.items()}
+        object.__setattr__(self, "time", frozen(real("time", self.time)))
+        if self.time.ndim != 1:
+            raise InputError(f"time: shape is {self.time.shape}; allowed: (N,)")
+        count = self.time.size
         for name, values in histories.items():
-            if values.shape[0] != self.time.shape[0]:
-                raise InputError(f"{name}: {values.shape[0]} samples; time: {self.time.shape[0]}")
+            if values.shape[:1] != (count,) or values.ndim > 2 or 0 in values.shape[1:]:
+                allowed = f"({count},) or ({count}, k) as times are, k above 0"
+                raise InputError(f"{name}: shape is {values.shape}; allowed: {allowed}")
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
@@ -85,6 +89,19 @@ class Record:
         object.__setattr__(self, "channels", FrozenDict(histories))
         object.__setattr__(self, "units", FrozenDict(self.units))
         object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether times, channels, units and metadata are the same; a NaN is its own equal."""
+        if not isinstance(other, Record):
+            return NotImplemented
+        if (self.units, self.metadata) != (other.units, other.metadata):
+            return False
+        pairs = [(self.time, other.time), *((self[name], other[name]) for name in self.channels)]
+        return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
+
+    def __hash__(self) -> int:
+        """Of its samples."""
+        return hash(self.digest)
 
     @staticmethod
     def from_arrays(

@@ -18,6 +18,7 @@ from cmf_mj import (
     SingleLegs,
     attach_hydraulics,
     load_cab,
+    load_law,
     simulate,
 )
 from cmf_mj.core.units import FRAME
@@ -26,6 +27,7 @@ from cmf_mj.facility.front import from_table
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session
+from cmf_mj.facility.signal import ValveCommands
 from cmf_mj.machine import models
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import make_case
@@ -89,6 +91,14 @@ def test_electronics_go_by_name() -> None:
     assert simulate(excavator(), "velocity", electronics="inertial", **short).time.size == 64
     with pytest.raises(InputError, match="gravity along the legs needs .* 'inertial'"):
         simulate(excavator(), "velocity", electronics="noisy", **short)
+
+
+def test_an_open_loop_has_no_law_to_hand_over_from() -> None:
+    """The law was taken, never ran, and the run said it was in force."""
+    run = Run(plant=SingleLegs(), law=None, source=ValveCommands(np.zeros((8, 6)))).session()
+    with pytest.raises(InputError, match="law: velocity is refused; allowed: in a loop closed"):
+        run.engage(load_law("velocity"))
+    assert run.look().law == ""
 
 
 @pytest.mark.parametrize("plant", [Hexapod, SingleLegs, excavator])

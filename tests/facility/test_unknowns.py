@@ -10,6 +10,7 @@ from scipy import stats
 
 from cmf_mj import Hexapod, attach_hydraulics, load_cab, load_hydraulics, load_law, load_machine
 from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
 from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.sensors import load_sensors, make_sensors, sense_history
@@ -234,6 +235,17 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     assert load_unknowns(saved) == mixed
     with pytest.raises(ValueError, match="unknowns: 'none' is not one of valve_gains"):
         load_unknowns("none")
+
+
+def test_all_that_is_wrong_in_a_file_is_said_at_once(tmp_path: Path) -> None:
+    table = 'path = "luck"\nlow = 1.0\nhigh = 2.0\nsource = "test"\n'
+    file = tmp_path / "mine.toml"
+    file.write_text(f'[unknowns.one]\n{table}[unknowns.two]\n{table}sauce = "x"\n[study]\n')
+    with pytest.raises(InputError) as refused:
+        load_unknowns(file)
+    first, second = str(refused.value).splitlines()
+    assert first.startswith("mine.toml: unknowns.one: path: 'luck' is refused")
+    assert second.startswith("mine.toml: unknowns.two.sauce: is not a known field")
 
 
 BALANCE = """

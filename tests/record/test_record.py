@@ -155,6 +155,31 @@ def test_what_was_given_may_change_later():
     assert not kept["leg_position"].any()
 
 
+def test_records_are_equal_where_all_their_content_is() -> None:
+    """To the bit: -0 is not 0, and NaN is itself; a list, a whole number, single precision too."""
+    numbers = {"gimbal_error": [1, 2, 3], "leg_position": np.float32([[0.1, np.nan]] * 3)}
+    one, same = small(channels=numbers), small(channels=numbers)
+    assert one == same and hash(one) == hash(same) and len({one, same}) == 1
+    assert {values.dtype for values in one.channels.values()} == {np.dtype(float)}
+    changes = {
+        "time": np.arange(3.0) + 1.0,
+        "channels": numbers | {"gimbal_error": np.ones((3, 1))},
+        "units": {"leg_position": "rad", "gimbal_error": "m"},
+        "metadata": {"sample_rate": 2.0},
+    }
+    assert all(one != small(**{"channels": numbers, name: v}) for name, v in changes.items())
+    zeros = (small(time=np.zeros(3) * sign, channels={}, units={}) for sign in (1.0, -1.0))
+    assert len({*zeros}) == 2 and one != "record"
+
+
+def test_numbers_of_numpy_in_metadata_become_plain_ones(tmp_path) -> None:
+    given = {"sample_rate": np.int64(1), "law": {"gain": np.float64(2.0), "all": np.arange(2)}}
+    kept = small(metadata=given)
+    assert kept.metadata == {"sample_rate": 1, "law": {"gain": 2.0, "all": [0, 1]}}
+    assert kept.rate == 1.0 and type(kept.metadata["law"]["gain"]) is float
+    assert Record.load(kept.save(tmp_path / "run.parquet")) == kept
+
+
 # Complete
 
 
@@ -207,7 +232,16 @@ def test_rate_and_time_agree(run):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"channels": {"gimbal_error": np.ones(4)}}, "gimbal_error: 4 samples; time: 3"),
+        (
+            {"channels": {"gimbal_error": np.ones(4)}},
+            r"gimbal_error: shape is \(4,\); allowed: \(3,",
+        ),
+        ({"channels": {"gimbal_error": np.ones((3, 0))}}, r"shape is \(3, 0\); allowed: \(3,"),
+        ({"channels": {"gimbal_error": np.ones((3, 2, 2))}}, r"shape is \(3, 2, 2\); allowed"),
+        ({"channels": {"gimbal_error": 3.0}}, r"gimbal_error: shape is \(\); allowed: \(3,"),
+        ({"channels": {"gimbal_error": ["a"] * 3}}, "gimbal_error: holds <U1; allowed: real"),
+        ({"channels": {"gimbal_error": 1j * np.ones(3)}}, "gimbal_error: holds complex128"),
+        ({"time": np.ones((3, 1))}, r"time: shape is \(3, 1\); allowed: \(N,\)"),
         ({"units": {"leg_position": "m"}}, "every channel needs one unit; check gimbal_error"),
         (
             {"units": {"leg_position": "m", "gimbal_error": "m", "pressure": "Pa"}},
