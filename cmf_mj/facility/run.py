@@ -15,7 +15,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
+from pydantic import Field, PlainValidator, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from cmf_mj.analysis.modes import bound
@@ -28,28 +28,11 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Arguments, Seed, in_range, name_or
 from cmf_mj.core.units import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import AnyElectronics
+from cmf_mj.facility import settings as parts
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import Ring
 from cmf_mj.facility.pace import Pace
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import (
-    Change,
-    Due,
-    Gains,
-    HostChain,
-    SessionSettings,
-    Signals,
-    built_or_named,
-    changed_law,
-    check_change,
-    check_leg,
-    check_order,
-    dcu_of,
-    listed,
-    overlaid_law,
-    plural,
-    whole_number,
-)
 from cmf_mj.facility.signal import BLOCK, HostFeed, LayeredDemand, TableFeed, added, as_source
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import Machine, load_machine
@@ -77,7 +60,7 @@ class Run(Arguments):
 
     title: str = ""  #: What it shows.
     plant: Annotated[
-        str | Plant, PlainValidator(built_or_named, json_schema_input_type=Literal[PLANTS])
+        str | Plant, PlainValidator(parts.built_or_named, json_schema_input_type=Literal[PLANTS])
     ] = "hexapod"
     """The whole machine, its legs alone, or a plant that was built; that one has its own machine,
     cab and hydraulics."""
@@ -89,31 +72,31 @@ class Run(Arguments):
     law: Annotated[str | Path | Law, name_or(Law)] | None = "velocity"
     """Control law by name or TOML file; default the machine's. None opens the loop: the source
     holds valve commands."""
-    gains: Gains = {}  #: Fields of the law to replace.
-    signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
+    gains: parts.Gains = {}  #: Fields of the law to replace.
+    signal: parts.Signals = ()  #: Demand: the sum of these; none is rest at neutral.
     source: SkipJsonSchema[Any] = _IN_NO_FILE
     """In place of signals a `Command`, poses (N, 6) [m, rad], z down, `LegDemand`, `ValveCommands`,
     a table of any of them, or the frames of a host."""
     start: SkipJsonSchema[Any] = _IN_NO_FILE
     """Configuration to start from, as `plant.place` takes it, by default the first pose of the
     demand, else the model's own; with a host the pose at which the demand begins."""
-    events: Annotated[tuple[Event, ...], BeforeValidator(listed)] = plural("event", "events")
+    events: parts.Events = parts.plural("event", "events")
     """Failures on the time line."""
     electronics: AnyElectronics = None
     """Sensors and servo electronics: `noisy`, or chosen part by part; default `ideal` ones."""
     protection: Annotated[str | ProtectionSettings, name_or(ProtectionSettings)] | None = None
     """Fault detection that makes an emergency stop, `default` or a file; default none."""
-    operation: HostChain | None = None
+    operation: parts.HostChain | None = None
     """The chain from host to valves; without it the signal is the demand itself."""
     duration: Annotated[float, Field(gt=0.0, le=LONGEST)] | Literal["open"] = 10.0
     """Length [s], by default of a table that of its rows; an `open` run goes on until it is ended,
     and can only be run live."""
     seed: Seed = 0  #: Of noise and random phases.
-    record_every: Annotated[int, BeforeValidator(whole_number), Field(ge=1, le=MOST_FRAMES)] = 1
+    record_every: Annotated[parts.Whole, Field(ge=1, le=MOST_FRAMES)] = 1
     """Keep one control frame in this many."""
-    command_delay: Annotated[int, BeforeValidator(whole_number), Field(ge=0, le=RATE)] = 1
+    command_delay: Annotated[parts.Whole, Field(ge=0, le=RATE)] = 1
     """Control frames from the DCL to the valves."""
-    change: tuple[Change, ...] = ()  #: What changes, in order of time; of signals.
+    change: tuple[parts.Change, ...] = ()  #: What changes, in order of time; of signals.
 
     @field_validator("*")
     @classmethod
@@ -152,7 +135,7 @@ class Run(Arguments):
         if self.operation is not None:
             self.operation.check(self.plant, machine)
         for event in self.events:
-            check_leg(event)
+            parts.check_leg(event)
 
     def _signals(self) -> None:
         """Refuse what is too much to hold, never happens or cannot be made."""
@@ -161,12 +144,12 @@ class Run(Arguments):
         seconds = sum(signal.at_rate(rate).length for signal in signals)
         check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * rate * seconds)
         requests = () if self.operation is None else self.operation.requests
-        check_order(self.change, self.events, requests, self.frames or MOST_FRAMES, rate)
+        parts.check_order(self.change, self.events, requests, self.frames or MOST_FRAMES, rate)
         law, load = self.begun_law(), cache(partial(load_law, machine=self._base))
         for change in self.change:
-            check_change(change, self.plant, self.operation is not None)
+            parts.check_change(change, self.plant, self.operation is not None)
             named = None if change.law is None else load(change.law)
-            law = bound(changed_law(law, change, named), self._bound_to)
+            law = bound(parts.overlaid_law(named or law, change.gains), self._bound_to)
 
     def table(self) -> dict[str, Any]:
         """The run as a file has it, defaults left out."""
@@ -200,7 +183,7 @@ class Run(Arguments):
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
         assert self.law is not None
-        law = overlaid_law(load_law(self.law, self._base), self.gains)
+        law = parts.overlaid_law(load_law(self.law, self._base), self.gains)
         return bound(law, self._bound_to).on(self._base)
 
     @property
@@ -255,18 +238,18 @@ class Run(Arguments):
             return self.plant
         return make_plant(self.plant, self.carried, self.hydraulics)
 
-    def _settled(self, machine: Machine) -> SessionSettings:
+    def _settled(self, machine: Machine) -> parts.SessionSettings:
         """Settings of the run as its session takes them."""
         guard, electronics = self.protection, self.electronics
         if electronics is not None and electronics.seed is None:
             electronics = electronics.model_copy(update={"seed": self.seed})
-        return SessionSettings(
+        return parts.SessionSettings(
             self.events,
             self.record_every,
             self.command_delay,
             None if guard is None else load_protection(guard, fitting(machine)),
             electronics,
-            None if self.operation is None else dcu_of(machine, self.operation.dcu),
+            None if self.operation is None else parts.dcu_of(machine, self.operation.dcu),
         )
 
 
@@ -299,7 +282,7 @@ class SignalSession(Session):
         load = cache(partial(load_law, machine=plant.machine))
         self._due = deque(self._checked(one.when(rate), one, load) for one in run.change)
         self._laws(self._due)
-        self._done: list[Change] = []
+        self._done: list[parts.Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
         self._strikes = sorted(round(event.at * rate) + 1 for event in run.events)
 
@@ -317,13 +300,14 @@ class SignalSession(Session):
             ends += [strike for strike in self._strikes if strike > self.frame]
             super().run(min(ends) - self.frame)
 
-    def apply(self, change: Change) -> None:
+    def apply(self, change: parts.Change) -> None:
         """Change something from the next frame on.
 
         A law takes over as `control.engage` says, signals as `LayeredDemand` says. A change with a
         time is refused.
         """
-        change.check_live()
+        if (change.at, change.frame) != (None, None):
+            raise InputError("at, frame: a change applied live happens in the next frame")
         at = sum(due.frame <= self.frame for due in self._due)
         coming = list(self._due)
         load = partial(load_law, machine=self.plant.machine)
@@ -354,21 +338,22 @@ class SignalSession(Session):
             said["scenario"] = done.table()
         return said | super().describe()
 
-    def _checked(self, frame: int, change: Change, load: Any) -> Due:
+    def _checked(self, frame: int, change: parts.Change, load: Any) -> parts.Due:
         """The change with its motion, after a check that all of it is possible."""
         run, signal = self._begun_as, change.signal
-        check_change(change, run.plant, run.operation is not None)
+        parts.check_change(change, run.plant, run.operation is not None)
         motion = None if signal is None else added(signal, run.seed, self.rate)
-        return Due(frame, change, motion, None if change.law is None else load(change.law))
+        return parts.Due(frame, change, motion, None if change.law is None else load(change.law))
 
-    def _laws(self, coming: Sequence[Due]) -> list[Law]:
+    def _laws(self, coming: Sequence[parts.Due]) -> list[Law]:
         """The law after each of the coming changes; one may make the next impossible."""
         laws = [] if self._engaged is None else [self._engaged]
         for due in coming:
-            laws.append(bound(changed_law(laws[-1], due.change, due.law), self.plant))
+            law = parts.overlaid_law(due.law or laws[-1], due.change.gains)
+            laws.append(bound(law, self.plant))
         return laws[1:]
 
-    def _happen(self, due: Due) -> None:
+    def _happen(self, due: parts.Due) -> None:
         change = due.change
         self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
         if change.law is not None or change.gains:

@@ -8,18 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.modes import bound
+from cmf_mj.control import protection
 from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.engage import engaged, handed_over, integral_gain
 from cmf_mj.control.law import Gains, Law
-from cmf_mj.control.protection import (
-    Fault,
-    fault_of,
-    latched,
-    load_protection,
-    make_protection,
-    protection_state,
-)
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
@@ -72,7 +65,7 @@ class Live(NamedTuple):
     return_pressure: float  #: [Pa] gauge.
     law: str  #: Name of the law in force.
     state: str  #: Operating state; empty without a host.
-    fault: Fault | None  #: Fault detected.
+    fault: protection.Fault | None  #: Fault detected.
     late: bool  #: Whether the host is late.
 
 
@@ -150,6 +143,8 @@ class Session:
         if off:
             state.error.integral[:] = 0.0
         guard = settings.protection
+        frame = plant.machine.frame
+        thresholds = protection.make_protection(guard or protection.load_protection(), frame)
         return Controller(
             closed=law is not None,
             dcl=dcl,
@@ -157,8 +152,8 @@ class Session:
             source=source,
             delay=settings.command_delay,
             guarded=guard is not None,
-            protection=make_protection(guard or load_protection(), plant.machine.frame),
-            guard=protection_state(feedback.position),
+            protection=thresholds,
+            guard=protection.protection_state(feedback.position),
             electronics=parts,
             pace=pace or make_pace(),
         )
@@ -198,11 +193,11 @@ class Session:
         return self.controller.source
 
     @property
-    def fault(self) -> Fault | None:
+    def fault(self) -> protection.Fault | None:
         """The fault detected, also one that was reset, if there is one."""
         earlier = self.memory.progress[0]
-        present = latched(self.controller.guard)
-        return present or fault_of(earlier.code, earlier.leg, earlier.frame)
+        present = protection.latched(self.controller.guard)
+        return present or protection.fault_of(earlier.code, earlier.leg, earlier.frame)
 
     def run(self, frames: int | None = None) -> None:
         """Run a number of control frames, by default all that are left.
@@ -335,8 +330,10 @@ class Session:
         self.controller = self.controller._replace(source=self.source._replace(**parts))
 
     def request(self, code: Request) -> None:
-        """Let the operator request something from the next frame on, of a run with a host."""
+        """Let the operator request something from the next frame on; refused without a host."""
         source = self.source
+        if not source.hosted:
+            raise InputError(f"request: {code.name} is refused; allowed: in a run with a host")
         self.exchange(
             request_frame=np.append(source.request_frame, self.frame),
             request=np.append(source.request, int(code)),

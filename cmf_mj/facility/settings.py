@@ -22,7 +22,7 @@ from cmf_mj.control.dcu.state import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.settings import Settings, Time, merged, name_or, validated
 from cmf_mj.core.units import INCH, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -45,6 +45,7 @@ Gains = dict[str, Any]
 _Force = Annotated[float, Field(ge=-MOST_FORCE, le=MOST_FORCE)]
 Vector = tuple[_Force, _Force, _Force]
 Signals = Annotated[tuple[ScenarioSignal, ...], Field(max_length=100)]
+BeginName = Literal["off", "settled", "hold", "engaged"]
 RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset"]
 
 LEGS = 6  #: Of the machines that a file names.
@@ -57,14 +58,18 @@ def _named(value: Any) -> Any:
     return value.name.lower() if isinstance(value, State | Request) else value
 
 
-def listed(value: Any) -> Any:
+def _listed(value: Any) -> Any:
     """A list as a tuple."""
     return tuple(value) if isinstance(value, list) else value
 
 
-def whole_number(value: Any) -> Any:
-    """A whole number of NumPy as one of Python: those of one type share a compiled loop."""
+def _whole_number(value: Any) -> Any:
     return int(value) if isinstance(value, np.integer) else value
+
+
+Events = Annotated[tuple[Event, ...], BeforeValidator(_listed)]
+Whole = Annotated[int, BeforeValidator(_whole_number)]
+"""A whole number, of NumPy made one of Python: those of one type share a compiled loop."""
 
 
 def built_or_named(value: Any) -> Any:
@@ -116,16 +121,8 @@ class Change(Settings):
         if self.frame is not None:
             return self.frame
         if self.at is None:
-            raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
+            raise InputError("needs `at` in s or `frame`")
         return round(self.at * rate)
-
-    def check_live(self) -> None:
-        """Refuse a time: a change applied live happens in the next frame."""
-        for field, value in (("at", self.at), ("frame", self.frame)):
-            if value is not None:
-                raise InputError(
-                    f"{field}: {value} is refused; a change applied live happens in the next frame"
-                )
 
 
 class Due(NamedTuple):
@@ -153,13 +150,11 @@ class RequestAt(Settings):
 class HostChain(Settings):
     """The whole chain from host to valves."""
 
-    begin: Annotated[Literal["off", "settled", "hold", "engaged"], BeforeValidator(_named)] = (
-        "settled"
-    )
+    begin: Annotated[BeginName, BeforeValidator(_named)] = "settled"
     """Operating state to begin in. Off and settled begin on the stops, the others at the demand's
     pose. Settled has its valves open from the first frame, so that a law whose balance is elsewhere
     jumps; off fades them in."""
-    requests: Annotated[tuple[RequestAt, ...], BeforeValidator(listed)] = plural(
+    requests: Annotated[tuple[RequestAt, ...], BeforeValidator(_listed)] = plural(
         "request", "requests", (RequestAt(at=0.0, request="engage"),)
     )
     """Operator's requests; of one instant the last counts, after any trip."""
@@ -241,12 +236,6 @@ def _model(plant: str) -> mujoco.MjModel:
     return make_plant(plant).drawn_model
 
 
-def bodies_of(plant: str | Plant) -> tuple[str, ...]:
-    """Names of a plant's bodies, the world apart."""
-    model = _model(plant) if isinstance(plant, str) else plant.drawn_model
-    return tuple(model.body(i).name for i in range(1, model.nbody))
-
-
 def check_leg(failure: Failure) -> None:
     """Refuse a leg that no machine of a file has."""
     if failure.leg is not None and failure.leg > LEGS:
@@ -258,7 +247,9 @@ def check_change(change: Change, plant: str | Plant, hosted: bool) -> None:
     for failure in change.failure:
         check_leg(failure)
     if change.push is not None and change.push.body:
-        check_name("body", change.push.body, bodies_of(plant))
+        model = _model(plant) if isinstance(plant, str) else plant.drawn_model
+        names = (model.body(i).name for i in range(1, model.nbody))
+        check_name("body", change.push.body, list(names))
     if change.request is not None and not hosted:
         raise InputError(f"change: request {change.request!r} needs [operation]")
 
@@ -271,33 +262,25 @@ def check_order(
     rate: int,
 ) -> None:
     """Refuse what never happens before the end, or changes not in the order of their frames."""
-    last = 0
+    happens, last = list[tuple[str, int]](), 0
     for number, change in enumerate(changes):
-        if change.at is None and change.frame is None:
-            raise InputError(f"change.{number}: needs `at` in s or `frame`")
-        frame = change.when(rate)
+        with within(f"change.{number}"):
+            frame = change.when(rate)
         if frame < last:
             raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
+        happens.append(("change", frame))
         last = frame
-    happens = [("change", change.when(rate)) for change in changes]
     happens += [("event", round(event.at * rate)) for event in events]
     happens += [("operation.request", round(one.at * rate)) for one in requests]
     for field, frame in happens:
         if frame >= end:
-            raise InputError(
-                f"{field}: at {frame / rate:g} s never happens; allowed: before the end of the run "
-                f"at {end / rate:g} s"
-            )
+            allowed = f"before the end of the run at {end / rate:g} s"
+            raise InputError(f"{field}: at {frame / rate:g} s never happens; allowed: {allowed}")
 
 
 def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     """A law with some of its fields replaced, tables entry by entry."""
     return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
-
-
-def changed_law(law: Law, change: Change, named: Law | None) -> Law:
-    """The law after a change, which may have named another."""
-    return overlaid_law(named or law, change.gains)
 
 
 def change_of(table: Mapping[str, Any], where: str = "change") -> Change:

@@ -56,22 +56,25 @@ _UNITS = {
 
 
 def _units(path: str) -> tuple[str, ...]:
-    """Units that a number of bodies or hydraulics may have; of other parts none are known."""
-    root, *rest = path.split(".")
+    """Units that a number of bodies or hydraulics may have; of other parts none are known.
+
+    Those of a hydraulic set are the units of the `Kind` by which the field is checked.
+    """
+    root, *_, name = path.split(".")
     if root in ("cab", "platform") or path == "hydraulics.stiction":
-        return _UNITS.get(rest[0], ())
-    if root != "hydraulics":
-        return ()
-    info = HydraulicParameters.model_fields.get(LEADS.get(rest[-1], rest[-1]))
-    checks = [getattr(each, "func", None) for each in info.metadata] if info else []
-    owners = [getattr(check, "__self__", None) for check in checks]
-    return next((one.units for one in owners if isinstance(one, Kind)), ())
+        return _UNITS.get(path.split(".")[1], ())
+    field = LEADS.get(name, name)
+    info = HydraulicParameters.model_fields.get(field) if root == "hydraulics" else None
+    for validator in info.metadata if info else ():
+        kind = getattr(getattr(validator, "func", None), "__self__", None)
+        if isinstance(kind, Kind):
+            return kind.units
+    return ()
 
 
-_NO_NUMBERS = {"name", "supply", "actuators"}
-_OF_THE_SET = {*HydraulicParameters.model_fields, "friction", "stiction"} - _NO_NUMBERS
+_NUMBERS = HydraulicParameters.model_fields.keys() - {"name", "supply", "actuators"}
 _PATH = re.compile(
-    rf"hydraulics\.({'|'.join(_OF_THE_SET)}|supply)"
+    rf"hydraulics\.({'|'.join(_NUMBERS)}|friction|stiction|supply)"
     rf"|hydraulics\.actuators\.(\*|[^.*]+)\.({'|'.join([*ACTUATOR_FIELDS, *DERIVED])})"
     rf"|hydraulics\.actuators\.(\*|[^.*]+)\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
     r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?|second_moment\.[xyz])"
@@ -109,47 +112,43 @@ class Unknown(Settings):
                 "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
                 "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
             )
-        factor, log, low, high = (
-            self.effect == "factor",
-            "log" in self.distribution,
-            self.low,
-            self.high,
-        )
-        if not factor and _FACTORS.fullmatch(self.path):
+        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
             raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
         if self.deviation is None and "normal" not in self.distribution:
-            if low is None or high is None or not low < high or (log and low <= 0.0):
-                raise InputError(
-                    f"{low} to {high} is refused; low must be less than high, and greater than 0 "
-                    "on a log scale"
-                )
-            if factor and self.unit != "1":
-                raise InputError(f"unit: {self.unit!r} of a factor between bounds must be '1'")
-        elif (
-            self.deviation is None
-            or self.distribution == "loguniform"
-            or self.effect == "value"
-            or (low, high) != (None, None)
-        ):
-            raise InputError(
-                "deviation: goes with uniform, normal or lognormal and the effects factor or "
-                "offset, without low and high"
-            )
-        elif log and not factor:
-            raise InputError("distribution: 'lognormal' goes with the effect factor")
-        elif factor and self.unit not in ("1", "%"):
-            raise InputError(f"unit: {self.unit!r} of a factor's deviation must be % or 1")
-        elif factor and not log:
-            most = 1.0 / LIMIT if self.distribution == "normal" else 1.0
-            if self.half >= most:
-                said = f"{self.deviation:g} {self.unit} must be less than {most:g}"
-                raise InputError(f"deviation: {said}: factors are positive")
-        known = () if factor else _units(self.path)
-        if known and units.si_unit(self.unit) not in {units.si_unit(x) for x in known} | {*known}:
-            raise InputError(
-                f"unit: {self.unit!r} is refused: allowed for {self.path}: {', '.join(known)}"
-            )
+            self._check_bounds()
+        else:
+            self._check_deviation()
+        known = () if self.effect == "factor" else _units(self.path)
+        if known and units.si_unit(self.unit) not in {*known, *map(units.si_unit, known)}:
+            allowed = f"allowed for {self.path}: {', '.join(known)}"
+            raise InputError(f"unit: {self.unit!r} is refused: {allowed}")
         return self
+
+    def _check_bounds(self) -> None:
+        """Refuse bounds that do not rise, or of a factor with a unit."""
+        least = 0.0 if self.distribution == "loguniform" else -np.inf
+        if self.low is None or self.high is None or not least < self.low < self.high:
+            ends = "low must be less than high, and greater than 0 on a log scale"
+            raise InputError(f"{self.low} to {self.high} is refused; {ends}")
+        if self.effect == "factor" and self.unit != "1":
+            raise InputError(f"unit: {self.unit!r} of a factor between bounds must be '1'")
+
+    def _check_deviation(self) -> None:
+        """Refuse what goes with no deviation, and one that makes factors of 0 or less."""
+        alone = self.deviation is not None and (self.low, self.high) == (None, None)
+        if not alone or self.distribution == "loguniform" or self.effect == "value":
+            allowed = "uniform, normal or lognormal and the effects factor or offset"
+            raise InputError(f"deviation: goes with {allowed}, without low and high")
+        if self.effect == "offset":
+            if self.distribution == "lognormal":
+                raise InputError("distribution: 'lognormal' goes with the effect factor")
+            return
+        if self.unit not in ("1", "%"):
+            raise InputError(f"unit: {self.unit!r} of a factor's deviation must be % or 1")
+        most = {"normal": 1.0 / LIMIT, "lognormal": np.inf}.get(self.distribution, 1.0)
+        if self.half >= most:
+            said = f"{self.deviation:g} {self.unit} must be less than {most:g}"
+            raise InputError(f"deviation: {said}: factors are positive")
 
     @property
     def half(self) -> float:

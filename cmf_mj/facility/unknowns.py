@@ -37,14 +37,12 @@ from typing import Any, Self, TypeVar, cast
 
 import mujoco
 import numpy as np
-import tomlkit
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 from scipy.stats import qmc
 
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, read_toml, user_file, validated
 from cmf_mj.electronics.sensors import SensorSettings
@@ -124,8 +122,8 @@ class Unknowns(dict[str, Unknown]):
     def split(self, points: Array) -> dict[str, Array]:
         """Coordinates of points (..., n) by name, (..., numbers of it)."""
         sizes = [int(np.prod(shape)) for shape in self.shapes().values()]
-        parts = np.split(points, np.cumsum(sizes)[:-1], axis=-1)
-        return dict(zip(self, parts, strict=True))
+        parts = np.split(points, np.cumsum(sizes), axis=-1)
+        return dict(zip(self, parts[:-1], strict=True))
 
     def at(self, point: Array) -> dict[str, Any]:
         """Values at a point of the unit cube, (n,)."""
@@ -165,8 +163,7 @@ class Unknowns(dict[str, Unknown]):
         if isinstance(part, Plant):
             return cast("Part", self.on(part)._plant(values, part))
         roots = next(roots for kind, roots in _ROOTS.items() if isinstance(part, kind))
-        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
-        given = {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
+        given = self._given(values, roots)
         if all(one.effect == "factor" and np.all(x == 1.0) for one, x in given.values()):
             return part
         match part:
@@ -186,14 +183,13 @@ class Unknowns(dict[str, Unknown]):
             carried = self.apply(values, cab)
             if carried is not cab:
                 plant = Hexapod(carried, oil, timestep=plant.model.opt.timestep)
-        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
-        given = {path: entry for path, entry in found.items() if path.startswith("model.")}
+        given = self._given(values, ("model",))
         return plant.changed(oil, lambda model: _edit(model, given))
 
-    def save(self, path: Path) -> Path:
-        """Write a file that `load_unknowns` reads."""
-        tables = {k: one.model_dump(mode="json", exclude_defaults=True) for k, one in self.items()}
-        return write_text(path, tomlkit.dumps({"unknowns": tables}))
+    def _given(self, values: Values, roots: Sequence[str]) -> "_Given":
+        """What is known, and the value, of each path that begins with one of these words."""
+        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
+        return {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
 
 
 _ROOTS: dict[type[Settings], tuple[str, ...]] = {

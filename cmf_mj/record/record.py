@@ -32,7 +32,7 @@ _SYMBOL = r"(1|m|s|kg|N|Pa|J|W|V|A|K|Hz|rad)(\^[1-9])?"
 _SI = re.compile(rf"{_SYMBOL}((, |/| ){_SYMBOL})*")
 """Units that a channel may have: of SI, with powers, products, quotients and one a column."""
 
-_TABLES = ("machine_parameters", "cab_parameters", "law_parameters", "law_state", "electronics")
+_TABLES = "command machine_parameters cab_parameters law_parameters law_state electronics".split()
 """Metadata that are tables, where they are there."""
 
 _OFF = 1e-6
@@ -157,7 +157,7 @@ class Record:
     @property
     def signal(self) -> Signal:
         """The signal that was demanded, of the metadata's `command`."""
-        return signal_of(self.metadata.get("command", {}))
+        return signal_of(self.metadata.get("command") or {})
 
     @property
     def excitation(self) -> Signal:

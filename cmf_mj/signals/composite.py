@@ -38,6 +38,7 @@ from cmf_mj.signals.signal import (
     amplitude_in_si,
     check_fade,
     check_highest,
+    check_positive,
     command_of,
     plain,
 )
@@ -364,11 +365,11 @@ def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[
     >>> cmf_mj.signals.waypoints([0.0, 2.0], [[0.0], [0.4]])[[1024, 2048, -1], 0].round(3)
     array([0.041, 0.2  , 0.4  ])
     """
+    check_positive(rate=rate)
     when = np.asarray(times, dtype=float)
     _rising(when)
     points = shaped("values", values, when.size, None)
     time = np.arange(round(when[-1] * rate) + 1) / rate
     index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
     s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]
-    blend = quintic(s)
-    return points[index] + (points[index + 1] - points[index]) * blend
+    return points[index] + (points[index + 1] - points[index]) * quintic(s)

@@ -258,9 +258,9 @@ class SingleSignal(OneAxis):
         return {"amplitude": self.size}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Command:
-    """A platform demand, and the signal that made it.
+    """A platform demand, and the signal that made it; equal where signal, seed and poses are.
 
     >>> command = cmf_mj.signals.sine("heave", 0.1, frequency=0.5, cycles=1)
     >>> command.pose.shape, command.duration
@@ -273,14 +273,26 @@ class Command:
 
     def __post_init__(self) -> None:
         """Check the shape and freeze."""
-        if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
-            raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
-        object.__setattr__(self, "pose", frozen(real("command", self.pose)))
+        pose = real("command", self.pose)
+        if pose.ndim != 2 or pose.shape[1] != 6 or pose.shape[0] < 1:
+            raise InputError(f"command: shape is {pose.shape}; allowed: (N, 6) with N >= 1")
+        object.__setattr__(self, "pose", frozen(pose))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether signal, seed and poses are the same, to the bit."""
+        if not isinstance(other, Command):
+            return NotImplemented
+        same = (self.signal, self.seed) == (other.signal, other.seed)
+        return same and self.pose.tobytes() == other.pose.tobytes()
+
+    def __hash__(self) -> int:
+        """Of the poses."""
+        return hash(self.pose.tobytes())
 
     @staticmethod
     def from_pose(pose: ArrayLike, rate: int = RATE) -> "Command":
         """A command from an array `pose` (N, 6) at a control rate [Hz]."""
-        return Command(real("command", pose), Other(rate=rate))
+        return Command(np.asarray(pose), Other(rate=rate))
 
     @property
     def rate(self) -> int:

@@ -74,7 +74,7 @@ class Step(SingleSignal):
         return self.at + 2.0 / self.rate if self.duration is None else self.duration
 
     def _check(self) -> None:
-        if self.at >= self.length:
+        if self.at > (round(self.length * self.rate) - 1) / self.rate:
             raise InputError(f"at: {self.at} s must be less than the duration of {self.length} s")
 
     def _history(self, seed: int) -> NDArray[np.float64]:

@@ -24,15 +24,7 @@ from cmf_mj.control.dcu.play import Arrivals, feed, upsample
 from cmf_mj.control.dcu.state import make_dcu, resting
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.handover import (
-    NEVER,
-    capacity_for,
-    collect,
-    logged,
-    make_log,
-    make_ring,
-    put,
-)
+from cmf_mj.facility.host import handover, udp
 from cmf_mj.facility.host.stream import (
     HostFrame,
     HostStream,
@@ -48,16 +40,7 @@ from cmf_mj.facility.host.stream import (
     write_stream,
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
-from cmf_mj.facility.host.udp import (
-    DATAGRAM_REASONS,
-    SIZE,
-    DatagramError,
-    UdpReceiver,
-    decode_frame,
-    encode_frame,
-    parse_target,
-    send_stream,
-)
+from cmf_mj.facility.host.udp import UdpReceiver, encode_frame
 from cmf_mj.facility.operation import account
 
 RATE = 2048
@@ -238,7 +221,7 @@ def test_a_datagram_is_laid_out_as_documented() -> None:
         *sent.acceleration,
     )
     assert data == body + struct.pack("<I", zlib.crc32(body))
-    assert len(data) == SIZE == 172
+    assert len(data) == udp.SIZE == 172
 
 
 @given(
@@ -248,7 +231,7 @@ def test_a_datagram_is_laid_out_as_documented() -> None:
 )
 def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float]) -> None:
     sent = HostFrame(sequence, time, *np.array(values).reshape(3, 6))
-    found = decode_frame(encode_frame(sent))
+    found = udp.decode_frame(encode_frame(sent))
     assert found.sequence == sequence
     assert struct.pack("<d", found.time) == struct.pack("<d", time)
     for name in ("pose", "velocity", "acceleration"):
@@ -276,18 +259,18 @@ MALFORMED = [
 
 @pytest.mark.parametrize(("data", "reason"), MALFORMED)
 def test_a_malformed_datagram_is_refused_with_its_reason(data: bytes, reason: str) -> None:
-    with pytest.raises(DatagramError, match=reason) as error:
-        decode_frame(data)
+    with pytest.raises(udp.DatagramError, match=reason) as error:
+        udp.decode_frame(data)
     assert error.value.reason == reason
-    assert reason in DATAGRAM_REASONS
+    assert reason in udp.DATAGRAM_REASONS
 
 
-@given(bit=st.integers(0, 8 * SIZE - 1))
+@given(bit=st.integers(0, 8 * udp.SIZE - 1))
 def test_any_flipped_bit_is_noticed(bit: int) -> None:
     data = bytearray(encode_frame(frame()))
     data[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(DatagramError):
-        decode_frame(bytes(data))
+    with pytest.raises(udp.DatagramError):
+        udp.decode_frame(bytes(data))
 
 
 def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
@@ -301,35 +284,39 @@ def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
 
 
 def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
-    ring, log = make_ring(4), make_log(10)
-    filled = collect(ring, log, 0, 0)
+    ring, log = handover.make_ring(4), handover.make_log(10)
+    filled = handover.collect(ring, log, 0, 0)
     assert filled == 0
     for number in range(3):
-        put(ring, frame(number, float(number)))
-    filled = collect(ring, log, filled, 5)
+        handover.put(ring, frame(number, float(number)))
+    filled = handover.collect(ring, log, filled, 5)
     assert (filled, ring.lost[0]) == (3, 0)
     for number in range(3, 10):
-        put(ring, frame(number, float(number)))
-    filled = collect(ring, log, filled, 9)
+        handover.put(ring, frame(number, float(number)))
+    filled = handover.collect(ring, log, filled, 9)
     assert (filled, ring.lost[0]) == (7, 3)
-    kept = logged(log, filled)
+    kept = handover.logged(log, filled)
     assert kept.sequence.tolist() == [0, 1, 2, 6, 7, 8, 9]
     assert kept.frame.tolist() == [5, 5, 5, 9, 9, 9, 9]
     assert (kept.values[0] == np.array(frame()[2:])).all()
-    assert (log.frame[filled:] == NEVER).all()
+    assert (log.frame[filled:] == handover.NEVER).all()
     for number in range(4):
-        put(ring, frame(number))
-    assert collect(ring, log, filled, 12) == 10
+        handover.put(ring, frame(number))
+    assert handover.collect(ring, log, filled, 12) == 10
     assert ring.lost[0] == 4
 
 
 def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted() -> None:
     """A host of 2048 Hz for two seconds: 256 + 200 t are handed over, spread evenly, none older."""
-    ring, log, filled = make_ring(64), make_log(capacity_for(2 * RATE)), 0
+    ring, log, filled = (
+        handover.make_ring(64),
+        handover.make_log(handover.capacity_for(2 * RATE)),
+        0,
+    )
     for now in range(2 * RATE):
-        put(ring, frame(now, now / RATE))
-        filled = collect(ring, log, filled, now)
-    kept = logged(log, filled)
+        handover.put(ring, frame(now, now / RATE))
+        filled = handover.collect(ring, log, filled, now)
+    kept = handover.logged(log, filled)
     waiting = int(ring.written[0] - ring.read[0])
     assert filled == pytest.approx(256 + 2 * 200, abs=1)
     assert filled + ring.thinned[0] + ring.lost[0] + waiting == 2 * RATE
@@ -340,25 +327,29 @@ def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted
 
 
 def test_a_host_of_80_hz_is_never_thinned_and_a_burst_keeps_its_newest() -> None:
-    ring, log, filled = make_ring(512), make_log(capacity_for(20 * RATE)), 0
+    ring, log, filled = (
+        handover.make_ring(512),
+        handover.make_log(handover.capacity_for(20 * RATE)),
+        0,
+    )
     for now in range(0, 10 * RATE, 26):
-        put(ring, frame(now))
-        filled = collect(ring, log, filled, now)
+        handover.put(ring, frame(now))
+        filled = handover.collect(ring, log, filled, now)
     assert (filled, ring.thinned[0]) == (len(range(0, 10 * RATE, 26)), 0)
-    log, filled = make_log(capacity_for(20 * RATE)), 0
+    log, filled = handover.make_log(handover.capacity_for(20 * RATE)), 0
     for number in range(400):
-        put(ring, frame(number))
-    filled = collect(ring, log, filled, 0)
+        handover.put(ring, frame(number))
+    filled = handover.collect(ring, log, filled, 0)
     assert (filled, ring.thinned[0]) == (256, 144)
-    assert logged(log, filled).sequence.tolist() == list(range(144, 400))
+    assert handover.logged(log, filled).sequence.tolist() == list(range(144, 400))
 
 
 def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
-    ring, log = make_ring(4), make_log(10)
+    ring, log = handover.make_ring(4), handover.make_log(10)
     for number in range(2):
-        put(ring, frame(number))
+        handover.put(ring, frame(number))
     ring.mark[0] = -1  # the writer has come round and is at work in slot 0
-    assert collect(ring, log, 0, 0) == 1
+    assert handover.collect(ring, log, 0, 0) == 1
     assert ring.lost[0] == 1
     assert log.sequence[0] == 1
 
@@ -368,7 +359,7 @@ def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
     """Collect without pause until the writer's last frame is read or lost."""
     filled, turns = 0, 0
     while ring.read[0] < last and turns < 10**9:
-        filled = collect(ring, log, filled, turns)
+        filled = handover.collect(ring, log, filled, turns)
         turns += 1
     return filled
 
@@ -376,15 +367,15 @@ def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
 def test_writer_and_reader_at_once_tear_no_frame() -> None:
     """A reader that never pauses beside a writer that never waits, on a ring of two slots."""
     count = 20000
-    ring, log = make_ring(2), make_log(count)
+    ring, log = handover.make_ring(2), handover.make_log(count)
     _read_until(ring, log, 0)  # compiled before the race
     frames = [HostFrame(n, float(n), *np.full((3, 6), float(n))) for n in range(count)]
     with ThreadPoolExecutor(1) as pool:
         reader = pool.submit(_read_until, ring, log, count)
         for sent in frames:
-            put(ring, sent)
+            handover.put(ring, sent)
         filled = reader.result(timeout=60)
-    kept = logged(log, filled)
+    kept = handover.logged(log, filled)
     assert filled + ring.lost[0] == count
     assert filled > 0
     assert (np.diff(kept.sequence) > 0).all()
@@ -406,26 +397,23 @@ def wait_for(receiver: UdpReceiver, count: int) -> None:
 
 def test_frames_cross_the_loopback_in_real_time() -> None:
     stream = wave(24)
-    log = make_log(100)
+    log = handover.make_log(100)
     with UdpReceiver() as receiver:
         assert receiver.address[0] == "127.0.0.1"
-        report = send_stream(stream, *receiver.address)
+        report = udp.send_stream(stream, *receiver.address)
         wait_for(receiver, 24)
-        assert collect(receiver.ring, log, 0, 0) == 24
+        assert handover.collect(receiver.ring, log, 0, 0) == 24
     assert report.frames == 24
     assert report.duration + report.worst_lateness >= 23 / 80.0 - 1e-9
-    kept = logged(log, 24)
+    kept = handover.logged(log, 24)
     assert kept.values.tobytes() == stream.values.tobytes()
     assert kept.time.tobytes() == stream.time.tobytes()
     assert not any(receiver.refused.values())
 
 
 def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
-    expected = dict.fromkeys((*DATAGRAM_REASONS, "overrun"), 0)
-    with (
-        UdpReceiver() as receiver,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
-    ):
+    expected = dict.fromkeys((*udp.DATAGRAM_REASONS, "overrun"), 0)
+    with UdpReceiver() as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
         for data, reason in MALFORMED:
             raw.sendto(data, receiver.address)
             expected[reason] += 1
@@ -527,7 +515,7 @@ def test_deadlines_are_absolute() -> None:
         now += seconds + 0.001
 
     with UdpReceiver() as receiver:
-        report = send_stream(wave(200), *receiver.address, clock=lambda: now, sleep=sleep)
+        report = udp.send_stream(wave(200), *receiver.address, clock=lambda: now, sleep=sleep)
     assert report.worst_lateness == pytest.approx(0.001)
     assert report.duration == pytest.approx(199 / 80.0 + 0.001)
 
@@ -544,7 +532,7 @@ def test_the_duration_sent_counts_from_the_first_datagram(timing: HostTiming) ->
 
     with UdpReceiver() as receiver:
         to = receiver.address
-        report = send_stream(wave(10), *to, timing=timing, clock=lambda: now, sleep=sleep)
+        report = udp.send_stream(wave(10), *to, timing=timing, clock=lambda: now, sleep=sleep)
     assert report.duration == pytest.approx(sent[-1] - sent[0])
 
 
@@ -567,10 +555,10 @@ def test_bad_sockets_are_refused_by_name(arguments: dict[str, object], message: 
 def test_bad_ports_to_send_from_and_to_are_refused_by_name() -> None:
     for source, port, message in ((70000, 2048, "source_port: 70000"), (0, 0, "port: 0")):
         with pytest.raises(InputError, match=message):
-            send_stream(wave(8), "127.0.0.1", port, source_port=source)
+            udp.send_stream(wave(8), "127.0.0.1", port, source_port=source)
     for port in ("0", "70000", "9" * 5000, "+1", ""):
         with pytest.raises(InputError, match="^to: "):
-            parse_target(f"127.0.0.1:{port}")
+            udp.parse_target(f"127.0.0.1:{port}")
 
 
 def test_a_port_in_use_is_an_error_at_once() -> None:
@@ -613,7 +601,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
 )
 def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[bytes]) -> None:
     """Octets in, demand out, one datagram a host interval, without the socket between."""
-    ring, log = make_ring(), make_log(64)
+    ring, log = handover.make_ring(), handover.make_log(64)
     compiled = make_dcu()
     state, demand = resting(compiled), np.empty((3, 6))
     refused = filled = cursor = 0
@@ -621,10 +609,10 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
     for now in range(len(datagrams) * 26 + 600):
         if now % 26 == 0 and now // 26 < len(datagrams):
             try:
-                put(ring, decode_frame(datagrams[now // 26]))
-            except DatagramError:
+                handover.put(ring, udp.decode_frame(datagrams[now // 26]))
+            except udp.DatagramError:
                 refused += 1
-        filled = collect(ring, log, filled, now)
+        filled = handover.collect(ring, log, filled, now)
         cursor = feed(compiled, state, log, cursor, now)
         play.step(compiled, state, demand)
         assert np.isfinite(demand).all()

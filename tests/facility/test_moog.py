@@ -178,9 +178,7 @@ def test_bad_datagrams_are_counted_latch_their_fault_and_move_nothing(
         assert (done.record[name] == clean[name]).all()
 
 
-def test_in_length_mode_the_six_are_legs_from_the_settled_position(
-    swift: StateSettings,
-) -> None:
+def test_in_length_mode_the_six_are_legs_from_the_settled_position(swift: StateSettings) -> None:
     """At mid-stroke but for a heave, whose legs follow from the geometry."""
     travel = 0.0254 * 37.5
     legs = pose_to_legs([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])

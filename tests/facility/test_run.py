@@ -12,15 +12,7 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from cmf_mj import (
-    Hexapod,
-    Record,
-    SingleLegs,
-    compare,
-    drive,
-    load_law,
-    simulate,
-)
+from cmf_mj import Hexapod, Record, SingleLegs, compare, drive, load_law, simulate
 from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import make_log
@@ -95,10 +87,7 @@ def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
 
 @pytest.mark.parametrize("plant", ["gfd", None, SingleLegs])
 def test_a_plant_is_none_by_its_name(plant: Any) -> None:
-    for run in (
-        lambda: simulate(plant, "velocity", STILL),
-        lambda: drive(plant, STILL),
-    ):
+    for run in (lambda: simulate(plant, "velocity", STILL), lambda: drive(plant, STILL)):
         with pytest.raises(InputError, match="plant: .* is refused: input should be 'hexapod' or"):
             run()
 

@@ -15,12 +15,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
-from cmf_mj.facility.scenario import (
-    load_scenario,
-    save_scenario,
-    scenario_names,
-    scenario_of,
-)
+from cmf_mj.facility.scenario import load_scenario, save_scenario, scenario_names, scenario_of
 from cmf_mj.facility.settings import change_of
 from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.record.record import Record
@@ -94,16 +89,10 @@ def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        (
-            {"plant": "truck"},
-            "plant: 'truck' is refused: input should be 'hexapod' or",
-        ),
+        ({"plant": "truck"}, "plant: 'truck' is refused: input should be 'hexapod' or"),
         ({"law": "fast"}, "law: 'fast' is not one of original"),
         ({"signal": [{"kind": "sin"}]}, "does not match any of the expected tags: 'step'"),
-        (
-            {"signal": [SINE | {"amplitude": [1.0, "deg"]}]},
-            "'deg' is refused for heave",
-        ),
+        ({"signal": [SINE | {"amplitude": [1.0, "deg"]}]}, "'deg' is refused for heave"),
         ({"signal": [SINE | {"amplitude": [1.0, "ft"]}]}, "unit 'ft' is not one of in, m"),
         ({"gains": {"state_gain": 1.5}}, "state_gain: 1.5 is refused: input should be less than 1"),
         ({"change": [{"law": "velocity"}]}, "change.0: needs `at` in s or `frame`"),

@@ -21,6 +21,7 @@ from cmf_mj import (
     load_law,
     simulate,
 )
+from cmf_mj.control.states import Request
 from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import from_table
@@ -99,6 +100,11 @@ def test_an_open_loop_has_no_law_to_hand_over_from() -> None:
     with pytest.raises(InputError, match="law: velocity is refused; allowed: in a loop closed"):
         run.engage(load_law("velocity"))
     assert run.look().law == ""
+
+
+def test_a_request_needs_a_host() -> None:
+    with pytest.raises(InputError, match="request: HOLD is refused; allowed: in a run with a host"):
+        session(SingleLegs()).request(Request.HOLD)
 
 
 @pytest.mark.parametrize("plant", [Hexapod, SingleLegs, excavator])

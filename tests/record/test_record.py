@@ -254,14 +254,13 @@ def test_channels_that_do_not_match_are_named(changes, said):
         small(**changes)
 
 
-@pytest.mark.parametrize(
-    "name", ["law_state", "machine_parameters", "cab_parameters", "electronics"]
-)
+@pytest.mark.parametrize("name", ["law_state", "machine_parameters", "electronics", "command"])
 def test_metadata_of_another_kind_are_named(name):
     """What reads them, such as a replay, failed inside; none at all is as good as null."""
     with pytest.raises(ValueError, match=f"metadata: {name}: 3 is refused; allowed: a table"):
         small(metadata={name: 3})
-    assert small(metadata={name: None}).metadata[name] is None
+    kept = small(metadata={name: None})
+    assert kept.metadata[name] is None and "3 samples" in repr(kept)
 
 
 def test_files_of_another_kind_are_named(tmp_path):

@@ -375,3 +375,5 @@ def test_waypoints_need_times_that_rise_from_zero(times):
 def test_waypoints_need_a_finite_row_a_time(values):
     with pytest.raises(ValueError, match="values"):
         composite.waypoints([0.0, 1.0], values)
+    with pytest.raises(ValueError, match="rate: 0 must be a finite number greater than 0"):
+        composite.waypoints([0.0, 1.0], [[0.0], [1.0]], rate=0)

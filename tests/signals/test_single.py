@@ -128,6 +128,9 @@ def test_command_from_an_array_is_a_copy():
     command = Command.from_pose(poses)
     poses[0, 0] = 1.0
     assert not command.pose.any()
+    assert command == Command([[0.0] * 6] * 8) != Command(poses)
+    step, same, other = (signals.step("heave", size) for size in (0.1, 0.1, 0.2))
+    assert step == same != other and len({step, same, other}) == 2
 
 
 @pytest.mark.parametrize("shape", [(6,), (4, 5), (0, 6), (2, 4, 6)])
@@ -143,15 +146,12 @@ def test_command_of_a_wrong_shape_is_refused(shape):
     ("kind", "arguments", "message"),
     [
         ("step", {"at": 14.0}, "at: 14.0 s must be less than the duration of 13.0 s"),
+        ("step", {"at": 12.9999}, "at: 12.9999 s must be less than the duration of 13.0 s"),
         ("sine", {"frequency": 2000.0}, "frequency: 2000 Hz must be at most half the control rate"),
         ("chirp", {"stop": 2000.0}, "stop: 2000 Hz must be at most half the control rate"),
         ("chirp", {"start": 11.0}, "stop: 10.0 Hz must be above start, 11.0 Hz"),
         ("pulse", {"width": 1e-4}, "width: 0.0001 s must be two frames or more"),
-        (
-            "pulse",
-            {"width": 12.5},
-            "width: 12.5 s after 1.0 s must be within the 13.0 s",
-        ),
+        ("pulse", {"width": 12.5}, "width: 12.5 s after 1.0 s must be within the 13.0 s"),
         ("noise", {"fade": 60.0}, "fade: 60.0 s must be at most half the duration of 100.0 s"),
         ("noise", {"start": 2.0, "stop": 1.0}, "stop: no multiple of 0.01 Hz lies in 2.0 to 1.0"),
         ("multisine", {"period": 0.3001}, "period: 0.3001 s must be a whole number of frames"),
