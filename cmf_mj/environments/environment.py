@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.arrays import real, whole
+from cmf_mj.core.arrays import real, shaped, whole
 from cmf_mj.core.errors import InputError, NoPoseError, check_name
 from cmf_mj.core.units import MOST_FRAMES
 from cmf_mj.facility.front import from_table
@@ -63,15 +63,6 @@ def of_cylinders(plant: Plant) -> tuple[ObservedQuantity, ...]:
         ObservedQuantity("leg_velocity", "m/s", count, 2.0, lambda env: env.running.memory.mean),
         ObservedQuantity("pressure_difference", "MPa", count, 50.0, across),
     )
-
-
-def checked(name: str, actions: Any, space: gym.Space[Any]) -> Array:
-    """Actions, finite and of the shape of their space."""
-    given = real(name, actions)
-    if given.shape != space.shape or not np.isfinite(given).all():
-        allowed = f"finite numbers of shape {space.shape}"
-        raise InputError(f"{name}: {actions} is refused; allowed: {allowed}")
-    return given
 
 
 class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -211,7 +202,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         session = self.running
         if self._done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
-        acted = np.clip(checked("action", action, self.action_space), -1.0, 1.0)
+        acted = np.clip(shaped("action", action, *self.action_space.shape), -1.0, 1.0)
         self.table[:] = self._held(acted) if self._act is None else self._act(self, acted)
         left: dict[str, Any] = {}
         try:

@@ -36,29 +36,19 @@ class Pace(NamedTuple):
 
 def make_pace(frames: int = 0, frame: float = FRAME) -> Pace:
     """Pace for a number of frames of some length [s]; of none it neither waits nor logs."""
+    spec, rest = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    origin, busy, late = np.full(1, np.nan), np.zeros(frames), np.zeros(frames)
     if not frames:
-        spec, rest = np.zeros((2, 2), dtype=np.int64)
-        busy, late = np.zeros((2, 0))
-        return Pace(0, 0, 0, spec, rest, np.zeros(1), busy, late, frame)
+        return Pace(0, 0, 0, spec, rest, origin, busy, late, frame)
     if sys.platform == "win32":
         raise OSError("real time: needs a system with clock_gettime and nanosleep")
     check_memory("seconds", f"the times of {frames} control frames", 2 * frames)
     library = ctypes.CDLL(None)
-
-    def address(name: str) -> int:
-        return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
-
-    return Pace(
-        address("clock_gettime"),
-        address("nanosleep"),
-        time.CLOCK_MONOTONIC,
-        np.zeros(2, dtype=np.int64),
-        np.zeros(2, dtype=np.int64),
-        np.full(1, np.nan),
-        np.zeros(frames),
-        np.zeros(frames),
-        frame,
+    gettime, nanosleep = (
+        ctypes.cast(function, ctypes.c_void_p).value or 0
+        for function in (library.clock_gettime, library.nanosleep)
     )
+    return Pace(gettime, nanosleep, time.CLOCK_MONOTONIC, spec, rest, origin, busy, late, frame)
 
 
 @compiled

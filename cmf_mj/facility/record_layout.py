@@ -93,17 +93,15 @@ def make_layout(plant: Plant, absent: set[str]) -> Layout:
         "energies": len(ENERGIES),
         "positions": plant.model.nq,
     }
-    listed: list[tuple[str, str, int | None]] = [
-        (name, unit, widths[kind]) for name, (unit, kind) in _CHANNELS.items() if name not in absent
-    ]
-    ends = sum(1 if width is None else width for _, _, width in listed)
+    channels, starts, first = list[Channel](), dict.fromkeys(_CHANNELS, -1), 0
+    for name, (unit, kind) in _CHANNELS.items():
+        if name not in absent:
+            starts[name], width = first, widths[kind]
+            channels.append(Channel(name, unit, first, width))
+            first += 1 if width is None else width
+    columns = Columns(**starts, sensors=first)  # type: ignore[call-arg]
     for name, indices in plant.sensors.items():
         unit = _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2")
-        listed.append((name, unit, indices.size))
-    channels, first = [], 0
-    for name, unit, width in listed:
-        channels.append(Channel(name, unit, first, width))
-        first += 1 if width is None else width
-    starts = {channel.name: channel.first for channel in channels}
-    columns = Columns(*(starts.get(name, -1) for name in _CHANNELS), ends)  # type: ignore[call-arg]
+        channels.append(Channel(name, unit, first, indices.size))
+        first += indices.size
     return Layout(tuple(channels), columns, first)

@@ -118,9 +118,7 @@ def _csv(path: Path) -> Source:
         pyarrow.csv.ConvertOptions(null_values=_NULLS, decimal_point=decimal),
     )
     unit_of = dict(zip(names, stated, strict=True))
-    columns = (
-        (name, unit_of[name] or unit, values) for name, unit, values in _table_columns(table)
-    )
+    columns = ((name, unit_of[name] or unit, x) for name, unit, x in _table_columns(table))
     remarks = [line.removeprefix(REMARK) for line in every if line.startswith(REMARK)]
     metadata = parsed_json(remarks[-1], f"{path}: {REMARK.strip()}") if remarks else {}
     if not isinstance(metadata, dict):
@@ -276,14 +274,11 @@ def even_clock(time: Array) -> tuple[Array, float]:
         if worst <= max(1.2 * best, 1e-9 * time.size / rate):
             break
     row = int(np.abs(steps - usual).argmax()) + 1
-    if (
-        worst > _MAX_STAMP_ERROR / rate
-        or abs(steps[row - 1] - 1.0 / rate) > _MAX_INTERVAL_ERROR / rate
-    ):
-        raise InputError(
-            f"time: row {row + 1}, {time[row]:.9g} s, is {steps[row - 1]:.6g} s after the row "
-            f"before, others are {usual:.6g} s apart; allowed: even times, or `resample` [Hz]"
-        )
+    step = steps[row - 1]
+    if worst > _MAX_STAMP_ERROR / rate or abs(step - 1.0 / rate) > _MAX_INTERVAL_ERROR / rate:
+        said = f"row {row + 1}, {time[row]:.9g} s, is {step:.6g} s after the row before"
+        allowed = "even times, or `resample` [Hz]"
+        raise InputError(f"time: {said}, others are {usual:.6g} s apart; allowed: {allowed}")
     # A first stamp in the middle of its rounding is as good as any other.
     return time[0] + (middle if worst > 1e-9 else 0.0) + count / rate, rate
 

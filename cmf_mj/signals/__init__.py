@@ -8,13 +8,12 @@ from cmf_mj.signals.composite import (
     stepped_sines,
     waypoints,
 )
-from cmf_mj.signals.signal import Command, check_not_negative, check_positive
+from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.signals.single import chirp, multisine, noise, pulse, sine, step
 
 __all__ = [
     "Command",
     "acceleration_step",
-    "check_not_negative",
     "check_positive",
     "chirp",
     "faded_sines",

@@ -52,13 +52,6 @@ def check_positive(**values: float) -> None:
             raise InputError(f"{name}: {value} must be a finite number greater than 0")
 
 
-def check_not_negative(**values: float) -> None:
-    """Refuse what is not a finite number of at least 0, by its name."""
-    for name, value in values.items():
-        if not (np.isfinite(value) and value >= 0.0):
-            raise InputError(f"{name}: {value} must be a finite number, at least 0")
-
-
 def check_length(seconds: float, rate: int = RATE) -> None:
     """Refuse a table that would be too long to hold."""
     most = LONGEST * min(RATE / rate, 1.0)
@@ -292,7 +285,7 @@ class Command:
     @staticmethod
     def from_pose(pose: ArrayLike, rate: int = RATE) -> "Command":
         """A command from an array `pose` (N, 6) at a control rate [Hz]."""
-        return Command(np.asarray(pose), Other(rate=rate))
+        return Command(real("command", pose), Other(rate=rate))
 
     @property
     def rate(self) -> int:

@@ -42,7 +42,7 @@ from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command, check_not_negative, check_positive, commanded
+from cmf_mj.signals.signal import Command, check_positive, commanded
 from cmf_mj.signals.single import sine
 from cmf_mj.studies.case import Case, frames_a_row, make_case
 
@@ -322,7 +322,8 @@ def faded_sine(
     least 4 s later [s].
     """
     check_positive(frequency=frequency)
-    check_not_negative(at=at)
+    if not 0.0 <= at < np.inf:
+        raise InputError(f"at: {at} must be a finite number, at least 0")
     if not after >= 2.0 * REST:
         raise InputError(f"after: {after} s must be at least {2.0 * REST:g} s")
     cycles = (at + after - REST) * frequency

@@ -5,28 +5,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmf_mj.electronics.servo_electronics import (
-    ServoElectronics,
-    convert,
-    load_servo_settings,
-    make_servo_electronics,
-    reset,
-    start,
-    step,
-)
+from cmf_mj.electronics import servo_electronics as servo
 
 INCH = 0.0254
-SHIPPED = make_servo_electronics()
+SHIPPED = servo.make_servo_electronics()
 FREE = SHIPPED._replace(velocity_clamp=1.0, change=1e9, quantum=0.0)
 
 
-def run(electronics: ServoElectronics, command, position=None, raised=True, state=None):
+def run(electronics: servo.ServoElectronics, command, position=None, raised=True, state=None):
     """Volts, valve commands (N, n) and whether tripped (N,) of histories (N, n)."""
     command = np.array(command, dtype=float)
     where = np.zeros(command.shape) if position is None else np.array(position, dtype=float)
-    state = state or start(command.shape[1])
-    volts = np.reshape([convert(electronics, u)[1] for u in command.ravel()], command.shape)
-    tripped = [step(electronics, state, raised, *row) for row in zip(command, where, strict=True)]
+    state = state or servo.start(command.shape[1])
+    volts = np.reshape([servo.convert(electronics, u)[1] for u in command.ravel()], command.shape)
+    rows = zip(command, where, strict=True)
+    tripped = [servo.step(electronics, state, raised, *row) for row in rows]
     return volts, command, np.array(tripped)
 
 
@@ -39,7 +32,7 @@ def run(electronics: ServoElectronics, command, position=None, raised=True, stat
 )
 def test_sixteen_bits_over_ten_volts(command, counts):
     """q = 20 V / 65536 = 305.18 microvolts; +100 % saturates one count below full scale."""
-    found, volts = convert(SHIPPED, command)
+    found, volts = servo.convert(SHIPPED, command)
     assert found == counts
     assert volts == pytest.approx(counts * 20.0 / 65536, rel=1e-15)
 
@@ -47,7 +40,7 @@ def test_sixteen_bits_over_ten_volts(command, counts):
 @given(st.floats(-0.999, 0.999), st.integers(4, 24))
 def test_quantisation_is_within_half_a_count(command, bits):
     electronics = SHIPPED._replace(quantum=20.0 / 2**bits)
-    counts, volts = convert(electronics, command)
+    counts, volts = servo.convert(electronics, command)
     assert counts == int(counts)
     top = 10.0 - electronics.quantum
     assert abs(volts - min(10.0 * command, top)) <= 0.5 * electronics.quantum * (1 + 1e-12)
@@ -57,7 +50,7 @@ def test_quantisation_noise_is_that_of_a_uniform_error():
     """q / sqrt(12) rms over commands spread across many counts; 5e4 samples know it to 0.5 %."""
     electronics = SHIPPED._replace(quantum=20.0 / 2**12)
     commands = np.random.default_rng(3).uniform(-0.9, 0.9, 50_000)
-    error = [convert(electronics, u)[1] - 10.0 * u for u in commands]
+    error = [servo.convert(electronics, u)[1] - 10.0 * u for u in commands]
     assert np.std(error) == pytest.approx(electronics.quantum / np.sqrt(12.0), rel=0.015)
 
 
@@ -112,7 +105,7 @@ def test_clamp_and_rate_hold_for_any_command(seed, change, clamp):
 @pytest.mark.parametrize(("side", "sign"), [(0, -1.0), (1, 1.0)])
 def test_a_passed_switch_stays_tripped_until_reset(side, sign):
     """37.7 in: the command of all legs goes to nothing at the limiter's rate and stays there."""
-    state = start(3)
+    state = servo.start(3)
     positions = np.zeros((600, 3))
     positions[200:210, 1] = sign * 37.71 * INCH
     volts, valve, tripped = run(SHIPPED, np.full((600, 3), 0.5), positions, state=state)
@@ -121,15 +114,15 @@ def test_a_passed_switch_stays_tripped_until_reset(side, sign):
     assert np.allclose(volts, 5.0)
     assert (valve[199] == 0.5).all() and not valve[252:].any()
     assert np.abs(np.diff(valve, axis=0)).max() <= 20.0 / 2048 * (1 + 1e-12)
-    reset(state)
+    servo.reset(state)
     _, valve, tripped = run(SHIPPED, np.full((100, 3), 0.5), state=state)
     assert not tripped.any() and (valve[-1] == 0.5).all()
 
 
 def test_reset_on_a_passed_switch_trips_again():
-    state = start(1)
+    state = servo.start(1)
     run(SHIPPED, [[0.0]], [[1.0]], state=state)
-    reset(state)
+    servo.reset(state)
     assert run(SHIPPED, [[0.0]], [[1.0]], state=state)[2].all()
 
 
@@ -150,11 +143,11 @@ def test_a_position_that_is_no_number_trips():
 
 
 def test_settings_are_assumed_and_own_ones_replace_them(tmp_path):
-    shipped = load_servo_settings()
+    shipped = servo.load_servo_settings()
     assert {getattr(shipped, name).status for name in type(shipped).model_fields} == {"assumed"}
     path = tmp_path / "mine.toml"
     path.write_text("dac_bits = {value = 0}\nrate_limit = {value = 500.0}\n")
-    mine = make_servo_electronics(load_servo_settings(path))
+    mine = servo.make_servo_electronics(servo.load_servo_settings(path))
     assert mine.quantum == 0.0
     assert mine.change == pytest.approx(5.0 / 2048)
     assert mine.switch_position == SHIPPED.switch_position

@@ -11,34 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dcu_bounds import output_bounds
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import signals
-from cmf_mj.cli.common import app
-from cmf_mj.control.dcu import play
-from cmf_mj.control.dcu.play import Arrivals, feed, upsample
+from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.state import make_dcu, resting
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host import handover, udp
-from cmf_mj.facility.host.stream import (
-    HostFrame,
-    HostStream,
-    HostTiming,
-    differentiate,
-    from_command,
-    make_stream,
-    read_arrivals,
-    read_stream,
-    resample,
-    unit_doubts,
-    write_arrivals,
-    write_stream,
-)
+from cmf_mj.facility.host import stream as streams
+from cmf_mj.facility.host.stream import HostFrame, HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.host.udp import UdpReceiver, encode_frame
 from cmf_mj.facility.operation import account
@@ -49,7 +34,7 @@ RATE = 2048
 def wave(count: int = 40, rate: float = 80.0) -> HostStream:
     time = np.arange(count) / rate
     angle = np.outer(time, 2.0 * np.pi * np.array([0.5, 0.7, 1.0, 0.3, 0.4, 0.6]))
-    return make_stream(time, 0.05 * np.sin(angle))
+    return streams.make_stream(time, 0.05 * np.sin(angle))
 
 
 def frame(sequence: int = 7, time: float = 1.25) -> HostFrame:
@@ -70,7 +55,7 @@ def test_derivatives_of_a_quintic_are_exact() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0.0, 1.0, 30))
     poly = np.polynomial.Polynomial([0.1, -0.2, 0.3, 1.0, -1.5, 0.5])
     pose = np.tile(poly(time)[:, None], 6)
-    velocity, acceleration = differentiate(time, pose)
+    velocity, acceleration = streams.differentiate(time, pose)
     assert np.abs(velocity[:, 3] - poly.deriv()(time)).max() < 1e-9
     assert np.abs(acceleration[:, 3] - poly.deriv(2)(time)).max() < 1e-6
 
@@ -88,12 +73,12 @@ def test_a_stream_of_poses_is_played_as_its_spline() -> None:
 
 def test_a_command_is_sampled_with_its_derivatives() -> None:
     command = signals.sine("pitch", 0.05, 0.5)
-    stream = from_command(command, 64.0)
+    stream = streams.from_command(command, 64.0)
     assert stream.time[-1] <= command.duration
     assert np.diff(stream.time) == pytest.approx(1 / 64.0)
     picked = command.pose[:: RATE // 64][: stream.time.size]
     assert np.abs(stream.pose - picked).max() < 1e-12
-    again = from_command(signals.step("heave", 0.0254), 80.0, derivatives="zero")
+    again = streams.from_command(signals.step("heave", 0.0254), 80.0, derivatives="zero")
     assert set(np.unique(again.pose[:, 2])) == {0.0, 0.0254}
     assert again.pose[80, 2] == 0.0254
     assert again.pose[79, 2] == 0.0
@@ -102,18 +87,18 @@ def test_a_command_is_sampled_with_its_derivatives() -> None:
 
 def test_resampling_keeps_the_motion() -> None:
     stream = wave(81, 40.0)
-    finer = resample(stream, 80.0)
+    finer = streams.resample(stream, 80.0)
     assert finer.time.size == 161
-    back = resample(finer, 40.0)
+    back = streams.resample(finer, 40.0)
     for name in ("time", "pose", "velocity", "acceleration"):
         assert np.abs(getattr(back, name) - getattr(stream, name)).max() < 1e-10
 
 
 def test_a_gap_that_memory_cannot_hold_is_refused() -> None:
     """A clock that jumps by thirty years within a file: 2e9 frames at 2 Hz."""
-    stream = make_stream(np.array([0.0, 0.1, 1e9]), *np.zeros((3, 3, 6)))
+    stream = streams.make_stream(np.array([0.0, 0.1, 1e9]), *np.zeros((3, 3, 6)))
     with pytest.raises(ValueError, match="rate: 2 Hz makes 2e.09 frames of a stream of 1e.09 s"):
-        resample(stream, 2.0)
+        streams.resample(stream, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +122,7 @@ def test_a_gap_that_memory_cannot_hold_is_refused() -> None:
 def test_a_bad_stream_is_refused_by_name(changes: dict[str, object], message: str) -> None:
     arguments: dict[str, object] = {"time": np.arange(10.0), "pose": np.zeros((10, 6))} | changes
     with pytest.raises(ValueError, match=message):
-        make_stream(**arguments)  # type: ignore[arg-type]
+        streams.make_stream(**arguments)  # type: ignore[arg-type]
 
 
 # Files
@@ -146,18 +131,18 @@ def test_a_bad_stream_is_refused_by_name(changes: dict[str, object], message: st
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
 def test_a_stream_reads_back_bit_for_bit(name: str, tmp_path: Path) -> None:
     stream = wave()
-    assert_same(read_stream(write_stream(stream, tmp_path / name)), stream)
+    assert_same(streams.read_stream(streams.write_stream(stream, tmp_path / name)), stream)
 
 
 def test_a_file_of_poses_alone_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     rows = [f"0,0,{0.001 * k},9,0,0,0,{k / 50}" for k in range(8)]
     path.write_text("\n".join(["yaw,pitch,heave,note,roll,sway,surge,time", *rows]))
-    stream = read_stream(path)
+    stream = streams.read_stream(path)
     assert stream.pose[:, 2] == pytest.approx(0.001 * np.arange(8))
     assert stream.velocity[:, 2] == pytest.approx(0.05)
     assert stream.sequence.tolist() == list(range(8))
-    assert not read_stream(path, derivatives="zero").velocity.any()
+    assert not streams.read_stream(path, derivatives="zero").velocity.any()
 
 
 @pytest.mark.parametrize(
@@ -175,19 +160,19 @@ def test_a_bad_file_is_refused_with_its_place(text: str, message: str, tmp_path:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        read_stream(path, derivatives="zero")
+        streams.read_stream(path, derivatives="zero")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must end in"):
-        read_stream(tmp_path / "run.xlsx")
+        streams.read_stream(tmp_path / "run.xlsx")
     with pytest.raises(ValueError, match="must end in"):
-        write_stream(wave(), tmp_path / "run.txt")
+        streams.write_stream(wave(), tmp_path / "run.txt")
     with pytest.raises(ValueError, match="is not a readable Parquet file"):
-        read_stream(tmp_path / "none.parquet")
-    path = write_stream(wave(), tmp_path / "run.parquet")
+        streams.read_stream(tmp_path / "none.parquet")
+    path = streams.write_stream(wave(), tmp_path / "run.parquet")
     with pytest.raises(ValueError, match="control_frame: column is missing"):
-        read_arrivals(path)
+        streams.read_arrivals(path)
 
 
 def test_bad_frames_come_back_bit_for_bit(tmp_path: Path) -> None:
@@ -197,7 +182,7 @@ def test_bad_frames_come_back_bit_for_bit(tmp_path: Path) -> None:
     arrivals.time[40] = np.nan
     arrivals.sequence[50] = 49
     arrivals.frame[60:] += 400
-    again = read_arrivals(write_arrivals(arrivals, tmp_path / "host.parquet"))
+    again = streams.read_arrivals(streams.write_arrivals(arrivals, tmp_path / "host.parquet"))
     for left, right in zip(arrivals, again, strict=True):
         assert left.tobytes() == right.tobytes()
 
@@ -308,11 +293,8 @@ def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
 
 def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted() -> None:
     """A host of 2048 Hz for two seconds: 256 + 200 t are handed over, spread evenly, none older."""
-    ring, log, filled = (
-        handover.make_ring(64),
-        handover.make_log(handover.capacity_for(2 * RATE)),
-        0,
-    )
+    ring, filled = handover.make_ring(64), 0
+    log = handover.make_log(handover.capacity_for(2 * RATE))
     for now in range(2 * RATE):
         handover.put(ring, frame(now, now / RATE))
         filled = handover.collect(ring, log, filled, now)
@@ -327,11 +309,8 @@ def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted
 
 
 def test_a_host_of_80_hz_is_never_thinned_and_a_burst_keeps_its_newest() -> None:
-    ring, log, filled = (
-        handover.make_ring(512),
-        handover.make_log(handover.capacity_for(20 * RATE)),
-        0,
-    )
+    ring, filled = handover.make_ring(512), 0
+    log = handover.make_log(handover.capacity_for(20 * RATE))
     for now in range(0, 10 * RATE, 26):
         handover.put(ring, frame(now))
         filled = handover.collect(ring, log, filled, now)
@@ -427,11 +406,8 @@ def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
 
 def test_other_senders_are_dropped_and_counted() -> None:
     """127.0.0.2 is another host on the same loopback; another port is another program."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mine,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as neighbour,
-    ):
+    mine, stranger, neighbour = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(3))
+    with mine, stranger, neighbour:
         mine.bind(("127.0.0.1", 0))
         neighbour.bind(("127.0.0.1", 0))
         stranger.bind(("127.0.0.2", 0))
@@ -485,55 +461,48 @@ def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
 
 def test_other_units_are_said_and_the_right_ones_are_not() -> None:
     stream = wave(200)
-    assert unit_doubts(stream.time, stream.pose) == []
-    (text,) = unit_doubts(1e3 * stream.time, stream.pose)
+    assert streams.unit_doubts(stream.time, stream.pose) == []
+    (text,) = streams.unit_doubts(1e3 * stream.time, stream.pose)
     assert text == "time: 12.5 s from frame to frame; host times are in s: is this ms?"
-    assert unit_doubts(1e6 * stream.time, stream.pose)[0].endswith("is this us?")
+    assert streams.unit_doubts(1e6 * stream.time, stream.pose)[0].endswith("is this us?")
     turned = stream.pose * [1, 1, 1, 57.3, 57.3, 57.3]
-    lines = unit_doubts(stream.time, turned)
+    lines = streams.unit_doubts(stream.time, turned)
     assert [line.split(":")[0] for line in lines] == ["roll", "pitch", "yaw"]
     assert all(line.endswith("is this deg?") for line in lines)
-    assert unit_doubts(stream.time, stream.pose * [39.37, 1, 1, 1, 1, 1])[0].endswith("in?")
+    assert streams.unit_doubts(stream.time, stream.pose * [39.37, 1, 1, 1, 1, 1])[0].endswith("in?")
     bad = np.full((3, 6), np.nan)
-    assert unit_doubts(np.array([np.nan, 0.0, np.inf]), bad) == []
-    assert unit_doubts(np.zeros(0), np.zeros((0, 6))) == []
+    assert streams.unit_doubts(np.array([np.nan, 0.0, np.inf]), bad) == []
+    assert streams.unit_doubts(np.zeros(0), np.zeros((0, 6))) == []
 
 
 def test_the_command_line_says_so_before_the_run(tmp_path: Path) -> None:
     stream = wave(8)
-    path = write_stream(stream._replace(time=1e3 * stream.time), tmp_path / "run.csv")
-    result = CliRunner().invoke(app, ["operate", str(path), "--out", "", "--seconds", "nan"])
-    assert "time: 12.5 s from frame to frame" in result.output.replace("\n", " ")
+    path = streams.write_stream(stream._replace(time=1e3 * stream.time), tmp_path / "run.csv")
+    said = cmf("operate", path, "--out", "", "--seconds", "nan", code=2)
+    assert "time: 12.5 s from frame to frame" in said.replace("\n", " ")
 
 
-def test_deadlines_are_absolute() -> None:
-    """A clock that is late by 1 ms at each sleep: no frame is later than that, so none adds up."""
-    now = 0.0
+@pytest.mark.parametrize(
+    ("timing", "late"),
+    [({}, 0.001), ({"stutter": 0.05}, 0.0), ({"jitter": 0.1}, 0.0)],
+)
+def test_deadlines_are_absolute(timing: dict[str, float], late: float) -> None:
+    """A clock that is late at each sleep: no frame is later than that, so none adds up.
 
-    def sleep(seconds: float) -> None:
-        nonlocal now
-        now += seconds + 0.001
-
-    with UdpReceiver() as receiver:
-        report = udp.send_stream(wave(200), *receiver.address, clock=lambda: now, sleep=sleep)
-    assert report.worst_lateness == pytest.approx(0.001)
-    assert report.duration == pytest.approx(199 / 80.0 + 0.001)
-
-
-@pytest.mark.parametrize("timing", [HostTiming(stutter=0.05), HostTiming(jitter=0.1)])
-def test_the_duration_sent_counts_from_the_first_datagram(timing: HostTiming) -> None:
-    """Measured where the datagrams are sent: by a clock that only sleeping moves."""
-    now, sent = 0.0, list[float]()
+    The duration counts from the first datagram, by a clock that only sleeping moves.
+    """
+    now, sent = 0.0, [0.0]
 
     def sleep(seconds: float) -> None:
         nonlocal now
-        now += seconds
+        now += seconds + late
         sent.append(now)
 
+    how = {"timing": streams.HostTiming(**timing), "clock": lambda: now, "sleep": sleep}
     with UdpReceiver() as receiver:
-        to = receiver.address
-        report = udp.send_stream(wave(10), *to, timing=timing, clock=lambda: now, sleep=sleep)
-    assert report.duration == pytest.approx(sent[-1] - sent[0])
+        report = udp.send_stream(wave(200), *receiver.address, **how)
+    assert report.worst_lateness == pytest.approx(late)
+    assert report.duration == pytest.approx(sent[-1] - sent[1 if timing else 0])
 
 
 @pytest.mark.parametrize(
@@ -567,61 +536,23 @@ def test_a_port_in_use_is_an_error_at_once() -> None:
 
 
 def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
-    path = write_stream(wave(17, 40.0), tmp_path / "run.csv")
+    path = streams.write_stream(wave(17, 40.0), tmp_path / "run.csv")
     with UdpReceiver() as receiver:
         target = f"127.0.0.1:{receiver.address[1]}"
-        result = CliRunner().invoke(app, ["host", str(path), "--to", target, "--rate", "80"])
-        assert result.exit_code == 0, result.output
-        assert "33 frames in " in result.output
+        assert "33 frames in " in cmf("host", path, "--to", target, "--rate", "80")
         wait_for(receiver, 33)
         assert receiver.received == 33
     for arguments, message in (
         (["nothing.csv", "--to", "127.0.0.1:2048"], "nothing.csv: cannot be read"),
-        ([str(path), "--to", "127.0.0.1"], "ADDRESS:PORT"),
-        ([str(path), "--to", "127.0.0.1:0"], "port: 0"),
-        ([str(path), "--to", "127.0.0.1:2048", "--rate", "0"], "greater than or equal to 1"),
+        ([path, "--to", "127.0.0.1"], "ADDRESS:PORT"),
+        ([path, "--to", "127.0.0.1:0"], "port: 0"),
+        ([path, "--to", "127.0.0.1:2048", "--rate", "0"], "greater than or equal to 1"),
     ):
-        result = CliRunner().invoke(app, ["host", *arguments])
-        assert result.exit_code == 2
-        assert message in result.output
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    datagrams=st.lists(
-        st.binary(max_size=200)
-        | st.builds(
-            lambda n, t, v: encode_frame(HostFrame(n, t, *np.full((3, 6), v))),
-            st.integers(0, 100),
-            st.floats(),
-            st.floats(),
-        ),
-        max_size=30,
-    )
-)
-def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[bytes]) -> None:
-    """Octets in, demand out, one datagram a host interval, without the socket between."""
-    ring, log = handover.make_ring(), handover.make_log(64)
-    compiled = make_dcu()
-    state, demand = resting(compiled), np.empty((3, 6))
-    refused = filled = cursor = 0
-    bounds = output_bounds(compiled)
-    for now in range(len(datagrams) * 26 + 600):
-        if now % 26 == 0 and now // 26 < len(datagrams):
-            try:
-                handover.put(ring, udp.decode_frame(datagrams[now // 26]))
-            except udp.DatagramError:
-                refused += 1
-        filled = handover.collect(ring, log, filled, now)
-        cursor = feed(compiled, state, log, cursor, now)
-        play.step(compiled, state, demand)
-        assert np.isfinite(demand).all()
-        assert (np.abs(demand) <= bounds).all()
-    assert state.counts["accepted"] + int(state.rejected.sum()) + refused == len(datagrams)
+        assert message in cmf("host", *arguments, code=2)
 
 
 def test_no_frames_of_a_silent_host_are_kept(tmp_path: Path) -> None:
     number, none = np.arange(0), np.zeros((0, 3, 6))
     path = tmp_path / "host.parquet"
-    write_arrivals(Arrivals(number, number, number / 80.0, none), path)
-    assert read_arrivals(path).values.shape == none.shape
+    streams.write_arrivals(Arrivals(number, number, number / 80.0, none), path)
+    assert streams.read_arrivals(path).values.shape == none.shape

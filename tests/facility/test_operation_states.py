@@ -13,16 +13,7 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.facility.host.stream import HostStream, from_command
 from cmf_mj.facility.operation import operate
 from cmf_mj.plant.events import Event
-from tests.facility.test_moog import (
-    DOF_MODE,
-    ENGAGE,
-    ENGAGED,
-    IDLE,
-    PARK,
-    command,
-    over_udp,
-    until,
-)
+from tests.facility import test_moog as moog
 
 FEW = ["dynamic_pressure", "modal_plan"]
 LAWS = [name for name in law_names("all") if name != "original_as_printed"]
@@ -173,8 +164,9 @@ def test_a_moog_host_engages_again_after_park() -> None:
     """Under the velocity law, whose DC gain leaves the legs 66 mm above the settled position."""
 
     def host(ask: Any, _: Any, __: Any) -> list[int]:
-        turns = (DOF_MODE, IDLE), (ENGAGE, ENGAGED), (PARK, IDLE), (ENGAGE, ENGAGED)
-        return [until(ask, state, command(word))[-1].state for word, state in turns]
+        words = (moog.DOF_MODE, moog.ENGAGE, moog.PARK, moog.ENGAGE)
+        turns = zip(words, states, strict=True)
+        return [moog.until(ask, state, moog.command(word))[-1].state for word, state in turns]
 
-    reached, *_ = over_udp(host, 70.0)
-    assert reached == [IDLE, ENGAGED, IDLE, ENGAGED]
+    states = [moog.IDLE, moog.ENGAGED] * 2
+    assert moog.over_udp(host, 70.0)[0] == states

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, Record, SingleLegs, law_names, signals, simulate
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.replay import replay
@@ -120,12 +119,7 @@ def test_refusals(run: Record) -> None:
 def test_the_command_line(run: Record, tmp_path: Path, drawn: dict[str, set[str]]) -> None:
     path = run.save(tmp_path / "run.parquet")
     out = tmp_path / "out"
-    same = CliRunner().invoke(app, ["replay", str(path), "--out", str(out)])
-    assert same.exit_code == 0, same.output
-    assert "identical, bit for bit" in same.output
+    assert "identical, bit for bit" in cmf("replay", path, "--out", out)
     assert set(drawn) == {"run_acceleration.png"}
-    other = CliRunner().invoke(app, ["replay", str(path), "--law", "velocity", "--out", str(out)])
-    assert "largest difference" in other.output
-    bad = CliRunner().invoke(app, ["replay", str(tmp_path / "no.parquet"), "--out", str(out)])
-    assert bad.exit_code == 2
-    assert "no.parquet" in bad.output
+    assert "largest difference" in cmf("replay", path, "--law", "velocity", "--out", out)
+    assert "no.parquet" in cmf("replay", tmp_path / "no.parquet", "--out", out, code=2)

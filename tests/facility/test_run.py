@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from cmf_mj import Hexapod, Record, SingleLegs, compare, drive, load_law, simulate
+import cmf_mj
+from cmf_mj import Hexapod, Record, SingleLegs, drive, simulate
 from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import make_log
@@ -53,10 +54,7 @@ def test_a_run_is_what_simulate_and_drive_make_of_their_arguments() -> None:
         (drive(PLANT, legs, **options), {"law": None, "source": ValveCommands(legs)}),
     )
     for record, run in pairs:
-        same = Run(plant=PLANT, **run, **options).record()
-        assert same.metadata == record.metadata
-        for name, values in record.channels.items():
-            assert same[name].tobytes() == values.tobytes(), name
+        assert Run(plant=PLANT, **run, **options).record() == record
 
 
 def test_all_runs_share_one_compiled_loop() -> None:
@@ -82,7 +80,7 @@ def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
         with pytest.raises(InputError, match=said):
             run()
     with pytest.raises(InputError, match="option: 'quik' is not one of quick, .*did you mean qui"):
-        compare(["velocity"], ["heave"], quik=True)
+        cmf_mj.compare(["velocity"], ["heave"], quik=True)
 
 
 @pytest.mark.parametrize("plant", ["gfd", None, SingleLegs])
@@ -101,9 +99,7 @@ def test_poses_and_valve_commands_are_real_numbers(bad: Any) -> None:
             lambda: simulate(PLANT, "velocity", bad, legs=True),
             lambda: drive(PLANT, bad),
         ):
-            with pytest.raises(
-                InputError, match="(command|valves): holds .*; allowed: real numbers"
-            ):
+            with pytest.raises(InputError, match="(command|valves): holds .*; allowed: real"):
                 run()
 
 
@@ -116,7 +112,7 @@ def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
     said: list[str] = []
 
     def read() -> None:
-        load = {"toml": load_law, "csv": read_mapped, "parquet": Record.load}[name[2:]]
+        load = {"toml": cmf_mj.load_law, "csv": read_mapped, "parquet": Record.load}[name[2:]]
         with pytest.raises(InputError) as refused:
             load(tmp_path / name)
         said.append(str(refused.value))
@@ -142,9 +138,7 @@ def test_a_folder_is_no_record_however_many_it_holds(tmp_path: Path) -> None:
 
 def test_a_missing_package_is_not_a_scheduler_that_is_dead(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(
-        CmfError, match=r"distributed is not installed: pip install 'cmf-mj\[cluster"
-    ):
+    with pytest.raises(CmfError, match="distributed is not installed: pip install .cmf-mj.cluster"):
         Workers(backend="dask", scheduler="tcp://127.0.0.1:9")
 
 

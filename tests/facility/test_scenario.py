@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, load_law, signals, simulate
-from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
@@ -27,14 +26,6 @@ ROLL = {"kind": "sine", "dof": "roll", "amplitude": [0.5, "deg"], "frequency": 1
 
 def scenario(**fields: Any) -> Run:
     return scenario_of({"duration": 0.5, "signal": [SINE]} | fields, "test")
-
-
-def same(one: Record, other: Record) -> None:
-    assert list(one.channels) == list(other.channels)
-    np.testing.assert_array_equal(one.time, other.time)
-    for name in one.channels:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-    assert dict(one.metadata) == dict(other.metadata)
 
 
 # Files
@@ -195,9 +186,8 @@ def live() -> Iterator[SignalSession]:
 
 def test_what_was_done_live_runs_again_bit_for_bit(live: SignalSession, tmp_path: Path) -> None:
     path = save_scenario(live.done(), tmp_path / "done.toml")
-    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
-    same(live.record(), Record.load(tmp_path / "out" / "record.parquet"))
+    cmf("run", path, "--out", tmp_path / "out")
+    assert live.record() == Record.load(tmp_path / "out" / "record.parquet")
     assert load_scenario(tmp_path / "out" / "scenario.toml") == live.done()
 
 
@@ -263,7 +253,7 @@ def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
     run.run(100)
     done = run.done()
     assert [change.law for change in done.change] == ["modal_plan", None, law]
-    same(run.record(), done.record())
+    assert run.record() == done.record()
 
 
 def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: Path) -> None:
@@ -318,7 +308,7 @@ def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
     record = run.record()
     assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
     assert not any(record.metadata["host_rejections"].values())
-    same(record, run.done().record())
+    assert record == run.done().record()
 
 
 # Command line
@@ -344,29 +334,25 @@ def test_shipped_scenarios_run(name: str, tmp_path: Path, drawn: dict[str, set[s
     full = load_scenario(name)
     assert full.title
     path = save_scenario(shortened(full, 0.3), tmp_path / f"{name}.toml")
-    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    cmf("run", path, "--out", tmp_path / "out")
     record = Record.load(tmp_path / "out" / "record.parquet")
     assert record.time.size == -(-round(0.3 * RATE) // full.record_every)
     assert set(drawn) == {"overview.png"}
 
 
 def test_schema_and_list() -> None:
-    schema = json.loads(CliRunner().invoke(app, ["run", "--schema"]).output)
+    schema = json.loads(cmf("run", "--schema"))
     names = {"event" if name == "events" else name for name in Run.model_fields}
     assert set(schema["properties"]) == names - {"source", "start"}
-    listed = CliRunner().invoke(app, ["run"]).output
+    listed = cmf("run")
     assert all(name in listed for name in scenario_names())
 
 
 def test_an_error_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["run", "no_such", "--out", str(out)])
-    assert result.exit_code == 2
-    assert "'no_such' is not one of capacity_limited" in result.output
+    said = cmf("run", "no_such", "--out", out, code=2)
+    assert "'no_such' is not one of capacity_limited" in said
     broken = tmp_path / "broken.toml"
     broken.write_text("duration = 0.1\n[[signal]]\nkind = 'host'\nfile = 'gone.csv'\n")
-    result = CliRunner().invoke(app, ["run", str(broken), "--out", str(out)])
-    assert result.exit_code == 2
-    assert "gone.csv: cannot be read" in result.output
+    assert "gone.csv: cannot be read" in cmf("run", broken, "--out", out, code=2)
     assert not out.exists()

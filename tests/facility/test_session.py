@@ -11,16 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from cmf_mj import (
-    Hexapod,
-    InputError,
-    Linear,
-    SingleLegs,
-    attach_hydraulics,
-    load_cab,
-    load_law,
-    simulate,
-)
+import cmf_mj
+from cmf_mj import Hexapod, InputError, SingleLegs, load_law, simulate
 from cmf_mj.control.states import Request
 from cmf_mj.core.units import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -43,7 +35,7 @@ def session(plant: Plant) -> Session:
 
 def excavator() -> Plant:
     hydraulics = models.model_path("excavator_hydraulics.toml")
-    return attach_hydraulics(models.model_path("excavator.xml"), CYLINDERS, hydraulics)
+    return cmf_mj.attach_hydraulics(models.model_path("excavator.xml"), CYLINDERS, hydraulics)
 
 
 def blow(plant: Plant, force: float) -> Session:
@@ -72,8 +64,8 @@ def test_a_law_of_a_machine_goes_by_its_name_on_it(name: str) -> None:
     record = simulate(plant, law, np.zeros((8, 6)))
     assert record.metadata["law"] == Run(machine=name, law=law).begun_law().name == law
     assert replay(record, law).law == law
-    assert Linear(plant).loop(law).ninputs == 6
-    assert make_case(law, cab=load_cab(machine=name)).law.name == law
+    assert cmf_mj.Linear(plant).loop(law).ninputs == 6
+    assert make_case(law, cab=cmf_mj.load_cab(machine=name)).law.name == law
     with pytest.raises(InputError, match=f"law: '{law}' is not one of original"):
         simulate(Hexapod(), law, np.zeros((8, 6)))
 
@@ -148,7 +140,7 @@ def test_bad_controls_of_other_motors_end_the_run() -> None:
         <body><joint name="spin" type="hinge"/><geom size=".1" mass="10"/></body></body>
     </worldbody><actuator><motor name="spin" joint="spin"/></actuator></mujoco>
     """
-    plant = attach_hydraulics(mujoco.MjSpec.from_string(text), ["ram"])
+    plant = cmf_mj.attach_hydraulics(mujoco.MjSpec.from_string(text), ["ram"])
     run = Run(plant=plant, law=None, source=from_table(np.zeros((64, 1)))).session()
     run.run(8)
     plant.data.ctrl[plant.model.actuator("spin").id] = np.nan

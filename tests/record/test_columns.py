@@ -13,7 +13,6 @@ from scipy.io import savemat
 from cmf_mj import InputError, Record, load_machine
 from cmf_mj.core.files import write_table
 from cmf_mj.record.columns import ColumnMap, load_columns, read_mapped
-from cmf_mj.record.guess import guess_columns
 from cmf_mj.record.sources import even_clock
 
 LAB = load_machine("lab")
@@ -149,76 +148,6 @@ def test_map_that_cannot_be_is_refused(changes: Any, words: str, tmp_path: Path)
     file.write_text(tomlkit.dumps(table))
     with pytest.raises(InputError, match=words.replace("{", r"\{")):
         load_columns(file)
-
-
-def guessed(names: list[str], folder: Path, step: object = 1) -> tuple[ColumnMap, str]:
-    """The map of a header, above rows of which the first column goes up by a step."""
-    file, found = folder / "log.csv", folder / "map.toml"
-    first = [f"12:00:{k:02}.5" if step == "clock" else str(float(k * step)) for k in range(9)]  # type: ignore[operator]
-    rows = [",".join([one, *("1" for _ in names[1:])]) for one in first]
-    file.write_text("\n".join([",".join(names), *rows]))
-    found.write_text(guess_columns(file))
-    return load_columns(found), found.read_text()
-
-
-def test_guess_reads_names_units_and_labels(tmp_path: Path) -> None:
-    names = ["Time [ms]", *(f"Leg {leg} Length (in)" for leg in "ABCDEF")]
-    names += [f"p{k} [bar]" for k in range(1, 7)] + [f"dmd_{axis}" for axis in "x y z".split()]
-    names += ["dmd_roll [rad]", "dmd_pitch [rad]", "dmd_yaw [rad]", "oil [C]"]
-    made, text = guessed(names, tmp_path)
-    assert (made.time.column, made.time.unit) == ("Time [ms]", "ms")
-    assert made.channels["leg_position"].unit == "in"
-    assert made.columns("cap_pressure")[2] == ("p3 [bar]", "bar", 1, 0.0)
-    assert made.channels["demand_pose"].unit == ("m", "m", "m", "rad", "rad", "rad")
-    assert "# not recognised: oil [C]" in text
-    assert "# other channels: leg_velocity, " in text
-    assert "no unit in 'dmd_x'" in text
-
-
-@pytest.mark.parametrize(
-    ("name", "channel", "unit"),
-    [
-        ("cyl{}_vel_mm_s", "leg_velocity", "mm/s"),
-        ("cyl{}_set_mm", "leg_reference", "mm"),
-        ("Act{}.Pann [bar]", "rod_pressure", "bar"),
-        ("leg{}_p_rod (psi)", "rod_pressure", "psi"),
-        ("xref{} [m]", "leg_reference", "m"),
-        ("valve_cmd_{}_pct", "valve_command", "%"),
-        ("ActPos{} [mm]", "leg_position", "mm"),
-        ("Z{}_Ventil_mA", "valve_command", "%"),
-        ("Z{}_Soll_mm", "leg_reference", "mm"),
-    ],
-)
-def test_guess_of_a_channel(name: str, channel: str, unit: str, tmp_path: Path) -> None:
-    made, _ = guessed(["t", *(name.format(k) for k in range(1, 7))], tmp_path, 0.002)
-    assert {one: found.unit for one, found in made.channels.items()} == {channel: unit}
-    assert (made.time.column, made.time.unit) == ("t", "s")
-
-
-@pytest.mark.parametrize(
-    ("name", "step", "unit", "rate"),
-    [("t", 2, "ms", 500.0), ("t", 500, "us", 2000.0), ("timestamp", "clock", "s", 1.0)],
-)
-def test_guess_of_time(name: str, step: object, unit: str, rate: float, tmp_path: Path) -> None:
-    """By an ordinary rate, and of times of day from the first."""
-    made, text = guessed([name, *(f"x{k} [mm]" for k in range(1, 7))], tmp_path, step)
-    assert (made.time.column, made.time.unit) == (name, unit)
-    assert read_mapped(tmp_path / "log.csv", made, LAB).rate == pytest.approx(rate)
-    assert ("no unit in 't'" in text) == (name == "t")
-
-
-def test_pose_of_joined_words_and_a_rate_that_is_guessed(tmp_path: Path) -> None:
-    axes = ["Xcmd [mm]", "Ycmd [mm]", "Zcmd [mm]", "PhiCmd [deg]", "ThetaCmd [deg]", "PsiCmd [deg]"]
-    made, text = guessed(["n", *axes], tmp_path)
-    assert [name for name, *_ in made.columns("demand_pose")] == axes
-    assert made.time.rate is not None
-    assert "time: no column was recognised: the rate [Hz] below is a guess" in text
-
-
-def test_numbers_of_legs_are_no_axes(tmp_path: Path) -> None:
-    names = [f"Z{k}_foo_mm" for k in range(1, 7)] + ["x_mm", "y_mm", "roll", "pitch", "yaw"]
-    made, _ = guessed([*names, *(f"v{k}" for k in range(1, 7))], tmp_path)
-    assert [*made.channels] == ["leg_velocity"]
 
 
 def test_record_from_arrays_in_units_of_the_field() -> None:

@@ -213,9 +213,8 @@ def open_socket(port: int, bind: str) -> socket.socket:
     except OSError as error:
         made.close()
         if error.errno == errno.EADDRNOTAVAIL:
-            raise InputError(
-                f"bind: {bind!r} is no address of this machine; allowed: one of its own, or 0.0.0.0"
-            ) from None
+            said = f"bind: {bind!r} is no address of this machine"
+            raise InputError(f"{said}; allowed: one of its own, or 0.0.0.0") from None
         raise
     return made
 
