@@ -132,7 +132,8 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         largest = np.concatenate([np.full(q.width, q.largest) for q in self.quantities])
         self._high = high = largest.astype(np.float32)
         self.observation_space = gym.spaces.Box(-high, high)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (plant.legs if actions is None else actions,))
+        self._actions = plant.legs if actions is None else actions
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self._actions,))
         self.session: Session | None = None
         self.info: dict[str, Any] = {}
         """What a reset and a step hand out beside the observation."""
@@ -202,7 +203,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         session = self.running
         if self._done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
-        acted = np.clip(shaped("action", action, *self.action_space.shape), -1.0, 1.0)
+        acted = np.clip(shaped("action", action, self._actions), -1.0, 1.0)
         self.table[:] = self._held(acted) if self._act is None else self._act(self, acted)
         left: dict[str, Any] = {}
         try:

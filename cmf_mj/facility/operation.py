@@ -25,7 +25,7 @@ from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import HostChain, dcu_of, starting_pose
+from cmf_mj.facility.settings import HostChain, dcu_of
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
@@ -165,7 +165,7 @@ def _hosted(
     usual["operation"] = {"begin": "engaged", "requests": ()} | chain
     run = Run(plant=plant, law=law, source=frames, **usual | others)
     assert run.operation is not None
-    return run.but(start=starting_pose(run.operation, frames, plant.machine))
+    return run.but(start=run.operation.starting_pose(plant.machine, frames))
 
 
 def _advance(

@@ -147,7 +147,7 @@ class Run(Arguments):
         parts.check_order(self.change, self.events, requests, self.frames or MOST_FRAMES, rate)
         law, load = self.begun_law(), cache(partial(load_law, machine=self._base))
         for change in self.change:
-            parts.check_change(change, self.plant, self.operation is not None)
+            change.check(self.plant, self.operation is not None)
             named = None if change.law is None else load(change.law)
             law = bound(parts.overlaid_law(named or law, change.gains), self._bound_to)
 
@@ -341,7 +341,7 @@ class SignalSession(Session):
     def _checked(self, frame: int, change: parts.Change, load: Any) -> parts.Due:
         """The change with its motion, after a check that all of it is possible."""
         run, signal = self._begun_as, change.signal
-        parts.check_change(change, run.plant, run.operation is not None)
+        change.check(run.plant, run.operation is not None)
         motion = None if signal is None else added(signal, run.seed, self.rate)
         return parts.Due(frame, change, motion, None if change.law is None else load(change.law))
 

@@ -1,8 +1,7 @@
 """Parts of a run's description, as scenario files have them and as a session takes them.
 
-`HostChain` is the way from host to valves, `Change` what changes from a frame on;
-`SessionSettings` is what a session is given. Below are checks that a description
-fits its plant, and laws with changed gains. `Run` is made of all of them.
+`HostChain` is the way from host to valves, `Change` what changes from a frame on; `SessionSettings`
+is what a session is given. `run.Run` is made of all of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -124,6 +123,17 @@ class Change(Settings):
             raise InputError("needs `at` in s or `frame`")
         return round(self.at * rate)
 
+    def check(self, plant: str | Plant, hosted: bool) -> None:
+        """Refuse what a machine cannot do; the law apart."""
+        for failure in self.failure:
+            check_leg(failure)
+        if self.push is not None and self.push.body:
+            model = _model(plant) if isinstance(plant, str) else plant.drawn_model
+            names = (model.body(i).name for i in range(1, model.nbody))
+            check_name("body", self.push.body, list(names))
+        if self.request is not None and not hosted:
+            raise InputError(f"change: request {self.request!r} needs [operation]")
+
 
 class Due(NamedTuple):
     """A change that is still to happen, and what was made of it when it was announced."""
@@ -176,6 +186,15 @@ class HostChain(Settings):
         load_motion_limits(self.limits, machine)
         load_state_settings(self.states)
 
+    def starting_pose(self, machine: Machine, arrivals: Arrivals) -> NDArray[np.float64]:
+        """The first frame's pose, or neutral where the limits forbid it."""
+        limits = load_motion_limits(self.limits, machine)
+        pose, (low, high) = arrivals.values[0, 0], limits.operational.T
+        inside = bool(((pose >= low) & (pose <= high)).all())
+        if inside and np.abs(pose_to_legs(pose, machine)).max() <= limits.leg.position.si:
+            return np.array(pose)
+        return np.zeros(6)
+
     def source(
         self, machine: Machine, arrivals: Arrivals, start: Any, ring: Ring | None = None
     ) -> tuple[Source, NDArray[np.float64]]:
@@ -187,7 +206,7 @@ class HostChain(Settings):
         frame, begin = machine.frame, State[self.begin.upper()]
         limits = load_motion_limits(self.limits, machine)
         operating = load_state_settings(self.states, fitting(machine))
-        pose = starting_pose(self, arrivals, machine) if start is None else np.array(start)
+        pose = self.starting_pose(machine, arrivals) if start is None else np.array(start)
         legs, place = pose_to_legs(pose, machine), pose
         if begin in (State.OFF, State.SETTLED):
             legs = np.full(6, -round(machine.half_stroke / INCH - _RESTING, 9) * INCH)
@@ -203,16 +222,6 @@ class HostChain(Settings):
         requests = sorted(timed, key=itemgetter(0))
         made = from_host(blocks, arrivals, requests, begin, position=legs, pose=pose, ring=ring)
         return made, place
-
-
-def starting_pose(chain: HostChain, arrivals: Arrivals, machine: Machine) -> NDArray[np.float64]:
-    """The first frame's pose, or neutral where the limits forbid it."""
-    limits = load_motion_limits(chain.limits, machine)
-    pose, (low, high) = arrivals.values[0, 0], limits.operational.T
-    inside = bool(((pose >= low) & (pose <= high)).all())
-    if inside and np.abs(pose_to_legs(pose, machine)).max() <= limits.leg.position.si:
-        return np.array(pose)
-    return np.zeros(6)
 
 
 def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> DcuSettings:
@@ -240,18 +249,6 @@ def check_leg(failure: Failure) -> None:
     """Refuse a leg that no machine of a file has."""
     if failure.leg is not None and failure.leg > LEGS:
         raise InputError(f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {LEGS}")
-
-
-def check_change(change: Change, plant: str | Plant, hosted: bool) -> None:
-    """Refuse a change that a machine cannot do; the law apart."""
-    for failure in change.failure:
-        check_leg(failure)
-    if change.push is not None and change.push.body:
-        model = _model(plant) if isinstance(plant, str) else plant.drawn_model
-        names = (model.body(i).name for i in range(1, model.nbody))
-        check_name("body", change.push.body, list(names))
-    if change.request is not None and not hosted:
-        raise InputError(f"change: request {change.request!r} needs [operation]")
 
 
 def check_order(

@@ -49,6 +49,7 @@ from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.facility.unknown import DERIVED, LEADS, LEGS, Unknown
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.models import RigidBody
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import OF_THE_SUPPLY, VALVES, HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -273,36 +274,41 @@ def _friction(given: _Given, base: HydraulicParameters, table: dict[str, Any]) -
 
 
 def _cab(given: _Given, base: Cab, name: str) -> Cab:
-    bodies: dict[str, dict[str, Any]] = {}
-    for body, part in (("cab", base), ("platform", base.platform)):
-        factor = {path: value for path, (_, value) in given.items()}
-        dense = factor.get(f"{body}.density", 1.0) * factor.get("payload.density", 1.0)
-        inertia = dense * factor.get(f"{body}.inertia", 1.0)
-        own = {f"{body}.inertia", f"{body}.density", "payload.density"} & given.keys()
-        table = {"inertia": inertia * part.tensor} if own else {}
-        moments = {p: entry for p, entry in given.items() if p.startswith(f"{body}.second_moment")}
-        if moments and f"{body}.inertia" in given:
-            raise InputError(f"{body}.inertia: allowed: it or second moments, not both")
-        if moments:
-            spread = 0.5 * np.trace(part.tensor) * np.eye(3) - part.tensor
-            for path, (one, value) in moments.items():
-                axis = "xyz".index(path[-1])
-                spread[axis, axis] = one.number(spread[axis, axis], value)
-            table["inertia"] = dense * (np.trace(spread) * np.eye(3) - spread)
-        mass, place = dense * part.mass.si, np.array(part.centre_of_mass.si)
-        for path, (one, value) in given.items():
-            if path == f"{body}.mass":
-                mass = one.number(mass, value)
-            elif path.startswith(f"{body}.centre_of_mass"):
-                at = slice(None) if path.endswith("mass") else "xyz".index(path[-1])
-                place[at] = one.number(place[at], value)
-                table["centre_of_mass"] = place
-        if mass != part.mass.si:
-            table["mass"] = mass
-        bodies[body] = table
-    legs = given["legs.mass"][1] if "legs.mass" in given else 1.0
-    cab, platform = bodies.values()
+    cab, platform = _body("cab", base, given), _body("platform", base.platform, given)
+    legs = given.get("legs.mass", _SAME)[1]
     return base.changed(name, platform=platform, leg_mass_factor=legs, nominal=base.assumed, **cab)
+
+
+_SAME: tuple[Any, float] = (None, 1.0)  #: Of a factor that is not given.
+
+
+def _body(name: str, part: RigidBody, given: _Given) -> dict[str, Any]:
+    """What changes of a body: densities scale mass and inertia, before what else is given."""
+    own = {path.removeprefix(f"{name}."): entry for path, entry in given.items()}
+    changes: dict[str, Any] = {}
+    dense = own.get("density", _SAME)[1] * own.get("payload.density", _SAME)[1]
+    if own.keys() & {"inertia", "density", "payload.density"}:
+        changes["inertia"] = dense * own.get("inertia", _SAME)[1] * part.tensor
+    spread = 0.5 * np.trace(part.tensor) * np.eye(3) - part.tensor
+    place = np.array(part.centre_of_mass.si)
+    if "centre_of_mass" in own:
+        place[:] = own["centre_of_mass"][0].number(place, own["centre_of_mass"][1])
+        changes["centre_of_mass"] = place
+    for axis, letter in enumerate("xyz"):
+        if (found := own.get(f"centre_of_mass.{letter}")) is not None:
+            place[axis] = found[0].number(place[axis], found[1])
+            changes["centre_of_mass"] = place
+        if (found := own.get(f"second_moment.{letter}")) is not None:
+            if "inertia" in own:
+                raise InputError(f"{name}.inertia: allowed: it or second moments, not both")
+            spread[axis, axis] = found[0].number(spread[axis, axis], found[1])
+            changes["inertia"] = dense * (np.trace(spread) * np.eye(3) - spread)
+    mass = dense * part.mass.si
+    if "mass" in own:
+        mass = own["mass"][0].number(mass, own["mass"][1])
+    if mass != part.mass.si:
+        changes["mass"] = mass
+    return changes
 
 
 def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:

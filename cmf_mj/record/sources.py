@@ -88,7 +88,7 @@ def _source(path: Path, columns: Iterator[_Column], **more: Any) -> Source:
 
 
 def _csv(path: Path) -> Source:
-    """Read a CSV file: its first row of numbers, names and units above it, rows, metadata."""
+    """Read a CSV file: names and units above its first row of numbers, rows, metadata."""
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
@@ -98,13 +98,15 @@ def _csv(path: Path) -> Source:
     lines = [line for line in every if line.strip() and not _COMMENT.match(line)]
     separator, first = _find_rows(path, lines[:_HEADER_LINES])
     width = len(_cells(lines[first], separator))
-    comments = [line for line in every[: every.index(lines[first])] if _COMMENT.match(line)]
     above = [_cells(line, separator) for line in lines[max(first - 2, 0) : first]]
-    marked = [_cells(_COMMENT.sub("", line), separator) for line in comments]
-    titles = _header([cells for cells in marked if not _is_numeric(cells)], width)
-    if titles and len({*titles[0]}) < width:  # a sentence
-        titles = None
-    header, stated = _header(above, width) or titles or ([""] * width,) * 2
+    before = every[: every.index(lines[first])]
+    comments = [_COMMENT.sub("", line) for line in before if _COMMENT.match(line)]
+    marked = [_cells(comment, separator) for comment in comments]
+    header, stated = _header(above, width)
+    if not any(header):
+        titles, units_below = _header([row for row in marked if not _is_numeric(row)], width)
+        if len({*titles}) == width:  # else a sentence
+            header, stated = titles, units_below
     names = [name or f"column_{k + 1}" for k, name in enumerate(header)]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: header: {twice[0]!r} names {len(twice)} columns")
@@ -152,8 +154,8 @@ def _is_numeric(row: list[str]) -> bool:
     return len(numbers) > sum(cell not in (*_NULLS, *numbers) for cell in row)
 
 
-def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]] | None:
-    """Names and units of the columns by the last of these lines that are as wide as a row.
+def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]]:
+    """Names and units of the columns by the last of these lines that are as wide as a row, or "".
 
     Of two, the lower has units if `core.units` knows one of them or if one stands there twice, and
     if the upper has text, and no number, wherever the lower has a unit.
@@ -165,7 +167,7 @@ def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]] |
     if upper and known and all(name or not mark for name, mark in zip(upper, marks, strict=True)):
         if not any(map(_CELL.fullmatch, upper)):
             return upper, marks
-    return (lower, [""] * width) if lower else None
+    return lower or [""] * width, [""] * width
 
 
 def _table_columns(table: pa.Table) -> Iterator[_Column]:

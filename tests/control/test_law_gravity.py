@@ -128,7 +128,7 @@ def test_a_replay_reads_as_its_own_law_does(recorded: bool, feeling: Electronics
 def test_history_of_gravity_is_that_of_the_poses() -> None:
     poses = np.linspace(np.zeros(6), POSES["tilted"], 1024)
     legs = np.array([kinematics.pose_to_legs(pose) for pose in poses])
-    np.testing.assert_allclose(gravity_history(legs), axial_gravity(poses), rtol=0.0, atol=2e-3)
+    np.testing.assert_allclose(gravity_history(legs), axial_gravity(poses), rtol=0.0, atol=1e-3)
     with pytest.raises(ValueError, match=r"needs \(6,\)"):
         gravity_history(np.zeros((5, 2)))
 

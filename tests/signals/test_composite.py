@@ -71,23 +71,16 @@ def test_peak_is_the_amplitude(kind):
 
 
 @pytest.mark.parametrize("kind", (*AT_REST, "step"))
-def test_description_is_json_and_repeats_the_command(kind):
+def test_description_is_json_and_repeats_signal_and_command(kind):
     command = AT_REST[kind](seed=3) if kind in AT_REST else signals.step("heave", AMPLITUDE)
     described = json.loads(json.dumps(dict(command.description)))
-    assert described.pop("kind") == kind
-    if command.seed is not None:
-        described["seed"] = command.seed
-    again = getattr(signals, kind)(**described)
-    assert np.array_equal(again.pose, command.pose)
-
-
-@pytest.mark.parametrize("kind", AT_REST)
-def test_signal_of_a_description_is_the_signal(kind):
-    signal = AT_REST[kind](seed=3).signal
-    again = composite.signal_of(json.loads(json.dumps(signal.described())))
+    signal, again = command.signal, composite.signal_of(described)
     assert type(again) is type(signal)
     assert again.command(3).pose.tobytes() == signal.command(3).pose.tobytes()
     assert (again.axis, again.band, again.lead) == (signal.axis, signal.band, signal.lead)
+    assert described.pop("kind") == kind
+    described |= {} if command.seed is None else {"seed": command.seed}
+    assert np.array_equal(getattr(signals, kind)(**described).pose, command.pose)
 
 
 def test_description_of_another_kind_keeps_what_it_says():
@@ -327,20 +320,16 @@ def test_stepped_sines_out_of_range_are_named(frequencies, amplitudes, options, 
         composite.stepped_sines("heave", frequencies, amplitudes, **options)
 
 
+SIX_VALUES = "amplitudes: .* is refused: must be six values or a mapping by name"
+
+
 @pytest.mark.parametrize(
     ("amplitudes", "options", "message"),
     [
-        *(
-            (wrong, {}, "amplitudes: .* is refused: must be six values or a mapping by name")
-            for wrong in ((0.1, 0.2), 0.1, None)
-        ),
+        *((wrong, {}, SIX_VALUES) for wrong in ((0.1, 0.2), 0.1, None)),
         ({"up": 0.1}, {}, "dof: 'up' is not one of surge, sway, heave, roll, pitch, yaw"),
         ((0.0,) * 6, {}, "amplitudes: all are 0"),
-        (
-            (0.1,) * 6,
-            {"period": 1.0, "stop": 8.0},
-            "period: 1.0 s gives 4 odd lines in .* 6 degrees",
-        ),
+        ((0.1,) * 6, {"period": 1.0, "stop": 8.0}, "period: 1.0 s gives 4 odd lines in .* 6 deg"),
     ],
 )
 def test_orthogonal_multisines_out_of_range_are_named(amplitudes, options, message):
@@ -365,15 +354,12 @@ def test_a_path_of_least_jerk_rests_at_its_points_and_peaks_at_1875_times_the_me
     assert np.abs(sixth).max() < 1e-12  # the jerk-optimal path is a quintic
 
 
-@pytest.mark.parametrize("times", [[0.0], [0.5, 1.0], [0.0, 1.0, 1.0], [[0.0, 1.0]]])
-def test_waypoints_need_times_that_rise_from_zero(times):
-    with pytest.raises(ValueError, match="times: .* at least two numbers that rise from 0 s"):
-        composite.waypoints(times, np.zeros((len(times), 1)))
-
-
-@pytest.mark.parametrize("values", [[[0.0]], [[0.0], [np.nan]], [[0.0], [1.0], [2.0]]])
-def test_waypoints_need_a_finite_row_a_time(values):
-    with pytest.raises(ValueError, match="values"):
-        composite.waypoints([0.0, 1.0], values)
+def test_waypoints_need_times_that_rise_from_zero_and_a_finite_row_each():
+    for times in ([0.0], [0.5, 1.0], [0.0, 1.0, 1.0], [[0.0, 1.0]]):
+        with pytest.raises(ValueError, match="times: .* at least two numbers that rise from 0 s"):
+            composite.waypoints(times, np.zeros((len(times), 1)))
+    for values in ([[0.0]], [[0.0], [np.nan]], [[0.0], [1.0], [2.0]]):
+        with pytest.raises(ValueError, match="values"):
+            composite.waypoints([0.0, 1.0], values)
     with pytest.raises(ValueError, match="rate: 0 must be a finite number greater than 0"):
         composite.waypoints([0.0, 1.0], [[0.0], [1.0]], rate=0)

@@ -151,7 +151,8 @@ class MoogBase:
         commands that came more than half an interval late while engaged."""
         self.latched = Latched(0)
         """Faults since the last reset."""
-        self._mode, self._stopped = Word.DOF_MODE, MachineState.POWER_UP
+        self._mode = Word.DOF_MODE
+        self._stopped: MachineState | None = None  #: What a word stopped the base in.
         self._begin, self._felt = np.zeros(6), np.zeros(6)
         self._number, self._stamp, self._sent = 0, -math.inf, -math.inf
         self._last, self._interval = 0.0, 1.0 / RATE
@@ -165,7 +166,7 @@ class MoogBase:
 
     def state(self, session: Session) -> MachineState:
         """What the base says it is."""
-        if self._stopped in (MachineState.DISABLED, MachineState.INHIBITED):
+        if self._stopped is not None:
             return self._stopped
         source = session.source
         code, request = source.progress[0].state, source.progress[0].request
@@ -227,18 +228,16 @@ class MoogBase:
         return pose if (np.abs(pose) <= bounds.dcu.pose).all() else None
 
     def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
-        inhibited = self._stopped == MachineState.INHIBITED
-        if word in _MODES:
-            self._mode = word
-        if word in _STOPS:
-            self._stopped = _STOPS[word]
+        """Do what a word says that is valid now."""
+        self._mode = word if word in _MODES else self._mode
         if word in (Word.ENGAGE, Word.START):
             self._begin = pose
         if word == Word.RESET:
             self.latched = Latched(0)
-        if word == Word.RESET and inhibited:
-            self._stopped = MachineState.IDLE
-            return
+            if self._stopped is not None:  # inhibited: the machine itself has no fault
+                self._stopped = None
+                return
+        self._stopped = _STOPS.get(word, self._stopped)
         if word in _ASKS:
             session.source.progress[0].request = _ASKS[word].value
 
