@@ -189,9 +189,8 @@ def gravity_history(
 ) -> NDArray[np.float64]:
     """Gravity along six legs at measured extensions (N, 6) [m], as the electronics find it."""
     if position.shape[1:] != (6,):
-        raise InputError(
-            f"position: shape is {position.shape[1:]}; gravity along the legs needs (6,)"
-        )
+        shape = position.shape[1:]
+        raise InputError(f"position: shape is {shape}; gravity along the legs needs (6,)")
     axes, gravity = make_leg_axes(machine), np.empty(position.shape)
     position = np.ascontiguousarray(position)
     _histories(axes, leg_axes_state(axes, position[0]), position, gravity)

@@ -82,9 +82,8 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFee
     """Derive the `Converter` of each channel for a control frame [s]."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
     if not corner < 0.5 / frame:
-        raise InputError(
-            f"filter_corner: {corner:g} Hz must be below half the control rate, {0.5 / frame:g} Hz"
-        )
+        most = f"half the control rate, {0.5 / frame:g} Hz"
+        raise InputError(f"filter_corner: {corner:g} Hz must be below {most}")
     sections = filters.low_pass(settings.filter_order, corner, 1.0 / frame)
     codes = 2.0 ** (settings.bits - 1)
 
@@ -97,12 +96,8 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFee
 
 def converter_state(converters: Any, feedback: LegFeedback) -> LegFeedback:
     """Filter states (n, s, 2) of `make_converters` that have seen the feedback for a long time."""
-    return LegFeedback(
-        *(
-            filters.settled_filter(converter.low_pass, values)
-            for converter, values in zip(converters, feedback, strict=True)
-        )
-    )
+    pairs = zip(converters, feedback, strict=True)
+    return LegFeedback(*(filters.settled_filter(one.low_pass, values) for one, values in pairs))
 
 
 @compiled

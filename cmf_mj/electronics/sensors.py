@@ -88,9 +88,8 @@ def _channel(*units: str) -> AfterValidator:
         for field, known in allowed.items():
             quantity = getattr(channel, field)
             if quantity and quantity.unit not in known:
-                raise InputError(
-                    f"{field}: unit {quantity.unit!r} must be one of {', '.join(known)}"
-                )
+                names = ", ".join(known)
+                raise InputError(f"{field}: unit {quantity.unit!r} must be one of {names}")
         return channel
 
     return AfterValidator(check)
@@ -238,23 +237,15 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
         if gains not in (0, count):
             raise InputError(f"{name}.gain_errors: {gains} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
-        raise InputError(
-            f"position: shape is {truth.position.shape}; gravity along the legs needs (6,); "
-            "allowed: electronics 'inertial', which feel none"
-        )
+        said = f"shape is {truth.position.shape}; gravity along the legs needs (6,)"
+        allowed = "electronics 'inertial', which feel none"
+        raise InputError(f"position: {said}; allowed: {allowed}")
     axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
     felt = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
     values = truth._replace(acceleration=truth.acceleration + felt)
-    return SensorState(
-        LegFeedback(
-            *(
-                filters.settled_filter(channel.low_pass, value)
-                for channel, value in zip(sensors.channels, values, strict=True)
-            )
-        ),
-        axes,
-        axes.direction.copy(),
-    )
+    pairs = zip(sensors.channels, values, strict=True)
+    settled = (filters.settled_filter(channel.low_pass, value) for channel, value in pairs)
+    return SensorState(LegFeedback(*settled), axes, axes.direction.copy())
 
 
 @compiled

@@ -148,22 +148,14 @@ def _feedback(record: Record, law: Law) -> LegFeedback:
     """
     histories = []
     for field, channel in FEEDBACK.items():
-        acting = (
-            field == "position"
-            or (field == "velocity" and law.reads_velocity)
-            or (field.endswith("_pressure") and law.load_feedback is not None)
-            or any(
-                np.any(getattr(gains, signal))
-                for signal in _NEEDS[field]
-                for gains in (law.direct_gain, law.input_gain)
-            )
-        )
+        acting = field == "position" or (field == "velocity" and law.reads_velocity)
+        acting |= field.endswith("_pressure") and law.load_feedback is not None
+        for gains in (law.direct_gain, law.input_gain):
+            acting |= any(np.any(getattr(gains, name)) for name in _NEEDS.get(field, ()))
         present = channel in record.channels
         if acting and not present:
-            raise InputError(
-                f"{channel}: is not recorded, and the law {law.name} reads it; recorded: "
-                f"{', '.join(record.channels)}"
-            )
+            said = f"is not recorded, and the law {law.name} reads it"
+            raise InputError(f"{channel}: {said}; recorded: {', '.join(record.channels)}")
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
     read = LegFeedback(*histories)

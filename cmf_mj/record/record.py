@@ -169,10 +169,8 @@ class Record:
         lines = (*(signal.band or ()), *(dwell.frequency for dwell in signal.dwells))
         top = max(lines, default=0.0)
         if top > 0.5 * self.rate:
-            raise InputError(
-                f"record_every: {self.rate:g} samples a second cannot hold {top:g} Hz of the "
-                f"{signal.kind}; allowed: at least {2.0 * top:g} a second"
-            )
+            said = f"{self.rate:g} samples a second cannot hold {top:g} Hz of the {signal.kind}"
+            raise InputError(f"record_every: {said}; allowed: at least {2.0 * top:g} a second")
         return signal
 
     def signal_as(self, kind: type[AnySignal]) -> AnySignal:
@@ -204,11 +202,9 @@ class Record:
         target = check_target(Path(path))
         columns = {"time": self.time}
         for name, values in self.channels.items():
-            parts = (
-                {name: values}
-                if values.ndim == 1
-                else {f"{name}_{i + 1}": values[:, i] for i in range(values.shape[1])}
-            )
+            parts = {name: values}
+            if values.ndim == 2:
+                parts = {f"{name}_{i + 1}": leg for i, leg in enumerate(values.T)}
             taken = sorted(set(parts) & set(columns))
             if taken:
                 raise InputError(f"{name}: its column {taken[0]} belongs to another channel")

@@ -179,10 +179,8 @@ class FadedSines(Signal):
 
     def _check(self) -> None:
         if len(self.amplitudes) != len(self.frequencies):
-            raise InputError(
-                f"amplitudes: {len(self.amplitudes)} for {len(self.frequencies)} frequencies; "
-                "allowed: one for each"
-            )
+            both = f"{len(self.amplitudes)} for {len(self.frequencies)} frequencies"
+            raise InputError(f"amplitudes: {both}; allowed: one for each")
         check_fade(self.fade, self.duration)
         check_highest("amplitudes", *self.amplitudes, *(self.rotation * a for a in self.amplitudes))
 
@@ -302,10 +300,8 @@ class Waypoints(Signal):
 
     def _check(self) -> None:
         if len(self.times) != len(self.poses) or len(self.times) < 2:
-            raise InputError(
-                f"times: {len(self.times)} for {len(self.poses)} poses; allowed: one a pose, at "
-                "least 2"
-            )
+            both = f"{len(self.times)} for {len(self.poses)} poses"
+            raise InputError(f"times: {both}; allowed: one a pose, at least 2")
         _rising(np.array(self.times))
         for pose in self.poses:
             check_highest("poses", *pose)

@@ -133,10 +133,8 @@ class Signal(Settings):
         for name in set(_FREQUENCIES) & set(type(self).model_fields):
             highest = float(np.max(getattr(self, name)))
             if highest > self.rate / 2:
-                raise InputError(
-                    f"{name}: {highest:g} Hz must be at most half the control rate, "
-                    f"{self.rate / 2:g} Hz"
-                )
+                most = f"half the control rate, {self.rate / 2:g} Hz"
+                raise InputError(f"{name}: {highest:g} Hz must be at most {most}")
         self._check()
         check_length(self.length, self.rate)
         return self
@@ -205,9 +203,8 @@ class Other(Signal):
     def at_rate(self, rate: int) -> Self:
         """Itself; refused at another rate, since the poses are not known between frames."""
         if rate != self.rate:
-            raise InputError(
-                f"command: its poses are {self.rate} a second; the machine takes {rate} a second"
-            )
+            given = f"{self.rate} a second; the machine takes {rate} a second"
+            raise InputError(f"command: its poses are {given}")
         return self
 
     def command(self, seed: int = 0) -> "Command":
@@ -311,9 +308,8 @@ class Command:
 
 def commanded(command: Command | ArrayLike, rate: int) -> Command:
     """A command, or an array of poses (N, 6), at a control rate [Hz]."""
-    return (
-        command.at_rate(rate) if isinstance(command, Command) else Command.from_pose(command, rate)
-    )
+    made = command if isinstance(command, Command) else Command.from_pose(command, rate)
+    return made.at_rate(rate)
 
 
 def tabulated(poses: NDArray[np.float64]) -> Motion:

@@ -99,10 +99,8 @@ class Pulse(SingleSignal):
         if frames < 2:
             raise InputError(f"width: {self.width} s must be two frames or more, {2 / self.rate} s")
         if begin + frames >= round(self.length * self.rate):
-            raise InputError(
-                f"width: {self.width} s after {self.at} s must be within the {self.length} s of "
-                "the run"
-            )
+            run = f"the {self.length} s of the run"
+            raise InputError(f"width: {self.width} s after {self.at} s must be within {run}")
 
     def _frames(self) -> tuple[int, int]:
         return max(round(self.at * self.rate), 1), round(self.width * self.rate)
@@ -227,10 +225,8 @@ class Noise(SingleSignal):
     def _check(self) -> None:
         check_fade(self.fade, self.duration)
         if not self._inside().any():
-            raise InputError(
-                f"stop: no multiple of {1 / self.duration} Hz lies in {self.start} to {self.stop} "
-                "Hz"
-            )
+            band = f"{self.start} to {self.stop} Hz"
+            raise InputError(f"stop: no multiple of {1 / self.duration} Hz lies in {band}")
 
     def _inside(self) -> NDArray[np.bool_]:
         frequency = np.fft.rfftfreq(round(self.duration * self.rate), 1.0 / self.rate)
@@ -268,14 +264,11 @@ class Lines(Signal):
 
     def _check(self) -> None:
         if abs(round(self.period * self.rate) / self.rate - self.period) > 1e-9:
-            raise InputError(
-                f"period: {self.period} s must be a whole number of frames of 1/{self.rate} s"
-            )
+            frames = f"a whole number of frames of 1/{self.rate} s"
+            raise InputError(f"period: {self.period} s must be {frames}")
         if self.orders.size == 0:
-            raise InputError(
-                f"stop: no odd multiple of {1 / self.period} Hz lies in {self.start} to "
-                f"{self.stop} Hz"
-            )
+            band = f"{self.start} to {self.stop} Hz"
+            raise InputError(f"stop: no odd multiple of {1 / self.period} Hz lies in {band}")
         if self.fade > self.period:
             raise InputError(f"fade: {self.fade} s must be at most the period of {self.period} s")
 
@@ -301,10 +294,9 @@ class Lines(Signal):
         once = np.roll(once, -int(np.abs(once).argmin()))
         tail = round(self.fade * self.rate)
         history = np.concatenate([np.tile(once, self.periods), once[:tail]])
-        history[:tail] *= raised_cosine(tail, self.fade, self.rate, fade_out=False)
-        history[history.size - tail :] *= raised_cosine(tail, self.fade, self.rate, fade_out=False)[
-            ::-1
-        ]
+        edge = raised_cosine(tail, self.fade, self.rate, fade_out=False)
+        history[:tail] *= edge
+        history[history.size - tail :] *= edge[::-1]
         return history
 
 

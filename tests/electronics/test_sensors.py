@@ -10,7 +10,6 @@ from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.noise import four_normals, key_schedule, philox, stream_key
 from cmf_mj.electronics.sensors import (
-    CHANNELS,
     ChannelSettings,
     SensorSettings,
     load_sensors,
@@ -116,16 +115,9 @@ def test_noise_has_the_stated_density() -> None:
 
 
 def test_bias_resolution_and_range() -> None:
-    sensors = make_sensors(
-        only(
-            "leg_position",
-            bias=number(0.013, "m"),
-            resolution=number(0.01, "m"),
-            lowest=number(-0.5, "m"),
-            highest=number(0.4, "m"),
-        ),
-        RATE,
-    )
+    sizes = {"bias": 0.013, "resolution": 0.01, "lowest": -0.5, "highest": 0.4}
+    numbers = {name: number(value, "m") for name, value in sizes.items()}
+    sensors = make_sensors(only("leg_position", **numbers), RATE)
     truth = still(5)
     truth.position[:, 0] = [0.0, 0.1, 0.104, 3.0, -3.0]
     reading = sense_history(sensors, truth).position[:, 0]
@@ -171,15 +163,6 @@ def test_noisy_legs_at_rest_read_what_the_hardware_read() -> None:
     behind = signal.lfilter([0.0, b], [1.0, -a], reading - reading.mean(axis=0), axis=0)[2048:]
     left = behind.std(axis=0).mean() / reading.std(axis=0).mean()
     assert left == pytest.approx(b / np.sqrt(1.0 - a**2), rel=0.05)
-
-
-def test_every_number_of_the_noisy_set_says_where_it_comes_from() -> None:
-    noisy = load_sensors("noisy")
-    for channel in CHANNELS:
-        numbers = getattr(noisy, channel).quantities()
-        assert {"lowest", "highest", "noise_density", "bandwidth"} <= set(numbers)
-        assert all(len(quantity.source) > 5 for quantity in numbers.values())
-    assert not any(getattr(load_sensors("ideal"), c).quantities() for c in CHANNELS)
 
 
 def own(base: str, channel: str, field: str, value: float, unit: str) -> str:

@@ -157,18 +157,3 @@ def test_whatever_comes_in_the_leg_reference_keeps_its_limits_and_all_is_counted
     check_account(outcome, bool(garbage))
     if tripped_at < 2**40:
         assert outcome.source.progress[0].state in (State.FAULT, State.OFF)
-
-
-@pytest.mark.fuzz
-@settings(max_examples=examples(25), deadline=None, derandomize=True)
-@given(
-    kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=8),
-    seed=st.integers(0, 2**32 - 1),
-    garbage=st.lists(st.sampled_from(GARBAGE), min_size=1, max_size=4),
-)
-def test_garbage_changes_nothing_to_the_bit(kinds, seed, garbage):
-    """No malformed datagram reaches the demand: with and without them the legs move alike."""
-    clean = run(kinds, seed, State.ENGAGED, [], [])
-    dirty = run(kinds, seed, State.ENGAGED, [], garbage)
-    assert dirty.out.tobytes() == clean.out.tobytes()
-    assert dirty.source.dcu_state.rejections == clean.source.dcu_state.rejections

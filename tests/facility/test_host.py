@@ -194,17 +194,8 @@ def test_a_datagram_is_laid_out_as_documented() -> None:
     """Against the struct module: another reading of the same table."""
     sent = frame()
     data = encode_frame(sent)
-    body = struct.pack(
-        "<4sHHQd18d",
-        b"CMFH",
-        1,
-        172,
-        sent.sequence,
-        sent.time,
-        *sent.pose,
-        *sent.velocity,
-        *sent.acceleration,
-    )
+    motion = [*sent.pose, *sent.velocity, *sent.acceleration]
+    body = struct.pack("<4sHHQd18d", b"CMFH", 1, 172, sent.sequence, sent.time, *motion)
     assert data == body + struct.pack("<I", zlib.crc32(body))
     assert len(data) == udp.SIZE == 172
 

@@ -66,14 +66,9 @@ def check_reference(record: Record) -> None:
 @pytest.fixture(scope="module")
 def cycle() -> Operation:
     """Off, raised, engaged, returned, off; noisy sensors, converters, servo electronics."""
-    return operate(
-        Hexapod(),
-        "velocity_integral",
-        sine(36.0),
-        begin=State.OFF,
-        requests=[(0.5, Request.ENGAGE), (19.0, Request.OFF)],
-        seconds=34.0,
-    )
+    asked = [(0.5, Request.ENGAGE), (19.0, Request.OFF)]
+    how: dict[str, Any] = {"begin": State.OFF, "requests": asked, "seconds": 34.0}
+    return operate(Hexapod(), "velocity_integral", sine(36.0), **how)
 
 
 def test_a_full_cycle_goes_through_all_states_without_a_fault(cycle: Operation) -> None:
@@ -163,16 +158,10 @@ def test_a_reset_leaves_the_fault_and_the_machine_rises_again() -> None:
     The offset stays, but the detection starts anew at what it reads; integral law, so that the
     legs arrive at neutral by their sensors.
     """
-    operation = operate(
-        Hexapod(),
-        "velocity_integral",
-        sine(50.0),
-        begin=State.ENGAGED,
-        events=[Event(at=1.0, kind="sensor_offset", leg=2, size=(0.4, "in"))],
-        requests=[(20.0, Request.RESET), (27.0, Request.ENGAGE)],
-        seconds=46.0,
-        record_every=16,
-    )
+    how: dict[str, Any] = {"begin": State.ENGAGED, "seconds": 46.0, "record_every": 16}
+    how["events"] = [Event(at=1.0, kind="sensor_offset", leg=2, size=(0.4, "in"))]
+    how["requests"] = [(20.0, Request.RESET), (27.0, Request.ENGAGE)]
+    operation = operate(Hexapod(), "velocity_integral", sine(50.0), **how)
     record = operation.record
     names = [name for name, _ in entered(record)]
     assert names == ["ENGAGED", "FAULT", "OFF", "SETTLED", "RAISE", "ENGAGED"]

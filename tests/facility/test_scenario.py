@@ -290,16 +290,9 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
 
 
 def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
-    run = SignalSession(
-        scenario(
-            duration="open",
-            record_every=2,
-            operation={"begin": "engaged"},
-            electronics={},
-            protection="default",
-            signal=[SINE | {"frequency": 1.0, "fade": 1.0}],
-        )
-    )
+    chain = {"operation": {"begin": "engaged"}, "electronics": {}, "protection": "default"}
+    signal = [SINE | {"frequency": 1.0, "fade": 1.0}]
+    run = SignalSession(scenario(duration="open", record_every=2, signal=signal, **chain))
     for change in ({"signal": [ROLL | {"fade": 1.0}]}, {"request": "hold"}, {"law": "original"}):
         run.run(700)
         run.apply(change_of(change))

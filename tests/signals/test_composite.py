@@ -197,15 +197,6 @@ def test_orthogonal_multisines_share_no_line():
     np.testing.assert_array_equal(every, np.arange(3, 49, 2))
 
 
-def test_orthogonal_multisines_are_orthogonal_over_a_period():
-    """Apart from their constants, which start each near zero."""
-    command = composite.orthogonal_multisines(SIX, period=8.0)
-    once = command.pose[: 8 * RATE] - command.pose[: 8 * RATE].mean(axis=0)
-    products = once.T @ once
-    scale = np.sqrt(np.outer(np.diag(products), np.diag(products)))
-    np.testing.assert_allclose(products / scale, np.eye(6), rtol=0.0, atol=1e-12)
-
-
 def test_orthogonal_multisines_by_name_leave_the_others_at_rest():
     command = composite.orthogonal_multisines({"yaw": 0.01, "surge": 0.02}, period=4.0)
     assert list(command.signal.lines) == ["surge", "yaw"]

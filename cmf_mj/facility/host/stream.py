@@ -68,13 +68,8 @@ class HostStream(NamedTuple):
 
     def row(self, index: int) -> HostFrame:
         """One frame."""
-        return HostFrame(
-            int(self.sequence[index]),
-            float(self.time[index]),
-            self.pose[index],
-            self.velocity[index],
-            self.acceleration[index],
-        )
+        number, time, *motion = (column[index] for column in self)
+        return HostFrame(int(number), float(time), *motion)
 
 
 def make_stream(
@@ -159,10 +154,8 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     start = float(stream.time[0])
     frames = (float(stream.time[-1]) - start) * rate
     if frames > LONGEST * RATE:
-        raise InputError(
-            f"rate: {rate:g} Hz makes {frames:.3g} frames of a stream of {frames / rate:.6g} s; "
-            f"allowed: at most {LONGEST * RATE:.3g}"
-        )
+        said = f"{rate:g} Hz makes {frames:.3g} frames of a stream of {frames / rate:.6g} s"
+        raise InputError(f"rate: {said}; allowed: at most {LONGEST * RATE:.3g}")
     curve = BPoly.from_derivatives(stream.time - start, stream.values)
     time = np.arange(int(np.floor((stream.time[-1] - start) * rate + 1e-9)) + 1) / rate
     motion = [curve(time, nu=order) for order in range(3)]
@@ -301,9 +294,8 @@ def read_arrivals(path: str | Path) -> Arrivals:
     """Read what `write_arrivals` wrote; numbers come back bit for bit."""
     source = Path(path)
     table = read_table(source)
-    frame, sequence = (
-        read_column(source, table, name, pa.int64()) for name in (_ARRIVED, "sequence")
-    )
+    frame = read_column(source, table, _ARRIVED, pa.int64())
+    sequence = read_column(source, table, "sequence", pa.int64())
     values = np.stack([_motion(source, table, kind) for kind in _KINDS], axis=1)
     time = read_column(source, table, "time")
     return Arrivals(frame, sequence, time, np.ascontiguousarray(values))
