@@ -273,9 +273,10 @@ def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> No
 def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
     duration = rows.shape[0] * frozen.plant.machine.frame
-    run = frozen.run.but(duration=duration, operation=None, source=LegDemand(rows))
+    source = LegDemand(rows) if frozen.run.law else ValveCommands(rows)
+    run = frozen.run.but(duration=duration, operation=None, source=source)
     if not frozen.chain:
-        return run.but(source=LegDemand(rows) if run.law else ValveCommands(rows)).record()
+        return run.record()
     geometry = frozen.plant.machine.geometry
     motion, legs = np.zeros((2, 3, 6))
     table = np.empty((rows.shape[0], 6))

@@ -29,11 +29,11 @@ from cmf_mj.core.settings import Arguments, Seed, in_range, name_or
 from cmf_mj.core.units import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import AnyElectronics
 from cmf_mj.facility import settings as parts
-from cmf_mj.facility.front import from_table
+from cmf_mj.facility import signal as demands
+from cmf_mj.facility.front import Source, from_table
 from cmf_mj.facility.host.handover import Ring
 from cmf_mj.facility.pace import Pace
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.signal import BLOCK, HostFeed, LayeredDemand, TableFeed, added, as_source
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
@@ -116,7 +116,8 @@ class Run(Arguments):
             raise InputError("operation: goes with signals or a host's frames, and these with it")
         if self.source is not None and (self.signal or self.change):
             raise InputError("source: is given; allowed beside it: neither `signal` nor `change`")
-        if self.source is None and self.law is None:
+        opened = isinstance(self.source, demands.ValveCommands)
+        if opened != (self.law is None) and not isinstance(self.source, Source):
             raise InputError("law: None opens the loop; allowed with a `source` of valve commands")
         if isinstance(self.plant, str):
             self._files()
@@ -207,7 +208,7 @@ class Run(Arguments):
             return SignalSession(self, keep)
         plant = self._built()
         law = None if self.law is None else self.begun_law()
-        source, start, context = as_source(self.source, plant, self.start)
+        source, start, context = demands.as_source(self.source, plant, self.start)
         if self.operation is not None:
             source, start = self.operation.source(plant.machine, source, self.start, ring)
         settings, frames = self._settled(plant.machine), self.frames
@@ -226,7 +227,7 @@ class Run(Arguments):
         """
         if self.duration == "open":
             raise InputError("duration: is open; a run to the end needs one in s")
-        session, part = self.session(), None if progress is None else BLOCK
+        session, part = self.session(), None if progress is None else demands.BLOCK
         while session.frame < session.frames:
             session.run(part)
             if progress is not None:
@@ -265,14 +266,14 @@ class SignalSession(Session):
             raise InputError("source: is a table or a host's; allowed: a run of signals")
         plant, operation = run._built(), run.operation
         self._begun_as, rate, frames = run, plant.machine.rate, run.frames
-        self._demand = LayeredDemand(added(run.signal, run.seed, rate))
+        self._demand = demands.LayeredDemand(demands.added(run.signal, run.seed, rate))
         if operation is None:
-            table = TableFeed(self._demand, plant.machine)
-            self._feed: TableFeed | HostFeed = table
+            table = demands.TableFeed(self._demand, plant.machine)
+            self._feed: demands.TableFeed | demands.HostFeed = table
             source = from_table(table.legs, table.poses)
             start = table.poses[0] if run.start is None else run.start
         else:
-            hosted = HostFeed(self._demand, rate, operation.host_every, frames)
+            hosted = demands.HostFeed(self._demand, rate, operation.host_every, frames)
             self._feed = hosted
             source, start = operation.source(plant.machine, hosted.log, run.start)
         keep = 600.0 if frames is None and keep is None else keep
@@ -292,10 +293,10 @@ class SignalSession(Session):
         while self.frame < target:
             while self._due and self._due[0].frame <= self.frame:
                 self._happen(self._due.popleft())
-            if self.frame % BLOCK == 0:
+            if self.frame % demands.BLOCK == 0:
                 self._fill(self.frame)
             self.push(self._pushes)
-            ends = [target, (self.frame // BLOCK + 1) * BLOCK]
+            ends = [target, (self.frame // demands.BLOCK + 1) * demands.BLOCK]
             ends += [due.frame for due in self._due]
             ends += [strike for strike in self._strikes if strike > self.frame]
             super().run(min(ends) - self.frame)
@@ -342,7 +343,7 @@ class SignalSession(Session):
         """The change with its motion, after a check that all of it is possible."""
         run, signal = self._begun_as, change.signal
         change.check(run.plant, run.operation is not None)
-        motion = None if signal is None else added(signal, run.seed, self.rate)
+        motion = None if signal is None else demands.added(signal, run.seed, self.rate)
         return parts.Due(frame, change, motion, None if change.law is None else load(change.law))
 
     def _laws(self, coming: Sequence[parts.Due]) -> list[Law]:
@@ -360,7 +361,7 @@ class SignalSession(Session):
             self.engage(self._laws([due])[0])
         if due.motion is not None:
             self._demand.change(self.frame, due.motion, round(change.fade * self.rate))
-            if self.frame % BLOCK:
+            if self.frame % demands.BLOCK:
                 self._fill(self._filled)
         for failure in change.failure:
             self.inject(Event(at=self.frame / self.rate, **dict(failure)))
@@ -373,6 +374,6 @@ class SignalSession(Session):
 
     def _fill(self, first: int) -> None:
         self._feed.fill(first)
-        if isinstance(self._feed, HostFeed):
+        if isinstance(self._feed, demands.HostFeed):
             self.exchange(arrivals=self._feed.log)
         self._filled = first

@@ -23,7 +23,7 @@ from pydantic import Field
 from scipy.interpolate import BPoly
 
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.core.arrays import real
+from cmf_mj.core.arrays import real, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.front import Source, from_table
 from cmf_mj.facility.host.handover import make_log
@@ -235,8 +235,8 @@ def as_source(given: Any, plant: Plant, start: ArrayLike | None) -> RunSource:
             source, said = from_table(_rows("command", rows, plant)), "leg extensions"
         case ValveCommands(rows):
             table, said = _rows("valves", rows, plant), "valve commands"
-            if not (np.abs(table) <= 1.0).all():
-                row, leg = np.argwhere(~(np.abs(table) <= 1.0))[0]
+            if (np.abs(table) > 1.0).any():
+                row, leg = np.argwhere(np.abs(table) > 1.0)[0]
                 where = f"{table[row, leg]} of leg {leg + 1} in row {row}"
                 raise InputError(f"valves: {where} is not between -1 and 1")
             source = from_table(table)
@@ -250,7 +250,7 @@ def as_source(given: Any, plant: Plant, start: ArrayLike | None) -> RunSource:
 
 
 def _rows(name: str, rows: ArrayLike, plant: Plant) -> NDArray[np.float64]:
-    table = np.atleast_2d(real(name, rows))
-    if table.ndim != 2 or table.shape[1] != plant.legs:
-        raise InputError(f"{name}: has shape {table.shape}; allowed: (N, {plant.legs}), one a leg")
+    table = shaped(name, np.atleast_2d(real(name, rows)), None, plant.legs)
+    if not table.size:
+        raise InputError(f"{name}: has no rows; allowed: at least one")
     return table

@@ -103,6 +103,17 @@ def test_poses_and_valve_commands_are_real_numbers(bad: Any) -> None:
                 run()
 
 
+def test_extensions_and_valve_commands_are_not_taken_for_one_another() -> None:
+    """Metres were fractions of full command without a law, and fractions metres with one."""
+    wrong = (None, STILL), (None, LegDemand(STILL)), ("velocity", ValveCommands(STILL))
+    for law, source in wrong:
+        with pytest.raises(InputError, match="law: None opens the loop; allowed with a `source`"):
+            Run(plant=PLANT, law=law, source=source)
+    for bad, said in ((STILL[:0], ": has no rows"), (STILL * np.nan, r"\[0, 0\]: nan is not a")):
+        with pytest.raises(InputError, match=f"command{said}"):
+            simulate(PLANT, "velocity", bad, legs=True)
+
+
 # -- files --------------------------------------------------------------------------------------
 
 

@@ -176,9 +176,10 @@ def test_a_state_that_is_not_finite_names_leg_and_time() -> None:
 @pytest.mark.parametrize(
     ("valves", "message"),
     [
-        (np.zeros((4, 5)), r"valves: has shape \(4, 5\); allowed: \(N, 6\)"),
+        (np.zeros((4, 5)), r"valves: shape is \(4, 5\); allowed: \(N, 6\)"),
+        (np.zeros((0, 6)), "valves: has no rows; allowed: at least one"),
         (np.full((4, 6), 1.5), "valves: 1.5 of leg 1 in row 0 is not between -1 and 1"),
-        (np.full((4, 6), np.nan), "valves: nan of leg 1 in row 0"),
+        (np.full((4, 6), np.nan), r"valves\[0, 0\]: nan is not a finite number"),
     ],
 )
 def test_commands_out_of_range_are_refused(valves: np.ndarray, message: str) -> None:
