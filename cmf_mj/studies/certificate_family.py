@@ -140,13 +140,17 @@ largest of them over the stall force."""
 _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01  #: Range of the slopes taken over the one found.
-_OF_LEGS = 42
-"""Parameters of legs, each entering once: six drives, spools, cap ports, rod ports and leaks, cap
-and rod chambers."""
-_RHO = slice(12, 24)  #: Those of them that are slopes of ports.
-SIZES = (1,) * _OF_LEGS + (3, 4, 4, 4, 3)
-"""How often parameters enter: those of the legs; the cab's mass, three shifts of its centre of
-mass, and its inertia."""
+_OF_LEGS = {
+    name: slice(6 * i, 6 * i + 6)
+    for i, name in enumerate(
+        ("drive", "spool", "cap_port", "rod_port", "leak", "cap_oil", "rod_oil")
+    )
+}
+"""Parameters of legs, each of which enters once, by what they change."""
+_LEGS = 6 * len(_OF_LEGS)
+_OF_CAB = (3, 4, 4, 4, 3)
+"""How often those of the cab enter: its mass, three shifts of its centre of mass, its inertia."""
+SIZES = (1,) * _LEGS + _OF_CAB  #: How often parameters enter.
 
 
 class Family:
@@ -169,8 +173,8 @@ class Family:
         self._gravity = turn.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
         self._mass, self._place = cab.mass.si, FLIP * cab.centre_of_mass.si
         self._inertia = FLIP[:, None] * cab.tensor * FLIP
-        self._ports_of = _kappa(plant)
-        self._held = _area(plant) * plant.parameters.supply_pressure.si
+        self._ports_of = _port_slopes(plant)
+        self._held = _areas(plant) * plant.parameters.supply_pressure.si
         self._plant = reduced(linear.system, outputs=labels(FEEDBACK, 6))
         self.loop = self._loop(bound(law, plant))
         """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
@@ -187,24 +191,22 @@ class Family:
             [names.index(label) for label in labels((kind,), 6)]
             for kind in ("drive", "spool", "leg_velocity", "cap_pressure", "rod_pressure")
         )
-        parts = iter(range(0, _OF_LEGS, 6))
 
-        def free(what: Array) -> Array:
-            """What six parameters add to what they multiply."""
-            first = next(parts)
-            seen[first : first + 6] = what
-            return w[first : first + 6]
+        def free(name: str, what: Array) -> Array:
+            """What the parameters of six legs add to what they multiply."""
+            seen[_OF_LEGS[name]] = what
+            return w[_OF_LEGS[name]]
 
-        for rows in (drive, spool):
-            change[rows] += free(change[rows])
-        for side in (cap, rod):
-            change[side] += free(a[side, spool][:, None] * state[spool])
-        flow = free(state[rod] - state[cap])
+        change[drive] += free("drive", change[drive])
+        change[spool] += free("spool", change[spool])
+        change[cap] += free("cap_port", a[cap, spool][:, None] * state[spool])
+        change[rod] += free("rod_port", a[rod, spool][:, None] * state[spool])
+        flow = free("leak", state[rod] - state[cap])
         change[cap] += a[cap, rod][:, None] * flow
         change[rod] -= a[rod, cap][:, None] * flow
-        for side in (cap, rod):
-            change[side] += free(change[side])
-        self._free_cab(change, speed, w[_OF_LEGS:], seen[_OF_LEGS:])
+        change[cap] += free("cap_oil", change[cap])
+        change[rod] += free("rod_oil", change[rod])
+        self._free_cab(change, speed, w[_LEGS:], seen[_LEGS:])
         sees = c @ state
         sees[12:18] = change[speed]
         a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
@@ -223,19 +225,22 @@ class Family:
         body = linalg.block_diag(self._mass * np.eye(3), self._inertia)
         shifts = [_reach(self._place + one) - reach for one in np.eye(3)]
         rows = [np.flatnonzero(shift.any(axis=1)) for shift in shifts]
+        parts = np.cumsum(_OF_CAB)[:-1]
+        w_mass, *w_places, w_inertia = np.split(w, parts)
+        z_mass, *z_places, z_inertia = np.split(seen, parts)
         moved, pulled, felt = (np.zeros((6, change.shape[1])) for _ in range(3))
-        pulled[:3], pulled[3:] = w[:3], w[15:]
-        for j, (shift, at) in enumerate(zip(shifts, rows, strict=True), start=1):
-            moved[at] += w[4 * j - 1 : 4 * j + 1]
-            felt += shift[at].T @ w[4 * j + 1 : 4 * j + 3]
+        pulled[:3], pulled[3:] = w_mass, w_inertia
+        for shift, at, one in zip(shifts, rows, w_places, strict=True):
+            moved[at] += one[:2]
+            felt += shift[at].T @ one[2:]
         added = self._motion.T @ (reach.T @ (body @ moved + pulled) + felt)
         change[speed] -= np.linalg.solve(self._point.mechanics.mass, added)
         q = self._motion @ change[speed]
         y = reach @ q + moved
         h = body @ y + pulled
-        seen[:3], seen[15:] = self._mass * y[:3], self._inertia @ y[3:]
-        for j, (shift, at) in enumerate(zip(shifts, rows, strict=True), start=1):
-            seen[4 * j - 1 : 4 * j + 1], seen[4 * j + 1 : 4 * j + 3] = shift[at] @ q, h[at]
+        z_mass[:], z_inertia[:] = self._mass * y[:3], self._inertia @ y[3:]
+        for shift, at, one in zip(shifts, rows, z_places, strict=True):
+            one[:2], one[2:] = shift[at] @ q, h[at]
 
     def _loads(self, changes: Mapping[str, Array]) -> Array:
         """Static loads of the legs [N], (N, 6)."""
@@ -246,34 +251,44 @@ class Family:
         return np.asarray(self._point.mechanics.load - np.hstack([weight, turned]) @ self._motion)
 
     def _ports(self, changes: Mapping[str, Array]) -> Array:
-        """Rho - 1 of machines, cap ports first, (N, 12)."""
+        """Rho - 1 of machines' cap and rod ports, (2, N, 6)."""
         load, loads = self._point.mechanics.load, self._loads(changes)
         high, gain = 1.0 + changes["supply_pressure"], 1.0 + changes["valve_gain"]
         at, nominal = loads / (self._held * high), load / self._held
-        shares, kappas, _ = self._ports_of
-        ratios = [np.interp(at, shares, k) / np.interp(nominal, shares, k) for k in kappas]
-        return np.hstack([gain * np.sqrt(high) * ratio for ratio in ratios]) - 1.0
+        ratios = np.empty((2, *at.shape))
+        for leg, ports in enumerate(self._ports_of):
+            for ratio, kappa in zip(ratios, ports.slopes, strict=True):
+                ratio[:, leg] = np.interp(at[:, leg], ports.shares, kappa)
+                ratio[:, leg] /= np.interp(nominal[leg], ports.shares, kappa)
+        return np.asarray(gain * np.sqrt(high) * ratios - 1.0)
 
     def deltas(self, changes: Mapping[str, Array]) -> Array:
         """Delta of machines by what is off, see `Box.changes`, (N, 60)."""
-        table = dict(changes) | {"ports": self._ports(changes)}
-        table["places"] = np.repeat(changes["cab_place"], 4, axis=1)
-        names = ("drive_lag", "valve_lag", "ports", "leak_rate", *["bulk_modulus"] * 12)
-        names += (*["cab_mass"] * 3, "places", *["cab_inertia"] * 3)
-        return np.hstack([table[name] for name in names])
+        of_legs = {
+            "drive": changes["drive_lag"],
+            "spool": changes["valve_lag"],
+            "leak": changes["leak_rate"],
+            **dict.fromkeys(("cap_oil", "rod_oil"), np.repeat(changes["bulk_modulus"], 6, axis=1)),
+            **dict(zip(("cap_port", "rod_port"), self._ports(changes), strict=True)),
+        }
+        places = np.repeat(changes["cab_place"], 4, axis=1)
+        mass, inertia = (np.repeat(changes[one], 3, axis=1) for one in ("cab_mass", "cab_inertia"))
+        return np.hstack([*(of_legs[name] for name in _OF_LEGS), mass, places, inertia])
 
     def widths(self, box: Box, scale: float) -> Array:
         """Largest |delta| of the box of a scale, over the scale, (60,)."""
         widths = np.abs(self.deltas(_corners(box, scale))).max(axis=0)
-        widths[_RHO] *= _MARGIN
+        for port in ("cap_port", "rod_port"):
+            widths[_OF_LEGS[port]] *= _MARGIN
         return np.asarray(widths / scale)
 
     def holds(self, box: Box, scale: float, *, closed: bool) -> bool:
         """Whether valves at rest, all of them `closed`, hold the legs of every machine in a box."""
         corners = _corners(box, scale)
         shares = self._loads(corners) / (self._held * (1.0 + corners["supply_pressure"]))
-        low, high = self._ports_of.closed if closed else self._ports_of.shares[[0, -1]]
-        return bool(low < shares.min() and shares.max() < high)
+        ends = (one.closed if closed else one.shares[[0, -1]] for one in self._ports_of)
+        low, high = np.transpose(list(ends))
+        return bool((low < shares).all() and (shares < high).all())
 
     def damping(self, deltas: Array) -> Array:
         """Least damping ratio of poles, (N,): -1 to 1, of a real one either; slow ones have 1."""
@@ -314,16 +329,26 @@ class _Ports(NamedTuple):
     closed: tuple[float, float]  #: Loads that closed valves hold; NaN for none.
 
 
-def _area(plant: Hexapod) -> float:
-    """Area that the load over the pressure at rest is: of equal areas one of them."""
-    cylinder = plant.hydraulics.cylinder[0]
-    return float((cylinder.cap_area - cylinder.rod_area) or cylinder.cap_area)
+def _areas(plant: Hexapod) -> Array:
+    """Area of each leg that the load over the pressure at rest is: of equal areas one of them."""
+    cap, rod = plant.hydraulics.cylinder.cap_area, plant.hydraulics.cylinder.rod_area
+    return np.where(cap == rod, cap, cap - rod)
 
 
-def _kappa(plant: Hexapod) -> _Ports:
-    """Kappa of the first leg over the loads that its valves hold at rest."""
+def _port_slopes(plant: Hexapod) -> list[_Ports]:
+    """The slopes of each leg; legs of one cylinder, whose valves have other gains, share them."""
+    cylinders, known = plant.hydraulics.cylinder, dict[bytes, _Ports]()
+    for leg, cylinder in enumerate(cylinders):
+        if cylinder.tobytes() not in known:
+            known[cylinder.tobytes()] = _slopes_of(plant, leg)
+    return [known[cylinder.tobytes()] for cylinder in cylinders]
+
+
+def _slopes_of(plant: Hexapod, leg: int) -> _Ports:
+    """Slopes of a leg's ports over the loads that its valves hold at rest."""
     hydraulics, supply = plant.hydraulics, plant.parameters.supply_pressure.si
-    cylinder, bias, area = hydraulics.cylinder[0], hydraulics.valve[0].null_bias, _area(plant)
+    cylinder, bias = hydraulics.cylinder[leg], hydraulics.valve[leg].null_bias
+    area = float(_areas(plant)[leg])
     ends = -_MOST * cylinder.rod_area / area, _MOST * cylinder.cap_area / area
     shares = _COARSE * np.arange(np.ceil(ends[0] / _COARSE), ends[1] / _COARSE)
     if cylinder.cap_area != cylinder.rod_area:
@@ -331,12 +356,12 @@ def _kappa(plant: Hexapod) -> _Ports:
     rows, held = [], []
     for share in shares:
         try:
-            rest = hold(plant, 0, float(share) * area * supply, supply, 0.0)
+            rest = hold(plant, leg, float(share) * area * supply, supply, 0.0)
         except NotLinearError:
             continue
         at = np.append(rest.pressure, [supply, 0.0])
         opening, outward = rest.command + bias, outward_share(rest.ratio)
-        slopes = port_slopes(hydraulics, 0, opening, at, outward).opening[[CAP, ROD]]
+        slopes = port_slopes(hydraulics, leg, opening, at, outward).opening[[CAP, ROD]]
         rows.append(slopes.sum(axis=1))
         held.append((share, not opening.any()))
     found, shut = np.array(held).T

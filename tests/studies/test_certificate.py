@@ -93,6 +93,23 @@ def test_other_machines_are_those_of_their_files_too(
     assert family.damping(family.deltas(changes))[0] == pytest.approx(exact, abs=left_out)
 
 
+def test_each_leg_has_the_ports_of_its_own_cylinder() -> None:
+    """One leg of another bore: the family's machine is the one that is linearised anew."""
+    base = cmf_mj.load_hydraulics("report")
+    wide = {"value": 1.15 * base.bore_diameter.value, "unit": base.bore_diameter.unit}
+    one = {"leg_3": {"bore_diameter": wide | {"status": "assumed", "source": "a test"}}}
+    plain = base.model_dump(mode="json", exclude_none=True)
+    oil = type(base).model_validate(plain | {"name": "mixed", "actuators": one})
+    law, light = cmf_mj.load_law("velocity"), cmf_mj.load_cab("gfd")
+    values = np.zeros((1, SIZE))
+    values[0, np.arange(SIZE)[Unknowns(BOX.unknowns).split(np.arange(SIZE))["cab_mass"]]] = 1.0
+    changes = BOX.changes(values)
+    heavy = Unknowns(BOX.unknowns).apply(BOX.values(changes), light, "heavy")
+    family = Family(cmf_mj.Hexapod(light, oil), law, np.zeros(6))
+    exact = least_damping(law, cmf_mj.Hexapod(heavy, oil), np.zeros(6))
+    assert family.damping(family.deltas(changes))[0] == pytest.approx(exact, abs=3e-4)
+
+
 def test_a_leg_loaded_where_its_valve_begins_to_open_is_certified(tmp_path: Path) -> None:
     """Its chambers creep, which is no loss: every machine of the box, linearised, is stable."""
     sheet, law = cmf_mj.load_cab(None, "lab"), cmf_mj.load_law("original")
