@@ -55,6 +55,22 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         shutil.rmtree(os.environ.pop(FOLDER, ""), ignore_errors=True)
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium that draws WebGL in software."""
+    from playwright.sync_api import sync_playwright
+
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.fail("no Chromium to open the page in: apt-get install chromium (Debian package)")
+    options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=program, args=options)
+        yield running
+        running.close()
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forgotten(request: pytest.FixtureRequest) -> Iterator[None]:
     """Release what a module computed once, and give the memory back to the system."""

@@ -1,5 +1,6 @@
 """What several tests share; runs are computed once a suite, by whichever worker needs one first."""
 
+import csv
 import fcntl
 import os
 import pickle
@@ -47,6 +48,17 @@ def cmf(*arguments: object, code: int = 0) -> str:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
     return result.output
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file by the names of its header."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def data_rows(name: str) -> list[dict[str, str]]:
+    """Rows of a data file of the pages."""
+    return rows_of(Path(__file__).parents[1] / "docs" / "data" / f"{name}.csv")
 
 
 def axial_gravity(pose: ArrayLike) -> NDArray[np.float64]:

@@ -160,8 +160,7 @@ def learning_figure(learnt: Learning) -> Figure:
         time = LEAD + np.arange(len(error)) / MOST_RATE
         history.plot(time, 1e3 * error[:, dof], label=f"trial {number}", linewidth=0.9)
     history.set(xlabel="time [s]", ylabel=f"error of {DOFS[dof]} [mm]")
-    above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-    look.legend(trials, ratio, history, **above)
+    look.legend(trials, ratio, history, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle("Tracking error of a manoeuvre as it is learnt")
     return figure
 

@@ -199,8 +199,7 @@ def bode_figure(
     figure, gain, phase = bode_axes(title, limits=limits)
     for i, (name, response) in enumerate(curves.items()):
         dashes = "--" if i % 2 else "-"  # every other, since neighbours may coincide
-        how: dict[str, Any] = {"stable": stable, "linestyle": dashes}
-        colour = plot_bode(gain, phase, response, label=name, **how)
+        colour = plot_bode(gain, phase, response, stable=stable, label=name, linestyle=dashes)
         if bounds:
             plot_bound(gain, phase, response, color=colour)
     legend(figure)

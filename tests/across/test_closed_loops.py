@@ -1,12 +1,12 @@
 """Closed loops in MuJoCo against the IFToMM library's mechanisms and references without MuJoCo."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 from crosscheck import loops, mechanisms
 from crosscheck.loops import DEFAULT, HOLD, TRIED, Outcome, Settings, hexapod, outcome, run
+from shared import rows_of
 
 from cmf_mj import Hexapod
 
@@ -93,16 +93,17 @@ def test_dampers_across_branches_need_the_discrete_integrator() -> None:
 
 def cells(path: Path) -> list[dict[str, str]]:
     """Rows of a table but for times, which are of a machine, and versions."""
-    rows = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
     left_out = {"CMF [us a step]", "CPU time [s]", "program"}
-    return [{name: row[name] for name in row if name not in left_out} for row in rows]
+    return [{name: row[name] for name in row if name not in left_out} for row in rows_of(path)]
 
 
 @pytest.mark.slow
 def test_regression_tables_of_the_page_are_measured(tmp_path: Path) -> None:
     """To 5 %, for another processor's rounding, and of energies that RK4 keeps to 1 uJ."""
     paths = loops.save_loops(tmp_path)
-    rows = [(here, there) for path in paths for here, there in pairs(path)]
+    rows = [
+        pair for path in paths for pair in zip(cells(path), cells(DATA / path.name), strict=True)
+    ]
     assert len(rows) > 2 * len(TRIED)
     for here, there in rows:
         for name, cell in here.items():
@@ -111,7 +112,3 @@ def test_regression_tables_of_the_page_are_measured(tmp_path: Path) -> None:
             else:
                 small = 1e-6 if "energy" in name else 1e-3
                 assert float(cell) == pytest.approx(float(there[name]), rel=0.05, abs=small), name
-
-
-def pairs(path: Path) -> list[tuple[dict[str, str], dict[str, str]]]:
-    return list(zip(cells(path), cells(DATA / path.name), strict=True))

@@ -1,6 +1,5 @@
 """The course: its closed form, its page in Chromium against it, its notebooks as they run."""
 
-import csv
 import json
 import re
 import runpy
@@ -14,7 +13,8 @@ import control
 import matplotlib
 import numpy as np
 import pytest
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser
+from shared import data_rows, rows_of
 
 from cmf_mj import Hexapod, load_machine
 
@@ -74,10 +74,8 @@ def test_the_numbers_of_the_lesson_are_made_from_the_models(script: SimpleNamesp
 
 def test_the_mass_by_hand_is_that_of_the_models_gimbals(hand: SimpleNamespace) -> None:
     """Stretches from positions of the gimbals and a small motion, not from the Jacobian."""
-    with (ROOT / "docs/data/leg_mass.csv").open(encoding="utf-8") as file:
-        row = list(csv.DictReader(file))[0]
-    with (ROOT / "docs/data/leg_values.csv").open(encoding="utf-8") as file:
-        stated = {one["symbol"]: float(one["value"]) for one in csv.DictReader(file)}
+    row, *_ = data_rows("leg_mass")
+    stated = {one["symbol"]: float(one["value"]) for one in data_rows("leg_values")}
     gimbals = load_machine("cmf").gimbals
     upper, lower = (np.array(one.value) for one in (gimbals.upper, gimbals.lower))
     length = np.linalg.norm(upper - lower, axis=1)
@@ -93,13 +91,13 @@ def test_the_mass_by_hand_is_that_of_the_models_gimbals(hand: SimpleNamespace) -
 
 @pytest.mark.parametrize("name", ["surge", "heave"])
 def test_each_column_of_the_time_series_is_in_the_data_dictionary(name: str) -> None:
-    with (COURSE / f"step_{name}.csv").open(encoding="utf-8") as file:
-        header, *rows = csv.reader(file)
+    rows = rows_of(COURSE / f"step_{name}.csv")
     said = json.loads((COURSE / f"step_{name}.csv-metadata.json").read_text(encoding="utf-8"))
-    assert [column["name"] for column in said["tableSchema"]["columns"]] == header
+    time, moved = ([float(row[n]) for row in rows] for n in ("time_s", "response_m"))
+    assert [column["name"] for column in said["tableSchema"]["columns"]] == list(rows[0])
     assert said["url"] == f"step_{name}.csv" and len(rows) == 512
-    assert np.allclose(np.diff([float(row[0]) for row in rows]), 1 / 128)
-    assert max(float(row[2]) for row in rows) > 0.0254  # it overshoots an inch
+    assert np.allclose(np.diff(time), 1 / 128)
+    assert max(moved) > 0.0254  # it overshoots an inch
 
 
 def test_the_pages_have_the_exercises_of_the_notebooks_and_the_step_of_the_series(
@@ -120,88 +118,80 @@ def test_the_pages_have_the_exercises_of_the_notebooks_and_the_step_of_the_serie
 
 
 @pytest.mark.slow
-def test_the_exercises_mark_themselves(hand: SimpleNamespace) -> None:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        page = browser.new_context(offline=True).new_page()
-        for lesson, numbers in ((1, range(1, 7)), (2, range(7, 10)), (3, range(10, 13))):
-            page.goto("about:blank")
-            page.goto((COURSE / "exercises.html").as_uri() + f"#{lesson}")
-            parts = page.locator("section")
-            assert parts.count() == len(numbers)
-            for part, number in zip(parts.all(), numbers, strict=True):
-                true, unit, hint = hand.right()[number]
-                within = hand.WITHIN.get(number, 0.02)
-                for off in (-1.5, -0.75, 0.75, 1.5):
-                    factor, good = 1.0 + off * within, abs(off) < 1.0
-                    part.get_by_role("textbox").fill(f"{factor * true:.6g}")
-                    part.get_by_role("button", name="mark").click()
-                    said = part.locator("p").last.inner_text()
-                    assert said.startswith("Right") == good and (good or hint in said)
-                for written in (f"{true:,.2f}", f" {true:.2f} ") if true > 1000.0 else ():
-                    part.get_by_role("textbox").fill(written)
-                    part.get_by_role("button", name="mark").click()
-                    assert part.locator("p").last.inner_text().startswith("Right")
-                part.get_by_role("button", name="answer").click()
-                assert unit in part.locator("p").last.inner_text()
-        browser.close()
+def test_the_exercises_mark_themselves(hand: SimpleNamespace, browser: Browser) -> None:
+    page = browser.new_context(offline=True).new_page()
+    for lesson, numbers in ((1, range(1, 7)), (2, range(7, 10)), (3, range(10, 13))):
+        page.goto("about:blank")
+        page.goto((COURSE / "exercises.html").as_uri() + f"#{lesson}")
+        parts = page.locator("section")
+        assert parts.count() == len(numbers)
+        for part, number in zip(parts.all(), numbers, strict=True):
+            true, unit, hint = hand.right()[number]
+            within = hand.WITHIN.get(number, 0.02)
+            for off in (-1.5, -0.75, 0.75, 1.5):
+                factor, good = 1.0 + off * within, abs(off) < 1.0
+                part.get_by_role("textbox").fill(f"{factor * true:.6g}")
+                part.get_by_role("button", name="mark").click()
+                said = part.locator("p").last.inner_text()
+                assert said.startswith("Right") == good and (good or hint in said)
+            for written in (f"{true:,.2f}", f" {true:.2f} ") if true > 1000.0 else ():
+                part.get_by_role("textbox").fill(written)
+                part.get_by_role("button", name="mark").click()
+                assert part.locator("p").last.inner_text().startswith("Right")
+            part.get_by_role("button", name="answer").click()
+            assert unit in part.locator("p").last.inner_text()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)], ids=["wide", "phone"])
-def test_the_page_computes_what_python_does(hand: SimpleNamespace, size: tuple[int, int]) -> None:
+def test_the_page_computes_what_python_does(
+    hand: SimpleNamespace, browser: Browser, size: tuple[int, int]
+) -> None:
     of = hand.given()
     draws = np.random.default_rng(0)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        viewport: Any = dict(zip(("width", "height"), size, strict=True))
-        page = browser.new_context(offline=True, viewport=viewport).new_page()
-        complaints: list[str] = []
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto((COURSE / "leg.html").as_uri())
-        fixed = page.evaluate("FIXED")
-        assert [fixed[name] for name in ("tau", "rate", "load")] == pytest.approx(list(of[4:]))
-        begun = page.evaluate("values()")
-        modes = Hexapod("gfd").hydraulic_modes().leg_mass
-        names = ("stiffness", "speed", "gain", "acceleration")
-        assert [begun[name] for name in names] == pytest.approx(list(of[:4]), rel=1e-6)
-        masses = page.locator("button").evaluate_all("all => all.map(b => +b.dataset.mass)")
-        assert masses == pytest.approx([modes[3], modes[0]], rel=1e-6)
-        assert begun["mass"] == masses[0]
-        ranges = page.evaluate("SLIDERS")
-        for _ in range(40):
-            drawn = {name: float(draws.uniform(*one[2:4])) for name, one in ranges.items()}
-            now = of._replace(**{name: drawn[name] for name in names})
-            mine = hand.leg(drawn["mass"], now)
-            js = "v => { const r = leg(v); return [r, step(r, 0.31)]; }"
-            theirs, stepped = page.evaluate(js, drawn)
-            a = hand.polynomial(drawn["mass"], now)
-            for name, value in mine.items():
-                assert theirs[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
-            system = control.tf([a[-1]], a)
-            _, expected = control.step_response(system, [0.0, 0.155, 0.31])
-            assert stepped == pytest.approx(expected[-1], rel=1e-9, abs=1e-9)
-        recorded, of = hand.series("surge"), hand.given()
-        for mass in (hand.fitted(), 15000.0):
-            apart = page.evaluate("m => apart(leg({...values(), mass: m}))", mass)
-            left = np.sqrt(np.mean(hand.misfit(mass, of, *recorded) ** 2))
-            assert apart == pytest.approx(left, rel=2e-3)
-        page.get_by_text("the leg in surge").click()
-        peak = (ROOT / "docs/data/legs.csv").read_text(encoding="utf-8").splitlines()[2].split(",")
-        shown = page.locator("#results").inner_text()
-        assert f"{peak[5]} dB" in shown and f"{peak[6]} Hz" in shown
-        gain = page.get_by_role("slider", name="gain on its position")
-        gain.fill("5")  # the answer to exercise 6: the swing is the oil's
-        assert page.evaluate("leg(values()).swing") == pytest.approx(float(peak[3]), abs=0.05)
-        page.get_by_role("button", name="the leg in heave").click()
-        assert page.evaluate("values()") == begun
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        assert complaints == []
-        browser.close()
+    viewport: Any = dict(zip(("width", "height"), size, strict=True))
+    page = browser.new_context(offline=True, viewport=viewport).new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((COURSE / "leg.html").as_uri())
+    fixed = page.evaluate("FIXED")
+    assert [fixed[name] for name in ("tau", "rate", "load")] == pytest.approx(list(of[4:]))
+    begun = page.evaluate("values()")
+    modes = Hexapod("gfd").hydraulic_modes().leg_mass
+    names = ("stiffness", "speed", "gain", "acceleration")
+    assert [begun[name] for name in names] == pytest.approx(list(of[:4]), rel=1e-6)
+    masses = page.locator("button").evaluate_all("all => all.map(b => +b.dataset.mass)")
+    assert masses == pytest.approx([modes[3], modes[0]], rel=1e-6)
+    assert begun["mass"] == masses[0]
+    ranges = page.evaluate("SLIDERS")
+    for _ in range(40):
+        drawn = {name: float(draws.uniform(*one[2:4])) for name, one in ranges.items()}
+        now = of._replace(**{name: drawn[name] for name in names})
+        mine = hand.leg(drawn["mass"], now)
+        js = "v => { const r = leg(v); return [r, step(r, 0.31)]; }"
+        theirs, stepped = page.evaluate(js, drawn)
+        a = hand.polynomial(drawn["mass"], now)
+        for name, value in mine.items():
+            assert theirs[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
+        system = control.tf([a[-1]], a)
+        _, expected = control.step_response(system, [0.0, 0.155, 0.31])
+        assert stepped == pytest.approx(expected[-1], rel=1e-9, abs=1e-9)
+    recorded, of = hand.series("surge"), hand.given()
+    for mass in (hand.fitted(), 15000.0):
+        apart = page.evaluate("m => apart(leg({...values(), mass: m}))", mass)
+        left = np.sqrt(np.mean(hand.misfit(mass, of, *recorded) ** 2))
+        assert apart == pytest.approx(left, rel=2e-3)
+    page.get_by_text("the leg in surge").click()
+    peak = (ROOT / "docs/data/legs.csv").read_text(encoding="utf-8").splitlines()[2].split(",")
+    shown = page.locator("#results").inner_text()
+    assert f"{peak[5]} dB" in shown and f"{peak[6]} Hz" in shown
+    gain = page.get_by_role("slider", name="gain on its position")
+    gain.fill("5")  # the answer to exercise 6: the swing is the oil's
+    assert page.evaluate("leg(values()).swing") == pytest.approx(float(peak[3]), abs=0.05)
+    page.get_by_role("button", name="the leg in heave").click()
+    assert page.evaluate("values()") == begun
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert complaints == []
 
 
 # The notebooks

@@ -1,6 +1,5 @@
 """The plant against Exudyn, and the second hydraulics against closed forms."""
 
-import csv
 import runpy
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ from crosscheck.machine import Machine, Spring
 from crosscheck.recordings import recorded
 from crosscheck.verification import Verification, distance, in_mujoco, valve_sines, verify
 from scipy import linalg
+from shared import data_rows, rows_of
 
 from cmf_mj import Hexapod, Run, load_hydraulics
 from cmf_mj.core import units
@@ -229,9 +229,7 @@ def test_a_hidden_machine_has_the_true_numbers() -> None:
 
 def test_machines_with_what_the_model_lacks_are_doubted_by_name() -> None:
     """As docs/data says of recordings of this engine: `tests/crosscheck/foreign.py`."""
-    path = SCRIPT.parents[1] / "docs" / "data" / "foreign_machines.csv"
-    with path.open(encoding="utf-8", newline="") as lines:
-        rows = {row["lacking"]: row for row in csv.DictReader(lines)}
+    rows = {row["lacking"]: row for row in data_rows("foreign_machines")}
     assert rows.pop("none")["explained"] == "yes"
     named = {
         "floor": "a floor that yields",
@@ -248,9 +246,7 @@ def test_machines_with_what_the_model_lacks_are_doubted_by_name() -> None:
 
 def test_changes_are_found_and_named_rightly() -> None:
     """As docs/data says of recordings of this engine: `tests/crosscheck/foreign_guides.py`."""
-    path = SCRIPT.parents[1] / "docs" / "data" / "foreign_guides.csv"
-    with path.open(encoding="utf-8", newline="") as lines:
-        rows = list(csv.DictReader(lines))
+    rows = data_rows("foreign_guides")
     assert all((row["found"] == "True") == bool(row["changed"]) for row in rows)
     changes = [row for row in rows if row["changed"]]
     assert sum(row["named"] == row["changed"] for row in changes) > 0.8 * len(changes)
@@ -335,8 +331,7 @@ def test_the_script_writes_table_data_and_figure(
     monkeypatch.setattr(sys, "argv", ["crosscheck", *options])
     runpy.run_path(str(SCRIPT), run_name="__main__")
     assert "leg error [um]" in capsys.readouterr().out
-    with (tmp_path / "work_precision.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "work_precision.csv")
     assert [(row["engine"], round(1.0 / float(row["step_s"]))) for row in rows] == [
         (engine, parts * 2048) for engine in ("mujoco", "exudyn") for parts in (1, 2, 4)
     ]

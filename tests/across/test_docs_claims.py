@@ -1,6 +1,5 @@
 """What pages and sentences claim, against the data, the models and the contracts they speak of."""
 
-import csv
 import re
 import shlex
 import tomllib
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzzing import commands
-from shared import chirp_bandwidths
+from shared import chirp_bandwidths, data_rows
 from shared import printed as printed_row
 
 from cmf_mj import (
@@ -46,11 +45,6 @@ def read(page: str | Path) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
-def rows(name: str) -> list[dict[str, str]]:
-    with (ROOT / "docs" / "data" / f"rotation_{name}.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def shares(text: str) -> np.ndarray:
     """Share of machines and the ends of its interval, 98 % (94 to 100)."""
     middle, low, high = re.fullmatch(r"(\d+) % \((\d+) to (\d+)\)", text).groups()  # type: ignore[union-attr]
@@ -64,7 +58,7 @@ def span(text: str) -> np.ndarray:
 
 def test_what_is_robust_in_rotation_is_so_in_its_data() -> None:
     """With each part of the evidence left out; the best gain is the one of the advice."""
-    stability = rows("stability")
+    stability = data_rows("rotation_stability")
     for law, unstable in (("acceleration_d2", True), ("modal_plan", False)):
         for row in (row for row in stability if row["law"] == law):
             without = np.array(
@@ -72,36 +66,31 @@ def test_what_is_robust_in_rotation_is_so_in_its_data() -> None:
             )
             right = without if unstable else 1.0 - without[:, ::-1]
             assert np.all(right[:, 1] > 0.95) and np.all(right[:, 0] > 0.85)
-    sure = [row for row in rows("gains") if shares(row["stable with every cab"])[1] >= 0.95]
+    gains, evidence = data_rows("rotation_gains"), data_rows("rotation_evidence")
+    sure = [row for row in gains if shares(row["stable with every cab"])[1] >= 0.95]
     best = max(sure, key=lambda row: span(row["least damping ratio"])[1])
     assert (best["gain [%/(in/s²)]"], best["filter"]) == ("-0.08", "2.48 Hz")
-    (held,) = (
-        row for row in rows("evidence") if row["observation"].startswith("velocity_integral")
-    )
+    (held,) = (row for row in evidence if row["observation"].startswith("velocity_integral"))
     assert held["inside"] == "yes"
 
 
 def test_the_plant_agrees_as_far_as_the_page_says() -> None:
     """Most numbers left out within 90 %, none beyond 99.5 %, no median at a bound, one sign."""
-
-    def of(name: str) -> list[dict[str, str]]:
-        with (ROOT / "docs" / "data" / f"effects{name}.csv").open(encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-
-    left = {r["number"]: float(r["rank"]) for r in of("_left_out") if r["plant"] == "none"}
+    of_plants = data_rows("effects_left_out")
+    left = {r["number"]: float(r["rank"]) for r in of_plants if r["plant"] == "none"}
     ranks = list(left.values())
     assert 0.8 <= np.mean([0.05 <= rank <= 0.95 for rank in ranks]) <= 0.97
     assert all(0.0025 <= rank <= 0.9975 for rank in ranks)
-    average = [row for row in of("_left_out") if row["plant"] == "average"]
+    average = [row for row in of_plants if row["plant"] == "average"]
     for column, inside in (("rank", 11), ("recording left out", 11)):
         held = sum(0.05 <= float(row[column]) <= 0.95 for row in average)
         assert (len(average), held) == (12, inside)
     least = sorted(left, key=lambda name: -abs(left[name] - 0.5))[:2]
     assert least == ["pair_damping", "velocity_phase_bandwidth_hz"]
-    (none,) = (row for row in of("") if row["plant"] == "none")
+    (none,) = (row for row in data_rows("effects") if row["plant"] == "none")
     assert float(none["nearest to a bound"]) > 0.05
     signs: dict[str, set[float]] = {}
-    for row in of("_verdicts"):
+    for row in data_rows("effects_verdicts"):
         change = span(row["pair against position_error_rate"])
         signs.setdefault(row["law"], set()).add(float(np.sign(change[1])))
     assert signs["acceleration"] == signs["acceleration_eq_3_6"] == {-1.0}
@@ -343,8 +332,7 @@ def test_a_tilt_about_the_centre_of_mass_moves_legs_as_limits_md_says() -> None:
 
 
 def test_intervals_of_hidden_machines_hold_as_often_as_the_page_says() -> None:
-    with (ROOT / "docs" / "data" / "hidden_machines.csv").open(encoding="utf-8") as file:
-        known = [row for row in csv.DictReader(file) if row["identifiable"] == "True"]
+    known = [row for row in data_rows("hidden_machines") if row["identifiable"] == "True"]
     held = sum(row["holds"] == "True" for row in known)
     assert 0.85 <= held / len(known) <= 0.95
     said = f"On twenty [hidden machines](../data/hidden_machines.csv) {held} of {len(known)} "
@@ -353,11 +341,10 @@ def test_intervals_of_hidden_machines_hold_as_often_as_the_page_says() -> None:
 
 
 def test_laws_of_hidden_machines_do_what_the_page_says() -> None:
-    with (ROOT / "docs" / "data" / "hidden_laws.csv").open(encoding="utf-8") as file:
-        lines = [
-            {k: v if k == "machine" else float(v) for k, v in r.items()}
-            for r in csv.DictReader(file)
-        ]
+    lines = [
+        {k: v if k == "machine" else float(v) for k, v in r.items()}
+        for r in data_rows("hidden_laws")
+    ]
     ratio = np.array([line["ratio"] for line in lines])
     assert len(lines) == 20 and 0.99 < np.median(ratio) < 1.01
     assert 1.165 < ratio.max() < 1.175 and ratio.min() > 0.83
@@ -375,12 +362,11 @@ def test_laws_of_hidden_machines_do_what_the_page_says() -> None:
 
 def test_acceleration_feedback_stays_below_the_bandwidths_hoped_for() -> None:
     """In rotation, 95 % of machines; the advised law damps the pair more than the law flown."""
-    with (ROOT / "docs" / "data" / "averaged_laws.csv").open(encoding="utf-8") as file:
-        every = [row for row in csv.DictReader(file) if row["law"].startswith("acceleration")]
+    every = [row for row in data_rows("averaged_laws") if row["law"].startswith("acceleration")]
     turning = [row for row in every if row["number"] in ("roll", "pitch", "yaw")]
     widths = [span(row["averaged"]) for row in turning if row["averaged"] != "-"]
     assert len(widths) > 20
     assert max(width[2] for width in widths) < 4.7
-    pair = {(r["law"], r["cab"]): span(r["all evidence"])[1] for r in rows("changes")}
+    pair = {(r["law"], r["cab"]): span(r["all evidence"])[1] for r in data_rows("rotation_changes")}
     for cab in ("gfd", "rfd", "ifd"):
         assert pair["acceleration_compensated", cab] > pair["velocity", cab]

@@ -1,10 +1,10 @@
 """Commands on machines, drawn from all pairs: each ends as `docs/data/machines.csv` says."""
 
-import csv
 import runpy
 from pathlib import Path
 
 import pytest
+from shared import data_rows
 
 ROOT = Path(__file__).parents[2]
 WALK = runpy.run_path(str(ROOT / "scripts" / "parts" / "walk.py"))
@@ -14,8 +14,7 @@ PARTS = 3
 @pytest.fixture(scope="module")
 def listed() -> dict[tuple[str, str], tuple[str, str]]:
     """How each pair of command and machine ended when all were walked, and why."""
-    with (ROOT / "docs" / "data" / "machines.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = data_rows("machines")
     return {(row["command"], row["machine"]): (row["ended"], row["said"]) for row in rows}
 
 

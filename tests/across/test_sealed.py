@@ -1,6 +1,5 @@
 """Sealed predictions: unchanged since, made as they say, and able to tell machines apart."""
 
-import csv
 import hashlib
 import runpy
 from pathlib import Path
@@ -9,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tomlkit
+from shared import rows_of
 
 from cmf_mj import Hexapod, Linear, Record, simulate
 from cmf_mj.analysis.linear.loop import loop_response
@@ -29,8 +29,7 @@ WORSE = Unknowns(
 
 
 def drawn(index: int) -> SimpleNamespace:
-    with SCRIPT.MACHINES.open(encoding="utf-8") as file:
-        return SCRIPT.of_the_report([list(csv.DictReader(file))[index]])[0]
+    return SCRIPT.of_the_report([rows_of(SCRIPT.MACHINES)[index]])[0]
 
 
 def test_the_predictions_are_those_whose_digest_readme_states() -> None:
@@ -123,8 +122,7 @@ def test_a_log_of_poses_of_simona_is_scored(
 def test_the_machines_drawn_still_make_the_predictions() -> None:
     """Those of surge at the small amplitude, from all machines, as rounded in the file."""
     sines = [SURGE[k] for k in SMALL]
-    with SCRIPT.MACHINES.open(encoding="utf-8") as file:
-        machines = SCRIPT.of_the_report(csv.DictReader(file))
+    machines = SCRIPT.of_the_report(rows_of(SCRIPT.MACHINES))
     made = np.array([SCRIPT.describing(one, sines) for one in machines])
     count = np.array([one.times for one in machines])
     rows = SCRIPT.quantile_rows(sines, made, count, np.ones(len(sines)))

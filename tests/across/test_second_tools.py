@@ -1,13 +1,10 @@
 """Numbers of the package against tools of other authors, and why they differ."""
 
-import csv
 import sys
-from pathlib import Path
 
 import pytest
 from crosscheck import second
-
-DATA = Path(__file__).resolve().parents[2] / "docs" / "data" / "second_tools.csv"
+from shared import data_rows
 
 
 def test_bounds_of_real_numbers_are_those_of_ab13md() -> None:
@@ -54,7 +51,7 @@ def test_without_a_tool_the_error_says_what_to_install(
 
 def test_regression_table_of_the_page_lists_every_comparison() -> None:
     """But those of FMUs, which `tests/export/test_fmu.py` makes; none has grown tenfold."""
-    rows = {row["number"]: row for row in csv.DictReader(DATA.read_text("utf-8").splitlines())}
+    rows = {row["number"]: row for row in data_rows("second_tools")}
     measured = {"gain margin": second.margins(), "H1 and coherence, Welch": second.spectra()}
     measured |= {name.split(" [")[0]: worst for name, worst in second.kinematics().items()}
     for name, worst in measured.items():

@@ -1,9 +1,8 @@
 """The command line: files, table, refusals."""
 
-import csv
 from pathlib import Path
 
-from shared import cmf
+from shared import cmf, rows_of
 
 from cmf_mj.machine.models import machine_names
 from cmf_mj.record.record import Record
@@ -34,8 +33,7 @@ def test_compare_writes_table_figures_and_records(
         *("compare", "--laws", f"velocity,{law}", "--dofs", "heave,roll", "--quick"),
         *("--out", out, "--jobs", "2"),
     )
-    with (out / "comparison.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "comparison.csv")
     assert list(rows[0]) == [field.name for field in COMPARISON]
     keys = [(row["plant"], row["law"], row["dof"]) for row in rows]
     assert keys == [

@@ -1,12 +1,11 @@
 """`--cab mine.toml`: a cab of the user's in every command that takes one."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from shared import cmf
+from shared import cmf, rows_of
 
 import cmf_mj
 from cmf_mj.core import units
@@ -21,11 +20,6 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "cab_of_your_own.toml"
 @pytest.fixture
 def mine() -> str:
     return str(EXAMPLE)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_compare(mine: str, tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lengths import examples
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import InputError, load_law
-from cmf_mj.cli.common import app, show
+from cmf_mj.cli.common import show
 from cmf_mj.control.law import law_names
 from cmf_mj.core.files import plain_path
 from cmf_mj.core.settings import checked_name, validated
@@ -71,11 +71,9 @@ def test_laws_that_differ_in_capitals_alone_would_write_one_file(tmp_path: Path)
         ["study", "ablation", "--laws"],
     )
     for line in lines:
-        given = [*line, f"velocity,{path}", "--out", str(tmp_path / "out")]
-        result = CliRunner().invoke(app, given)
-        assert result.exit_code == 2, (line, result.output)
+        output = cmf(*line, f"velocity,{path}", "--out", tmp_path / "out", code=2)
         said = "laws: velocity, Velocity must differ in name, not in capitals alone"
-        assert said in " ".join(result.output.split()), line
+        assert said in " ".join(output.split()), line
     assert not (tmp_path / "out").exists()
 
 

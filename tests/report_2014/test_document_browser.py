@@ -1,11 +1,9 @@
 """The page in a real browser without network."""
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from cmf_mj.report_2014.page.document import make_content, save_page
 
@@ -33,16 +31,11 @@ class Visit:
 
 
 @pytest.fixture(scope="module")
-def visit(path: Path) -> Iterator[Visit]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        context = browser.new_context(offline=True, viewport={"width": 1300, "height": 900})
-        opened = Visit(context.new_page())
-        opened.page.goto(path.as_uri())
-        yield opened
-        browser.close()
+def visit(path: Path, browser: Browser) -> Visit:
+    context = browser.new_context(offline=True, viewport={"width": 1300, "height": 900})
+    opened = Visit(context.new_page())
+    opened.page.goto(path.as_uri())
+    return opened
 
 
 def test_page_shows_its_figures_and_asks_for_nothing(visit: Visit) -> None:

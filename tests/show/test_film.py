@@ -8,10 +8,9 @@ import av
 import mujoco
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, Record, Run
-from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, MissingExtraError
 from cmf_mj.facility import scenario
@@ -157,8 +156,7 @@ def test_runs_beside_each_other_show_one_leg(record: Record) -> None:
 def test_the_video_command_takes_the_folder_of_a_run(record: Record, tmp_path: Path) -> None:
     record.save(tmp_path / "run" / "record.parquet")
     out = tmp_path / "run.html"
-    result = CliRunner().invoke(app, ["video", str(tmp_path / "run"), "--file", str(out)])
-    assert result.exit_code == 0, result.output
+    cmf("video", tmp_path / "run", "--file", out)
     law = str(record.metadata["law"]).replace("_", " ")
     assert f"<title>run: {law}</title>" in out.read_text(encoding="utf-8")
 
@@ -229,21 +227,16 @@ def test_traces_grow_from_left_to_right(record: Record) -> None:
 def test_the_video_command_compares_laws(tmp_path: Path) -> None:
     path = scenario.save_scenario(quick(duration=0.2), tmp_path / "short.toml")
     out = tmp_path / "laws.mp4"
-    result = CliRunner().invoke(
-        app,
-        ["video", str(path), "--laws", "velocity,original", "--file", str(out), "--fps", "5"]
-        + ["--width", "160", "--height", "100"],
-    )
-    assert result.exit_code == 0, result.output
+    small = ("--fps", "5", "--width", "160", "--height", "100")
+    cmf("video", path, "--laws", "velocity,original", "--file", out, *small)
     assert frames_of(out)[0].shape == (290, 320, 3)
 
 
 @pytest.mark.parametrize("option", ["--fps", "--width", "--height"])
 def test_a_page_takes_nothing_that_it_would_not_follow(option: str, tmp_path: Path) -> None:
     page = tmp_path / "x.html"
-    result = CliRunner().invoke(app, ["video", "push", "--file", str(page), option, "40"])
-    assert result.exit_code == 2 and not page.exists()
-    assert f"{option[2:]}: a page is as large as its window" in result.output
+    said = cmf("video", "push", "--file", page, option, "40", code=2)
+    assert f"{option[2:]}: a page is as large as its window" in said and not page.exists()
 
 
 # OpenGL

@@ -1,40 +1,32 @@
 """Tables, figures and files of `cmf linearize`."""
 
-import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf, rows_of
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.cli.common import app, pose_option
+from cmf_mj.cli.common import pose_option
 from cmf_mj.core import units
 from cmf_mj.machine.geometry import DOFS, pose_text
 from cmf_mj.show.linearization import linearization_study, loop_table, mode_names, pole_table
-
-
-def run(*arguments: str) -> str:
-    result = CliRunner().invoke(app, ["linearize", *arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_linearize_prints_the_tables_and_writes_the_files(
     tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
     out = tmp_path / "out"
-    text = run("--dofs", "surge,leg_2", "--pose", "0,0,-5,0,3,0", "--out", str(out))
+    text = cmf("linearize", "--dofs", "surge,leg_2", "--pose", "0,0,-5,0,3,0", "--out", out)
     assert "heave -5 in, pitch 3 deg" in text
     pose = np.array([0.0, 0.0, -5 * 0.0254, 0.0, np.radians(3.0), 0.0])
     expected = linearize(Hexapod("gfd"), pose)
     loaded = json.loads((out / "state_space.json").read_text(encoding="utf-8"))
     np.testing.assert_allclose(loaded["A"], expected.A, rtol=1e-12, atol=1e-12)
-    with (out / "modes.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "modes.csv")
     poles = [int(row["times"]) * (2 if "±" in row["pole [rad/s]"] else 1) for row in rows]
     assert sum(poles) == expected.nstates
     assert set(drawn) == {"bode.png", "loop.png"}

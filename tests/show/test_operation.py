@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, Record, signals
-from cmf_mj.cli.common import app
 from cmf_mj.facility.host.stream import HostStream, from_command, read_arrivals, write_stream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.operation import Operation, Timing, account, operate
@@ -84,14 +83,11 @@ def test_files_of_a_run_in_real_time(
 def test_cmf_operate(tmp_path: Path) -> None:
     path = write_stream(stream(1.0), tmp_path / "flight.csv")
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["operate", str(path), "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "ended engaged, no fault" in result.output
+    assert "ended engaged, no fault" in cmf("operate", path, "--out", out)
     record = Record.load(out / "record.parquet")
     assert record.metadata["electronics"]["sensors"]["name"] == "noisy"
-    wrong = CliRunner().invoke(app, ["operate", str(path), "--begin", "flying", "--out", str(out)])
-    assert wrong.exit_code == 2
-    assert "begin: 'flying' is not one of engaged, settled" in wrong.output
+    wrong = cmf("operate", path, "--begin", "flying", "--out", out, code=2)
+    assert "begin: 'flying' is not one of engaged, settled" in wrong
 
 
 @pytest.mark.slow

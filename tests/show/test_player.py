@@ -4,7 +4,6 @@ import base64
 import io
 import json
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from time import monotonic
@@ -14,7 +13,7 @@ import matplotlib.image
 import mujoco
 import numpy as np
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from cmf_mj import Record
 from cmf_mj.core.errors import InputError
@@ -165,16 +164,11 @@ class Visit:
 
 
 @pytest.fixture(scope="module", params=SIZES, ids=["wide", "phone"])
-def visit(path: Path, request: pytest.FixtureRequest) -> Iterator[Visit]:
+def visit(path: Path, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Visit]:
     width, height = request.param
-    software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox", *software]
-        )
-        context = browser.new_context(offline=True, viewport={"width": width, "height": height})
-        yield Visit(context.new_page(), path)
-        browser.close()
+    context = browser.new_context(offline=True, viewport={"width": width, "height": height})
+    yield Visit(context.new_page(), path)
+    context.close()
 
 
 @pytest.mark.slow

@@ -18,10 +18,9 @@ import numpy as np
 import pytest
 from hostile import random_change
 from lengths import examples
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import InputError, RunError
-from cmf_mj.cli.common import app
 from cmf_mj.control.law import law_names
 from cmf_mj.control.protection import Fault
 from cmf_mj.core.settings import parsed_toml, read_toml
@@ -547,9 +546,7 @@ def test_command_serves_on_this_machine_alone_and_ends_when_told(
 def test_command_refuses_a_bad_scenario_by_its_key(tmp_path: Path) -> None:
     scenario = tmp_path / "bad.toml"
     scenario.write_text('cabin = "gfd"\n')
-    result = CliRunner().invoke(app, ["studio", str(scenario), "--no-open"])
-    assert result.exit_code == 2
-    assert "cabin: is not a known field" in result.output
+    assert "cabin: is not a known field" in cmf("studio", scenario, "--no-open", code=2)
 
 
 def test_command_names_the_extra_where_viser_is_missing() -> None:

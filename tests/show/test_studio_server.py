@@ -5,7 +5,6 @@ Every check waits for one condition; nothing sleeps for luck on a busy machine.
 
 import io
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 import viser
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from cmf_mj.control.law import law_names
 from cmf_mj.facility.host.stream import read_stream
@@ -32,28 +31,12 @@ PATIENCE = 300_000
 """Longest wait for anything on the page [ms]: WebGL in software is slow on a busy machine, and only
 something that never comes is a failure."""
 
-ARGUMENTS = (
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
-)
-
 
 @pytest.fixture(scope="module")
 def studio() -> Iterator[Studio]:
     running = Studio(port=8461)
     yield running
     running.stop()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.fail("no Chromium to open the page in: apt-get install chromium (Debian package)")
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=program, args=list(ARGUMENTS))
-        yield running
-        running.close()
 
 
 class Tab:
