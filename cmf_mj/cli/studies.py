@@ -170,10 +170,8 @@ def certify_command(
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
     contacts = [friction_option(one.strip()) for one in friction.split(",")] if friction else [None]
-    plants, chosen = (
-        [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs],
-        [cmf_mj.load_law(law) for law in laws],
-    )
+    plants = [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs]
+    chosen = [cmf_mj.load_law(law) for law in laws]
     check_distinct("laws", [law.name for law in chosen])
     check_distinct("cabs", [plant.cab for plant in plants])
     with progress_bar() as update:

@@ -160,7 +160,8 @@ class Table:
         """The table in Markdown; line breaks in the header become spaces."""
         titles = [title.replace("\n", " ").strip() for title in self.header]
         rows = [titles, ["---"] * len(titles), *self.cells]
-        return "".join("| " + " | ".join(row) + " |\n" for row in rows)
+        escaped = ([cell.replace("|", r"\|") for cell in row] for row in rows)
+        return "".join(f"| {' | '.join(row)} |\n" for row in escaped)
 
     def save(self, path: Path) -> Path:
         """Write cells as text: as CSV, or Markdown below its title and above its caption."""

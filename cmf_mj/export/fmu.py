@@ -106,14 +106,13 @@ def variables(frozen: Frozen) -> list[Variable]:
 
 def _inputs(frozen: Frozen) -> list[Variable]:
     if not frozen.chain:
-        start, unit = (
-            frozen.parts.controller.source.table[0],
-            "m" if frozen.parts.controller.closed else "1",
-        )
-        text = "extension asked of an actuator" if unit == "m" else "valve command, fraction"
+        controller = frozen.parts.controller
+        text, unit = "valve command, fraction", "1"
+        if controller.closed:
+            text, unit = "extension asked of an actuator", "m"
         return [
             Variable(f"reference[{leg}]", "Float64", "input", text, unit, float(value))
-            for leg, value in enumerate(start, start=1)
+            for leg, value in enumerate(controller.source.table[0], start=1)
         ]
     return [
         Variable(f"{name}.{dof}", "Float64", "input", f"{text}, z down", unit + per, 0.0)

@@ -60,7 +60,9 @@ def law_source(law: Law, carrier: str) -> dict[str, str]:
     modes = f"modes of {law.bound_modes.source}" if law.bound_modes else ""
     said = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
     head = ". ".join([*filter(None, said), f"{law.rate} frames a second."])
-    numbers["head"] = _comment(head)
+    # Nothing in a comment ends it, or joins lines.
+    plain = re.sub(r"[*\\]|\?\?", "", head).encode("ascii", "replace").decode()
+    numbers["head"] = _wrapped(plain, " * ")
     return {"cmf_law.h": _filled("cmf_law.h", has, numbers), "cmf_law.c": source}
 
 
@@ -165,9 +167,3 @@ def _wrapped(text: str, indent: str) -> str:
     wrapper = textwrap.TextWrapper(_WIDTH - 8, subsequent_indent=indent, break_on_hyphens=False)
     wrapper.break_long_words = False
     return wrapper.fill(text)
-
-
-def _comment(text: str) -> str:
-    """Text within a comment: nothing in it ends one, or joins lines."""
-    plain = re.sub(r"[*\\]|\?\?", "", text).encode("ascii", "replace").decode()
-    return _wrapped(plain, " * ")

@@ -73,10 +73,8 @@ def test_files_hold_the_frame_with_titles_and_provenance(tmp_path: Path) -> None
 
 def test_groups_keep_the_order_of_their_first_row_and_every_row() -> None:
     generator = np.random.default_rng(3)
-    laws, draws = (
-        generator.choice([*"dcab"], 5000).tolist(),
-        generator.integers(0, 99, 5000).tolist(),
-    )
+    laws = generator.choice([*"dcab"], 5000).tolist()
+    draws = generator.integers(0, 99, 5000).tolist()
     table = pa.table({"law": laws, "draw": draws, "place": range(5000)})
     found = {values: rows["place"].to_pylist() for values, rows in groups(table, "law", "draw")}
     by_hand: dict[tuple[str, int], list[int]] = {}

@@ -29,6 +29,7 @@ def test_markdown_and_csv_hold_every_cell(tmp_path: Path) -> None:
         "| velocity | h | 4.00 | - |\n| velocity | m | 4.13 | -3.2 % |\n"
         "| force |  | - | unstable |\n"
     )
+    assert Table("", ("file",), [("a|b.csv",)]).markdown().endswith("| a\\|b.csv |\n")
     saved = TABLE.save(tmp_path / "new" / "t.md").read_text()
     assert saved == f"# bandwidths [Hz]\n\n{TABLE.markdown()}\nh [hardware]\n"
     lines = TABLE.save(tmp_path / "t.csv").read_text().splitlines()

@@ -122,7 +122,7 @@ def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
 
 
 def test_signs_of_acceleration_feedback_differ(entry: LedgerEntry) -> None:
-    """The pair of surge and pitch, which decides on the hexapod, is in test_studies_findings.py."""
+    """The pair of surge and pitch, which decides on the hexapod: tests/across/test_findings.py."""
     plain = SINGLE["position_error_rate"]
     plus, minus = SINGLE["acceleration_eq_3_6"], SINGLE["acceleration_opposing"]
     wider = plus.gain_bandwidth_hz - plain.gain_bandwidth_hz

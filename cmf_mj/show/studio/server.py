@@ -99,7 +99,8 @@ class Page:
                 self._scene = MachineScene(self.desk.client, scenario.carried, self._scene.extent)
 
 
-_ARENA_MAX, _MMAP_THRESHOLD = -8, -3  #: Options of glibc's mallopt.
+_ARENA_MAX, _MMAP_THRESHOLD = -8, -3
+"""Options of glibc's mallopt, so that the memory of sessions that ended can be given back."""
 
 
 class Studio:
@@ -113,7 +114,9 @@ class Studio:
         The next free port is taken if `port` is in use. Each tab begins with `scenario`, by
         default that of `ready_scenarios`.
         """
-        _one_heap()
+        if sys.platform == "linux":  # one heap for all threads, and large arrays out of it
+            for option, value in ((_ARENA_MAX, 1), (_MMAP_THRESHOLD, 2**20)):
+                ctypes.CDLL(None).mallopt(option, value)
         self._scenario = scenario or ready_scenarios()["studio"]
         # Compile the loop before the first tab waits for it.
         SignalSession(self._scenario).run(1)
@@ -190,13 +193,6 @@ class Studio:
             page.live.close()
             del page
             _give_back()
-
-
-def _one_heap() -> None:
-    """Keep one heap for all threads and large arrays out of it, so that it can be given back."""
-    if sys.platform == "linux":
-        for option, value in ((_ARENA_MAX, 1), (_MMAP_THRESHOLD, 2**20)):
-            ctypes.CDLL(None).mallopt(option, value)
 
 
 def _give_back() -> None:
