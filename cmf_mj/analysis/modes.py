@@ -120,7 +120,12 @@ def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
 
 
 def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
-    """Frequencies along one degree of freedom, neutral included, denser to the ends."""
+    """Frequencies along one degree of freedom, neutral included, denser to the ends.
+
+    An even `count`, at least 2, becomes the odd one above it.
+    """
+    if count < 2:
+        raise InputError(f"count: {count} must be at least 2")
     index = DOFS.index(dof)
     reach = kinematics.excursion_envelope(None, plant.machine)[index]
     allowed = load_motion_limits(None, plant.machine).operational[index]

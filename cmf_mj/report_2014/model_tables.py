@@ -13,6 +13,7 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field, Result, fields_of
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.show import look
@@ -33,10 +34,6 @@ class LawLoop(NamedTuple):
     measures: Measures
 
 
-def _step_damping(row: LawLoop) -> float | str:
-    return row.measures.damping_ratio if row.measures.stable else "unstable"
-
-
 LOOPS = (
     Field("law", of="law.name"),
     Field("model", form="#{}".format),
@@ -44,16 +41,20 @@ LOOPS = (
     Field("gain_bandwidth_hz", "-3 dB", ".2f", of="measures.gain_bandwidth_hz"),
     Field("peak_gain_db", "peak dB", ".2f", of="measures.peak_gain_db"),
     Field("static_gain", "static", ".2f", of="measures.static_gain"),
-    Field("", "zeta step", ".2f", of=_step_damping),
+    Field(
+        *("", "zeta step", ".2f"),
+        of=lambda row: row.measures.damping_ratio if row.measures.stable else "unstable",
+    ),
     Field("mode_damping_ratio", "zeta pole", ".2f", of="measures.mode_damping_ratio"),
 )
 """Bandwidths and damping of laws around the hardware models."""
 
 
-def law_loops(laws: Sequence[str]) -> Result[LawLoop]:
-    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
+def law_loops(laws: str | Sequence[str]) -> Result[LawLoop]:
+    """Laws around linear models 1 to 3, pressures zero, as in Figure 4-5."""
     rows = []
-    for law, number in product(map(load_law, laws), HARDWARE_MODELS):
+    names = [laws] if isinstance(laws, str) else laws
+    for law, number in product(map(load_law, names), HARDWARE_MODELS):
         loop = closed_loop(law, hardware_velocity(number))
         rows.append(LawLoop(law, number, loop, measure_loop(loop)))
     return Result(rows, LOOPS, "laws around the report's linear models, pressures zero")
@@ -107,15 +108,16 @@ def table_4_1() -> Result[TableRow]:
             value = float("nan") if stated is None else stated
             tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
             off = computed - value
-            name = (number, equation, quantity, unit)
-            rows.append(TableRow(*name, value, computed, off, tolerance, abs(off) <= tolerance))
-    caption = _LEGEND.format(printed["hardware"])
+            judged = (value, computed, off, tolerance, abs(off) <= tolerance)
+            rows.append(TableRow(number, equation, quantity, unit, *judged))
     title = "Table 4-1: velocity law around linear models 1 to 3"
-    return Result(rows, TABLE_4_1, title, caption, grouped=True)
+    return Result(rows, TABLE_4_1, title, _LEGEND.format(printed["hardware"]), grouped=True)
 
 
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
+    if not loops:
+        raise InputError("loops: none given; at least one is needed")
     bode, gain, phase = look.bode_axes(limits=True)
     step = look.new_figure(8.0, 7.0)
     axis, circles = step.subplots(), ""

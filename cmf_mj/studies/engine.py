@@ -311,6 +311,12 @@ class Asker:
         return [self.journal.results[task.number] for task in tasks]
 
 
+def row_table(rows: Sequence[Row]) -> pa.Table:
+    """Rows with the columns of all of them, not of the first alone; what a row lacks is null."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return pa.table({name: [row.get(name) for row in rows] for name in names})
+
+
 def run_study(
     study: Study, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> pa.Table:
@@ -323,9 +329,7 @@ def run_study(
     journal = Journal(Path(folder), study.identity())
     run_tasks(journal, cases, CASES, how, progress)
     rows = [case.columns | row for case in cases for row in journal.results[case.number]]
-    names = dict.fromkeys(name for row in rows for name in row)  # of all, not of the first alone
-    columns = {name: [row.get(name) for row in rows] for name in names}
-    table = pa.table(columns, metadata={"study": journal.identity})
+    table = row_table(rows).replace_schema_metadata({"study": journal.identity})
     write_parquet(table, journal.folder / RESULTS)
     return table
 

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
+from cmf_mj.core.errors import InputError
 from cmf_mj.report_2014.model_tables import law_loops, loop_figures, table_4_1
 
 
@@ -44,7 +45,7 @@ def test_table_4_1_says_what_lies_outside() -> None:
 @pytest.mark.parametrize(("law", "models"), [("velocity", (1, 2, 3)), ("original", ())])
 def test_published_bandwidths_lie_on_the_bode_diagram(law: str, models: tuple[int, ...]) -> None:
     """A circle at -3 dB and one at -90 deg for each model of the velocity law, none for others."""
-    bode, step = loop_figures(law_loops([law]))
+    bode, step = loop_figures(law_loops(law))
     printed = {row.of: row for row in published_results() if row.table == "4-1"}
     for axis, level, name in zip(
         bode.axes, (-3.0, -90.0), ("gain_bandwidth_hz", "phase_bandwidth_hz"), strict=True
@@ -55,3 +56,8 @@ def test_published_bandwidths_lie_on_the_bode_diagram(law: str, models: tuple[in
         assert {float(line.get_ydata()[0]) for line in marks} <= {level}
     assert ("circles" in bode.axes[0].get_title()) == bool(models)
     assert len(step.axes[0].lines) == 4  # three steps and the demand
+
+
+def test_figures_of_no_loop_are_refused() -> None:
+    with pytest.raises(InputError, match="loops: none given"):
+        loop_figures([])

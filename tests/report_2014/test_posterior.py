@@ -26,7 +26,7 @@ from cmf_mj.report_2014.posterior.run import (
     run_posterior,
 )
 from cmf_mj.studies.case import swing_after_step
-from cmf_mj.studies.engine import JOURNAL
+from cmf_mj.studies.engine import JOURNAL, row_table
 from cmf_mj.studies.fit import sampling
 
 LEAKS = "hydraulics.actuators.*.leak_rate"
@@ -227,6 +227,11 @@ def test_a_run_that_was_cut_off_goes_on_with_the_same_bits(
         assert (tmp_path / f"{name}.parquet").read_bytes() == (
             folder / f"{name}.parquet"
         ).read_bytes()
+
+
+def test_a_column_that_the_first_row_lacks_reaches_the_file() -> None:
+    rows: list[dict[str, Any]] = [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
+    assert row_table(rows).to_pylist() == [{"a": 1.0, "b": None}, rows[1]]
 
 
 def raw(folder: Path, name: str) -> list[dict[str, Any]]:

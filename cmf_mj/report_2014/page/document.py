@@ -194,7 +194,8 @@ def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) ->
 
 def agreements(runs: Runs) -> Result[Agreement]:
     """All classes, from all result tables."""
-    rows = once(row for table in TITLES for row in result_rows(runs, table))
+    every = [row for table in TITLES for row in result_rows(runs, table)]
+    rows = once(every)
 
     def of(quantities: Collection[str], keep: Callable[[ResultRow], bool]) -> list[ResultRow]:
         numbers = [r for r in rows if r.quantity in quantities and r.printed == r.printed]
@@ -212,15 +213,15 @@ def agreements(runs: Runs) -> Result[Agreement]:
         share_met("bandwidths, gains and filter as printed", literal),
         share_met("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
     ]
-    printed, met = not_available(runs)
+    printed, met = not_available(every)
     (note,) = texts("agreement", printed=printed, met=met)
     return Result(classes, fields_of(Agreement), "Share of the printed numbers that are met", note)
 
 
-def not_available(runs: Runs) -> tuple[int, int]:
+def not_available(rows: Iterable[ResultRow]) -> tuple[int, int]:
     """How many -3 dB are printed as N/A, and how many of these ours does not reach either."""
-    rows = [row for table in TITLES for row in result_rows(runs, table)]
-    blank = [row for row in rows if row.read and row.printed != row.printed]
+    widths = (row for row in rows if row.read and row.quantity == "-3 dB")
+    blank = [row for row in widths if row.printed != row.printed]
     return len(blank), sum(row.within for row in blank)
 
 
@@ -237,6 +238,6 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
 def first_screen(runs: Runs) -> list[Block]:
     """The first screen of a page with all result tables."""
     rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
-    blank, met = not_available(runs)
+    blank, met = not_available(rows)
     lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
     return [*lead, PageTable("agreement", agreements(runs).table)]

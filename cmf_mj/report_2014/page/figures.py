@@ -28,8 +28,8 @@ def _step_text(one: CaseResult) -> str:
 _DRAWN: Mapping[str, Callable[[Sequence[CaseResult]], Figure]] = {
     "responses": responses_figure,
     "steps": step_figure,
-    "linear_responses": lambda _: loop_figures(law_loops(["velocity"]))[0],
-    "linear_steps": lambda _: loop_figures(law_loops(["velocity"]))[1],
+    "linear_responses": lambda _: loop_figures(law_loops("velocity"))[0],
+    "linear_steps": lambda _: loop_figures(law_loops("velocity"))[1],
 }
 
 

@@ -39,7 +39,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.report_2014.posterior import effects, evidence
 from cmf_mj.studies.case import swing_after_step
-from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers
+from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers, row_table
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.settings import study_table
@@ -133,10 +133,15 @@ def load_posterior(
         return _checked(settings, laws)
 
 
-def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
-    for name, one in settings.unknowns.items():
+def check_bounded(field: str, unknowns: Mapping[str, Unknown]) -> None:
+    """Refuse by name what is not one number between bounds."""
+    for name, one in unknowns.items():
         if one.shape() or one.low is None:
-            raise InputError(f"unknowns.{name}: allowed: one number between bounds, low and high")
+            raise InputError(f"{field}.{name}: allowed: one number between bounds, low and high")
+
+
+def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
+    check_bounded("unknowns", settings.unknowns)
     if settings.draws & (settings.draws - 1):
         raise InputError(f"draws: {settings.draws} must be a power of 2, for Sobol's sequence")
     if settings.simulated > settings.kept:
@@ -193,7 +198,9 @@ def run_posterior(
     """Run what is left of a study; `workers` as for `Workers`."""
     settings, how = study.settings, Workers(**workers)
     journal = Journal(Path(folder), study.identity())
-    run = Asker(journal, partial(Task, study=study), _WORK, how, progress, _count(study))
+    every = settings.rounds * settings.draws + settings.kept + 1 + 2 * len(settings.unknowns)
+    every += len(evidence.PRESSURES) + settings.simulated * len(study.cabs)
+    run = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
     force = asked_force(run)
     tables["force"] = [
@@ -209,7 +216,7 @@ def run_posterior(
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
-    moved = _points(study, drawn, posterior)
+    moved = _points(settings.unknowns, drawn, posterior)
     for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
         tables["points"] += [row | {"about": about} for row in rows]
     order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
@@ -218,7 +225,7 @@ def run_posterior(
     for (_, number, _), rows in zip(flights, run("simulated", flights), strict=True):
         tables["simulated"] += [row | {"machine": number} for row in rows]
     paths = (
-        write_parquet(pa.Table.from_pylist(rows), journal.folder / f"{name}.parquet")
+        write_parquet(row_table(rows), journal.folder / f"{name}.parquet")
         for name, rows in tables.items()
     )
     return Results(study, *map(read_table, paths))
@@ -263,19 +270,11 @@ def _weighted(
     return drawn, damping, made.weights
 
 
-def _count(study: PosteriorStudy) -> int:
-    settings = study.settings
-    moved = 1 + 2 * len(settings.unknowns)
-    flights = settings.simulated * len(study.cabs)
-    drawn = settings.rounds * settings.draws
-    return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
-
-
 def _points(
-    study: PosteriorStudy, drawn: Sequence[Row], weights: Array
+    unknowns: Mapping[str, Unknown], drawn: Sequence[Row], weights: Array
 ) -> list[tuple[dict[str, float], None, str]]:
     """The median machine, and it with one unknown at the ends of its range."""
-    unknowns, median = study.settings.unknowns, {}
+    median = {}
     for name in unknowns:
         values = np.array([row[name] for row in drawn])
         median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
@@ -307,17 +306,15 @@ def _kept(task: Task) -> list[Row]:
     rows: list[Row] = []
     for cab, machine in machines.items():
         for law in task.laws:
+            about = {"table": "measures", "cab": cab, "law": law.name}
             for dof, one in zip(DOFS, machine.measures(law), strict=True):
-                values = {name: getattr(one, name) for name in MEASURED}
-                rows.append(
-                    {"table": "measures", "cab": cab, "law": law.name, "dof": dof, **values}
-                )
+                rows.append(about | {"dof": dof} | {name: getattr(one, name) for name in MEASURED})
     settings = task.study.settings
     for corner in settings.corners:
         for gain in settings.gains:
             law = task.study.law(acceleration_law(gain, corner), task.values)
-            about = {"table": "gains", "gain": gain, "corner": corner}
-            rows += [about | row for row in _dampings(machines, [law])]
+            tried = {"table": "gains", "gain": gain, "corner": corner}
+            rows += [tried | row for row in _dampings(machines, [law])]
     return rows
 
 
@@ -328,14 +325,10 @@ def acceleration_law(gain: float, corner: float) -> Law:
     """
     law = evidence.shipped("acceleration")
     pole = float(np.exp(-2.0 * np.pi * corner * FRAME)) if corner > 0.0 else 0.0
-    return law.model_copy(
-        update={
-            "name": f"acceleration {gain:g} behind {corner:g} Hz",
-            "direct_gain": law.direct_gain.model_copy(update={"acceleration": gain}),
-            "accelerometer_pole": pole,
-            "accelerometer_gain": 1.0 - pole,
-        }
-    )
+    gains = law.direct_gain.model_copy(update={"acceleration": gain})
+    update = {"accelerometer_pole": pole, "accelerometer_gain": 1.0 - pole, "direct_gain": gains}
+    name = f"acceleration {gain:g} behind {corner:g} Hz"
+    return law.model_copy(update={"name": name, **update})
 
 
 def _point(task: Task) -> list[Row]:
@@ -344,14 +337,13 @@ def _point(task: Task) -> list[Row]:
 
 
 def _simulated(task: Task) -> list[Row]:
-    study = task.study
+    study, rows = task.study, list[Row]()
     (cab,) = (cab for cab in study.cabs if cab.name == task.about)
     oil = study.hydraulics_of(task.values, task.draw)
-    return [
-        {"cab": cab.name, "law": law.name}
-        | swing_after_step(study.plant(cab, task.values, oil), law)
-        for law in task.laws
-    ]
+    for law in task.laws:
+        swing = swing_after_step(study.plant(cab, task.values, oil), law)
+        rows.append({"cab": cab.name, "law": law.name} | swing)
+    return rows
 
 
 def force_of(task: Task) -> list[Row]:

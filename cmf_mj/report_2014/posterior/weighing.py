@@ -45,6 +45,7 @@ from cmf_mj.report_2014.posterior.run import (
     PosteriorStudy,
     Task,
     asked_force,
+    check_bounded,
     force_of,
     load_posterior,
     refused,
@@ -92,9 +93,8 @@ def load_effects(source: Any, **how: Any) -> PosteriorStudy:
     if draws < 2 * (size + 1):
         least = f"at least {2 * (size + 1)}, as numbers are regressed on {size} unknowns"
         raise InputError(f"draws: {draws} is refused; allowed: {least}")
+    check_bounded("effects", settings_of(study).effects)
     for name, one in settings_of(study).effects.items():
-        if one.shape() or one.low is None:
-            raise InputError(f"effects.{name}: allowed: one number between bounds, low and high")
         if kind := _kind(one):
             check_name(f"effects.{name}: path: effect", kind, (*effects.EFFECTS, *READINGS))
     return study
@@ -162,14 +162,12 @@ def _readings(task: Task) -> list[Row]:
         measures = run_case(make_case(law, "heave", "hexapod", cab, oil, quick=True)).measures
         found |= {f"{law}_{name}": getattr(measures, name) for name in evidence.FIELDS}
     read = {"rows": [found], "fits": [evidence.fit_features(one) for one in arx_models(cab, oil)]}
-    return [
-        {"name": one.name, "reading": _OF[one.group]}
-        | {
-            "shift": float(np.mean([one.counted(r[one.name]) for r in read[one.group]]))
-            - float(one.counted(linear[one.name]))
-        }
-        for one in evidence.observations()
-    ]
+    rows = list[Row]()
+    for one in evidence.observations():
+        seen = float(np.mean([one.counted(row[one.name]) for row in read[one.group]]))
+        shift = seen - float(one.counted(linear[one.name]))
+        rows.append({"name": one.name, "reading": _OF[one.group], "shift": shift})
+    return rows
 
 
 def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
@@ -324,13 +322,9 @@ def run_effects(
 
 def effect_points(settings: EffectSettings, first: int, count: int) -> Array:
     """Quantiles of the effects of machines, (count, effects), each effect a stream of its own."""
-    rows = [
-        np.random.default_rng([settings.seed, 5, list(settings.effects).index(name)]).random(
-            first + count
-        )[first:]
-        for name in settings.used
-    ]
-    return np.array(rows).T
+    places = [list(settings.effects).index(name) for name in settings.used]
+    streams = (np.random.default_rng([settings.seed, 5, place]) for place in places)
+    return np.array([stream.random(first + count)[first:] for stream in streams]).T
 
 
 def _made(
