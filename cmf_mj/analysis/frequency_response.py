@@ -245,7 +245,8 @@ def rounds_response(
         np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
     )
     estimate = welch_response(x, y, rates[0], band=band, pad=True)
-    return _wrapped(estimate, demand_share(x, rates[0], estimate.frequency) > DRIVEN_SHARE)
+    driven = demand_share(x, rates[0], estimate.frequency) > DRIVEN_SHARE
+    return _wrapped(estimate).at(driven)
 
 
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
@@ -273,13 +274,9 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     )
 
 
-def _wrapped(
-    estimate: Estimate, lines: NDArray[np.bool_] | slice = slice(None)
-) -> FrequencyResponse:
-    response, frequency = estimate.response[lines], estimate.frequency[lines]
-    return FrequencyResponse(
-        response, 2.0 * np.pi * frequency, estimate.coherence[lines], estimate.radius[lines]
-    )
+def _wrapped(estimate: Estimate) -> FrequencyResponse:
+    omega = 2.0 * np.pi * estimate.frequency
+    return FrequencyResponse(estimate.response, omega, estimate.coherence, estimate.radius)
 
 
 def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
@@ -304,13 +301,11 @@ def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> B
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
     through = falls(lines, phase, 0.0)
-    return Bandwidths(
-        float(through[0]),
-        float(falls(lines, gain, -3.0)[0]),
-        float(gain.max()),
-        _later(lines, phase, through),
-        *_graze(lines, phase),
-    )
+    back = lines[(phase > NOISE) & (lines > through[0])]
+    again = back.size and through[-1] > back[-1]
+    later = float(through[-1]) if again else float("nan")
+    gain_hz = float(falls(lines, gain, -3.0)[0])
+    return Bandwidths(float(through[0]), gain_hz, float(gain.max()), later, *_graze(lines, phase))
 
 
 def falls(
@@ -322,14 +317,6 @@ def falls(
         return np.array([np.nan])
     share = (level - values[i]) / (values[i + 1] - values[i])
     return np.asarray(frequency[i] + share * (frequency[i + 1] - frequency[i]))
-
-
-def _later(
-    frequency: NDArray[np.float64], phase: NDArray[np.float64], through: NDArray[np.float64]
-) -> float:
-    """Last fall of the phase over -90 deg through 0, after the first and a return to `NOISE`."""
-    back = frequency[(phase > NOISE) & (frequency > through[0])]
-    return float(through[-1]) if back.size and through[-1] > back[-1] else float("nan")
 
 
 def _graze(frequency: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[float, float]:

@@ -56,18 +56,12 @@ class Experiment:
 
     def split(self, share: float) -> "list[Experiment]":
         """The first share of the run, and the rest."""
-        at = round(share * self.input.size)
-        parts = slice(at), slice(at, None)
-        reference = self.reference
-        return [
-            replace(
-                self,
-                input=self.input[part],
-                output=self.output[part],
-                reference=None if reference is None else reference[part],
-            )
-            for part in parts
-        ]
+        at, runs = round(share * self.input.size), list[Experiment]()
+        for part in (slice(at), slice(at, None)):
+            followed = None if self.reference is None else self.reference[part]
+            cut = replace(self, input=self.input[part], output=self.output[part])
+            runs.append(replace(cut, reference=followed))
+        return runs
 
 
 def _check_length(samples: int, factor: int) -> None:
@@ -212,13 +206,6 @@ class BlackBox:
         return FrequencyResponse(g, 2.0 * np.pi * f, np.ones(f.size), bound)
 
 
-def _regressors(run: Experiment, orders: Orders) -> Real:
-    """-y[k-1] .. -y[k-na], u[k-nk] .. u[k-nk-nb+1] from sample `lag` on, (N - lag, p)."""
-    (na, nb, nk), lag, end = orders, orders.lag, run.output.size
-    past = [-run.output[lag - i : end - i] for i in range(1, na + 1)]
-    return np.column_stack(past + [run.input[lag - i : end - i] for i in range(nk, nk + nb)])
-
-
 def _inverse(table: Real) -> Real:
     """Pseudo-inverse (p, N) of regressors or a Jacobian (N, p), refused if columns depend."""
     size = np.linalg.norm(table, axis=0)
@@ -245,8 +232,13 @@ def arx(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> Bl
     short, count = min(run.output.size for run in runs), chosen.na + chosen.nb
     if short <= chosen.lag + count:
         raise InputError(f"orders: {tuple(chosen)} are too high for {short} samples")
-    phi = np.concatenate([_regressors(run, chosen) for run in runs])
-    y = np.concatenate([run.output[chosen.lag :] for run in runs])
+    (na, nb, nk), lag, tables = chosen, chosen.lag, list[Real]()
+    for run in runs:  # -y[k-1] .. -y[k-na], u[k-nk] .. u[k-nk-nb+1] from sample `lag` on
+        end = run.output.size
+        past = [-run.output[lag - i : end - i] for i in range(1, na + 1)]
+        past += [run.input[lag - i : end - i] for i in range(nk, nk + nb)]
+        tables.append(np.column_stack(past))
+    phi, y = np.concatenate(tables), np.concatenate([run.output[lag:] for run in runs])
     inverse = _inverse(phi)
     theta = inverse @ y
     variance = float(np.sum((y - phi @ theta) ** 2)) / (y.size - count)

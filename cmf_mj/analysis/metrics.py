@@ -62,12 +62,8 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
     angle = 2.0 * np.pi * frequency / rate * np.arange(samples.size)
     orders = np.arange(1, count + 1)
     fit = fit_sines(samples, np.outer(angle, orders))
-    return Harmonics(
-        amplitude=np.abs(fit.amplitude),
-        phase=np.arctan2(fit.amplitude.real, -fit.amplitude.imag),
-        offset=float(fit.offset),
-        remainder=fit.remainder,
-    )
+    phase = np.arctan2(fit.amplitude.real, -fit.amplitude.imag)
+    return Harmonics(np.abs(fit.amplitude), phase, float(fit.offset), fit.remainder)
 
 
 def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> MotionNoise:
@@ -93,14 +89,8 @@ def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> M
     random = float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / first)
     angle = 2.0 * np.pi * frequency / rate * np.arange(cut.size)
     rest = cut - fit.offset - first * np.sin(angle + fit.phase[0])
-    return MotionNoise(
-        fundamental=first,
-        low_harmonics=low,
-        high_harmonics=high,
-        stochastic=random,
-        total=float(np.sqrt(low**2 + high**2 + random**2)),
-        peak=float(np.abs(rest).max() / first),
-    )
+    total = float(np.sqrt(low**2 + high**2 + random**2))
+    return MotionNoise(first, low, high, random, total, float(np.abs(rest).max() / first))
 
 
 def describing_function(demand: Signal, response: Signal, rate: float, frequency: float) -> complex:

@@ -98,12 +98,8 @@ class Airframe:
         Height is above the ground [m], airspeed calibrated [m/s], the flight path angle positive
         climbing [rad].
         """
-        start = {
-            "h-agl-ft": units.from_si("ft", height),
-            "vc-kts": units.from_si("kt", airspeed),
-            "gamma-deg": units.from_si("deg", path),
-        }
-        self._begin(start, controls)
+        start = {"h-agl-ft": units.from_si("ft", height), "vc-kts": units.from_si("kt", airspeed)}
+        self._begin(start | {"gamma-deg": units.from_si("deg", path)}, controls)
         try:
             self["simulation/do_simple_trim"] = 1.0
         except self._trim_failure as error:

@@ -164,17 +164,9 @@ def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
             f"inputs: tilt_recovery: {most.tilt_recovery} is refused; allowed: more than half an "
             f"interval between samples, {0.5 * interval:.4g} s"
         )
-    return Classical(
-        rotation=empty_filter(side_by_side(turns, interval)),
-        low_pass=empty_filter(side_by_side(tilts, interval)),
-        translation=empty_filter(side_by_side(moves, interval)),
-        tilt=np.zeros((2, 3)),
-        demand=np.zeros((2, 3)),
-        tilt_force=most.tilt_force_limit.si,
-        tilt_rate=most.tilt_rate.si,
-        recovery=recovery,
-        interval=interval,
-    )
+    turn, tilt, move = (empty_filter(side_by_side(one, interval)) for one in (turns, tilts, moves))
+    limits = (most.tilt_force_limit.si, most.tilt_rate.si, recovery)
+    return Classical(turn, tilt, move, np.zeros((2, 3)), np.zeros((2, 3)), *limits, interval)
 
 
 @allocating

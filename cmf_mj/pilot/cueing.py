@@ -145,14 +145,6 @@ def cue(
     demanded = algorithm.run(flown)
     stream, limited = within_limits(demanded, limits, carried.machine)
     simulator = PilotMotion.from_platform(stream, algorithm.station)
-    return Cue(
-        algorithm.settings,
-        flown,
-        stream,
-        limited,
-        excursion(demanded, limits, carried.machine),
-        simulator,
-        cueing_error(flown, simulator),
-        carried.machine,
-        algorithm.plans,
-    )
+    use, error = excursion(demanded, limits, carried.machine), cueing_error(flown, simulator)
+    parts = (flown, stream, limited, use, simulator, error, carried.machine, algorithm.plans)
+    return Cue(algorithm.settings, *parts)

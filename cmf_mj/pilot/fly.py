@@ -126,20 +126,12 @@ def flight_result(
     flown = make_stream(record.time[engaged], record["platform_pose"][engaged])
     simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)
-    return FlightResult(
-        str(record.metadata["law"]),
-        plant.cab,
-        aircraft,
-        stream,
-        np.zeros(stream.time.size, dtype=bool),
-        asked,
-        simulator,
-        cueing_error(aircraft, simulator),
-        cueing_error(asked, simulator),
-        excursion(flown, limits, plant.machine),
-        *_delays(legs, record),
-        operation,
-    )
+    none = np.zeros(stream.time.size, dtype=bool)
+    motions = (aircraft, stream, none, asked, simulator)
+    errors = (cueing_error(aircraft, simulator), cueing_error(asked, simulator))
+    use = excursion(flown, limits, plant.machine)
+    law = str(record.metadata["law"])
+    return FlightResult(law, plant.cab, *motions, *errors, use, *_delays(legs, record), operation)
 
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:

@@ -173,7 +173,11 @@ def learn(
         raise InputError(f"trials: {trials} must be at least 1")
     loaded, machine, dcu = load_law(law), plants[0].machine, options.get("dcu")
     limits = load_motion_limits(options.get("limits"), machine)
-    reference = within_limits(_led(stream), limits, machine)[0]
+    asked, still = resample(stream, MOST_RATE), np.zeros((round(LEAD * MOST_RATE), 6))
+    rest = [still + asked.pose[0], still, still]
+    motion = [np.vstack(pair) for pair in zip(rest, asked[2:], strict=True)]
+    led = make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
+    reference = within_limits(led, limits, machine)[0]
     if (lasts := reference.time[-1] - LEAD) < 1.0 / BAND:
         raise InputError(f"stream: lasts {lasts:.3g} s; allowed: at least {1.0 / BAND:g} s")
     legs = pose_to_legs(reference.pose, machine)
@@ -193,10 +197,9 @@ def learn(
             predicted_correction = window * learner.improved(predicted_correction, predicted_error)
             demanded = legs_to_pose(legs + window * learner.improved(correction, error), machine)
             rates = differentiate(reference.time, demanded - reference.pose)
-            motion = (reference.velocity + rates[0], reference.acceleration + rates[1])
-            demand, back = within_limits(
-                make_stream(reference.time, demanded, *motion), limits, machine
-            )
+            motion = [reference.velocity + rates[0], reference.acceleration + rates[1]]
+            corrected = make_stream(reference.time, demanded, *motion)
+            demand, back = within_limits(corrected, limits, machine)
             correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
             demands.append(demand)
         left = missed(reference, demands[-1], loaded, plants[0], seed + trial, **options)
@@ -209,22 +212,13 @@ def learn(
         if progress is not None:
             progress(trial + 1, trials + 1)
     best = int(np.argmin([one.sensed for one in done]))
-    shown = errors[0], errors[best]
-    return Learning(reference, demands[best], tuple(done), best, shown, learner)
+    both = errors[0], errors[best]
+    return Learning(reference, demands[best], tuple(done), best, both, learner)
 
 
 def rms(error: Array) -> float:
     """Root mean square of all its numbers."""
     return float(np.sqrt(np.mean(error**2)))
-
-
-def _led(stream: HostStream) -> HostStream:
-    """The stream at 80 Hz, from time 0 on, after a rest of `LEAD` at its first pose."""
-    asked = resample(stream, MOST_RATE)
-    still = np.zeros((round(LEAD * MOST_RATE), 6))
-    rest = [still + asked.pose[0], still, still]
-    motion = [np.vstack(pair) for pair in zip(rest, asked[2:], strict=True)]
-    return make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
 
 
 class Missed(NamedTuple):

@@ -160,12 +160,18 @@ def omct(
         dof, column, law = case
         frequency = float(frequencies[column])
         stream = Washout(settings, cab=chosen).run(aircraft_motion(dof, frequency))
-        motions = _without_machine(stream, chosen.station) if law is None else {}
-        if law is not None:
+        motions = dict[str, PilotMotion]()
+        if law is None:  # by the host's frames, and by the DCU's demand at 128 Hz
+            played = _demanded(stream)
+            time = np.arange(len(played))[::_EVERY] / RATE
+            demand = make_stream(time, *np.swapaxes(played[::_EVERY], 0, 1))
+            for stage, frames in zip(STAGES, (stream, demand), strict=True):
+                motions[stage] = PilotMotion.from_platform(frames, chosen.station)
+        else:
             plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}
             with suppress(OutOfBounds):
                 operation = operate(plant, law, stream, record_every=_EVERY, **ideal)
-                motions = {law.name: PilotMotion.from_record(operation.record)}
+                motions[law.name] = PilotMotion.from_record(operation.record)
         for name, motion in motions.items():
             for place, found in fundamentals(dof, frequency, motion).items():
                 responses[name][place, column], remainders[name][place, column] = found
@@ -179,15 +185,6 @@ def _demanded(stream: HostStream) -> NDArray[np.float64]:
     """The DCU's demand of host frames, (N, 3, 6)."""
     unit, frames = make_dcu(load_dcu()), int(stream.time[-1] * RATE)
     return upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
-
-
-def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[str, PilotMotion]:
-    """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
-    played = _demanded(stream)
-    time = np.arange(len(played))[::_EVERY] / RATE
-    demand = make_stream(time, *np.swapaxes(played[::_EVERY], 0, 1))
-    motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
-    return dict(zip(STAGES, motions, strict=True))
 
 
 def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
@@ -246,8 +243,7 @@ def _fundamental(
     count = int(np.ceil(int((time.size - start) / period) * period))
     rows = slice(start, start + count)
     driven = size * np.sin(frequency * time[rows])
-    response = complex(
-        sine_response(driven, values[rows], rate, frequency / (2.0 * np.pi)).response[0]
-    )
+    estimate = sine_response(driven, values[rows], rate, frequency / (2.0 * np.pi))
+    response = complex(estimate.response[0])
     power = 0.5 * abs(size * response) ** 2
     return response, float(np.sqrt(max(values[rows].var() - power, 0.0) / power))

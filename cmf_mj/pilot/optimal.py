@@ -143,37 +143,27 @@ def washout_modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
 
     def tilting(sizes: TiltCost, sign: float) -> WashoutMode:
         chain = (linalg.block_diag(path, [[0.0]]), linalg.block_diag(pushed, [[1.0]])[:, ::-1])
-        kept = (
-            _si(sizes, "rate_error", "force_error"),
-            _si(sizes, *_TRAVEL, "angle"),
-            _si(sizes, "rate", "acceleration"),
-        )
+        errors = _si(sizes, "rate_error", "force_error")
+        kept = (errors, _si(sizes, *_TRAVEL, "angle"), _si(sizes, "rate", "acceleration"))
         corners = _si(sizes, "rate_bandwidth", "force_bandwidth")
         motion = (_pick(4, 3, None, 1, 2, None), _pick(2, None, 0, None, None, 1))
         both = control.append(canals, otoliths)
         return _solve(both, sign * STANDARD_GRAVITY, chain, kept, corners, motion)
 
-    yaw, heave = settings.yaw, settings.heave
-    return {
+    solved = {
         "pitch_surge": tilting(settings.pitch_surge, 1.0),
         "roll_sway": tilting(settings.roll_sway, -1.0),
-        "yaw": _solve(
-            canals,
-            0.0,
-            (turn, turned),
-            (_si(yaw, "rate_error"), _si(yaw, "angle_integral", "angle"), _si(yaw, "rate")),
-            _si(yaw, "rate_bandwidth"),
-            (_pick(2, 1, None), _pick(1, None, 0)),
-        ),
-        "heave": _solve(
-            otoliths,
-            0.0,
-            (path, pushed),
-            (_si(heave, "force_error"), _si(heave, *_TRAVEL), _si(heave, "acceleration")),
-            _si(heave, "force_bandwidth"),
-            (_pick(3, 1, 2, None), _pick(1, None, None, 0)),
-        ),
     }
+    yaw, heave = settings.yaw, settings.heave
+    kept = _si(yaw, "rate_error"), _si(yaw, "angle_integral", "angle"), _si(yaw, "rate")
+    motion = (_pick(2, 1, None), _pick(1, None, 0))
+    corners = _si(yaw, "rate_bandwidth")
+    solved["yaw"] = _solve(canals, 0.0, (turn, turned), kept, corners, motion)
+    kept = _si(heave, "force_error"), _si(heave, *_TRAVEL), _si(heave, "acceleration")
+    motion = (_pick(3, 1, 2, None), _pick(1, None, None, 0))
+    corners = _si(heave, "force_bandwidth")
+    solved["heave"] = _solve(otoliths, 0.0, (path, pushed), kept, corners, motion)
+    return solved
 
 
 PLACES = {

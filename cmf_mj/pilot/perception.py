@@ -107,9 +107,8 @@ def state_space(response: control.TransferFunction) -> control.StateSpace:
     direct = numerator[0] / denominator[0] if len(numerator) == len(denominator) else 0.0
     residues = np.polyval(np.polysub(numerator, direct * denominator), poles) / slope
     size = np.sqrt(np.abs(residues))
-    return control.StateSpace(
-        np.diag(poles), size[:, None], (np.sign(residues) * size)[None, :], [[direct]]
-    )
+    outputs = (np.sign(residues) * size)[None, :]
+    return control.StateSpace(np.diag(poles), size[:, None], outputs, [[direct]])
 
 
 class Sensed(NamedTuple):
@@ -166,9 +165,7 @@ class CueingError(NamedTuple):
         return np.asarray(np.mean(np.abs(self.error) > self.threshold, axis=0))
 
 
-def cueing_error(
-    aircraft: PilotMotion, simulator: PilotMotion, senses: Senses | str | None = None
-) -> CueingError:
+def cueing_error(aircraft: PilotMotion, simulator: PilotMotion) -> CueingError:
     """Compare what is sensed at the pilot's stations of aircraft and simulator, at equal times."""
     if aircraft.time.shape != simulator.time.shape or not np.allclose(
         aircraft.time, simulator.time, rtol=0.0, atol=1e-6
@@ -177,12 +174,9 @@ def cueing_error(
             f"simulator: {simulator.time.size} samples from {simulator.time[0]:.6g} s; the "
             f"aircraft has {aircraft.time.size} from {aircraft.time[0]:.6g} s"
         )
-    loaded = load_senses(senses)
-    flown, felt = sense(aircraft, loaded), sense(simulator, loaded)
-    error = np.hstack(
-        [flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate]
-    )
-    return CueingError(flown, felt, error, loaded.thresholds.si)
+    flown, felt = sense(aircraft), sense(simulator)
+    force, rate = flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate
+    return CueingError(flown, felt, np.hstack([force, rate]), load_senses().thresholds.si)
 
 
 def otoliths_ahead(times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -343,9 +343,8 @@ class Predictive:
         turned, aircraft = held[1, :, 3:5] / self._tilt, inputs[1:, :2] / self._tilt
         scale = self._bounds[1][:, None]
         curved = 2.0 * turning @ self._free[1]
-        rows = (jacobian @ self._near + self._approach[:, 2, :, None, None] * curved) / scale[
-            ..., None
-        ]
+        rows = jacobian @ self._near + self._approach[:, 2, :, None, None] * curved
+        rows /= scale[..., None]
         low, high = ((bound[:, None] - rest) / scale for bound in self._bounds)
         low_turn, high_turn = np.minimum(aircraft, 0.0) - 1.0, np.maximum(aircraft, 0.0) + 1.0
         # The row bounds the error: what the simulator's pilot senses less what the aircraft's does.

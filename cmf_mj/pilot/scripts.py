@@ -146,18 +146,11 @@ def _take_off(airframe: Airframe, *, failure: bool) -> tuple[float, Aim]:
         rotating = clock.since("rotation", time, state.airspeed > _ROTATION)
         airborne = clock.since("airborne", time, state.height > 15.0)
         reacting = time > _REACTION and not 0.0 <= failed <= _REACTION
-        waiting = time <= _BRAKES_OFF
-        return Targets(
-            Controls(
-                throttle=0.0 if waiting else 1.0,
-                brakes=1.0 if waiting else 0.0,
-                gear=0.0 if airborne > 3.0 else 1.0,
-                flaps=_FLAPS,
-            ),
-            pitch=min(2.5 * DEGREE * rotating, best) if rotating >= 0.0 else None,
-            heading=runway if reacting else None,
-            coordinate=False,
-        )
+        throttle, gear = float(time > _BRAKES_OFF), float(airborne <= 3.0)
+        controls = Controls(throttle=throttle, brakes=1.0 - throttle, gear=gear, flaps=_FLAPS)
+        pitch = min(2.5 * DEGREE * rotating, best) if rotating >= 0.0 else None
+        heading = runway if reacting else None
+        return Targets(controls, pitch, heading=heading, coordinate=False)
 
     return 0.0, aim
 
@@ -178,11 +171,9 @@ def _doublets(airframe: Airframe) -> tuple[float, Aim]:
     def aim(time: float, state: AircraftState) -> Targets:
         free = [start <= time < start + 9.0 for start in (3.0, 17.0, 31.0)]
         lateral = free[1] or free[2]
-        moved = controls._replace(
-            elevator=-0.10 * doublet(time, 3.0),
-            aileron=0.15 * doublet(time, 17.0),
-            rudder=-0.20 * doublet(time, 31.0),
-        )
+        sizes = {"elevator": (-0.10, 3.0), "aileron": (0.15, 17.0), "rudder": (-0.20, 31.0)}
+        moves = {name: size * doublet(time, start) for name, (size, start) in sizes.items()}
+        moved = controls._replace(**moves)
         pitch, bank = None if free[0] else level, None if lateral else 0.0
         return Targets(moved, pitch, bank, coordinate=not lateral)
 
@@ -288,6 +279,5 @@ def fly_script(name: str, seed: int = 1) -> Flight:
         source=f"JSBSim {version('jsbsim')}, script {name}",
         seed=seed,
     )
-    channels = (states[part] for part in ("time", *COLUMNS))
-    others = {part: states[part] for part in ("airspeed", "height")}
-    return Flight(PilotMotion(*channels), origin, others)
+    motion = PilotMotion(*(states[part] for part in ("time", *COLUMNS)))
+    return Flight(motion, origin, {part: states[part] for part in ("airspeed", "height")})

@@ -61,15 +61,14 @@ class TiltInputs(Inputs):
 class HighPass(Settings):
     """Gain and second-order high-pass of a rotation."""
 
-    gain: Gain  #: Share of the aircraft's angular rate.
+    gain: Gain  #: Share of what the aircraft does, here of its angular rate.
     natural_frequency: Corner
     damping: Ratio
 
 
 class ThirdOrder(HighPass):
-    """Gain, second-order and first-order high-pass of heave."""
+    """Gain of the specific force less that of level rest, and both high-passes of heave."""
 
-    gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
     break_frequency: CornerOrZero  #: Corner of the first-order high-pass; 0 leaves it out.
 
 
@@ -129,7 +128,7 @@ class RotationCost(Settings):
     rate_error: AngularSpeed  #: Error of the rate sensed.
     angle_integral: AngleIntegral
     angle: Angle
-    rate: AngularSpeed  #: AngularSpeed of the simulator.
+    rate: AngularSpeed  #: Of the simulator.
     rate_bandwidth: Corner  #: Corner of the first-order noise that models the aircraft's rate.
 
 
@@ -141,7 +140,7 @@ class TranslationCost(Settings):
     position_integral: LengthIntegral
     position: Length
     velocity: Speed
-    acceleration: Acceleration  #: Acceleration of the simulator.
+    acceleration: Acceleration  #: Of the simulator.
     force_bandwidth: Corner  #: Corner of the first-order noise that models the specific force.
 
 
@@ -151,8 +150,8 @@ class TiltCost(TranslationCost):
     rate_gain: Gain  #: Share of the aircraft's angular rate.
     rate_error: AngularSpeed  #: Error of the rate sensed.
     angle: Angle
-    rate: AngularSpeed  #: AngularSpeed of the simulator.
-    rate_bandwidth: Corner  #: Corner of the first-order noise that models the aircraft's rate.
+    rate: AngularSpeed  #: Of the simulator.
+    rate_bandwidth: Corner  #: As of `RotationCost`.
 
 
 class OptimalSettings(_Set):
@@ -228,6 +227,5 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
     table = settings.model_dump(mode="json", exclude={"name", "kind"})
-    return write_text(
-        Path(path), tomlkit.dumps({"base": _BASES[settings.kind], settings.name: table})
-    )
+    whole = {"base": _BASES[settings.kind], settings.name: table}
+    return write_text(Path(path), tomlkit.dumps(whole))

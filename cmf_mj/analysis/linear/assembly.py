@@ -94,7 +94,10 @@ def linearize(
         for valve in dict.fromkeys(valves[leg])
     ]
     motion = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
-    network = _network(plant)
+    supply, network = plant.hydraulics.supply, list[str]()
+    if not supply.constant:
+        oil = ["accumulator_oil"] if supply.accumulators > 0.0 else []
+        network = ["supply_pressure", "return_pressure", *oil, "pump_flow"]
     system = _Rows([*lags, *labels(motion, legs), *network], labels(("command",), legs))
     _fill_mechanics(plant, point, system)
     drawn, returned = dict[str, float](), dict[str, float]()
@@ -103,15 +106,13 @@ def linearize(
     if network:
         _fill_supply(plant, point, system, drawn, returned)
     rows = [system.row[name] for name in labels(("leg_velocity",), legs)]
-    outputs = labels(FEEDBACK, legs)
+    outputs = [*labels(FEEDBACK, legs), *network[:2]]
     c = np.zeros((len(outputs), system.a.shape[0]))
     for i, name in enumerate(outputs):
         if name in system.row:
             c[i, system.row[name]] = 1.0
     c[2 * legs : 3 * legs] = system.a[rows]
-    seen = [name for name in ("supply_pressure", "return_pressure") if name in network]
-    c = np.vstack([c, np.eye(system.a.shape[0])[[system.row[name] for name in seen]]])
-    names = {"inputs": list(system.column), "outputs": [*outputs, *seen]}
+    names = {"inputs": list(system.column), "outputs": outputs}
     matrices = system.a, system.b, c, np.zeros((c.shape[0], legs))
     return control.ss(*matrices, states=list(system.row), name=plant.name, **names)
 
@@ -123,18 +124,8 @@ def _corners(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:
 
 def _valve_states(plant: Plant, actuator: str) -> list[str]:
     """Suffix of the lag states of each valve: none where both have the same lags."""
-    corners = [_corners(plant, actuator, i) for i in range(len(VALVES))]
-    if len(set(corners)) == 1:
-        return [""] * len(VALVES)
-    return [f"_{name}" for name in VALVES]
-
-
-def _network(plant: Plant) -> list[str]:
-    supply = plant.hydraulics.supply
-    if supply.constant:
-        return []
-    states = ["supply_pressure", "return_pressure", "accumulator_oil", "pump_flow"]
-    return [name for name in states if name != "accumulator_oil" or supply.accumulators > 0.0]
+    alike = len({_corners(plant, actuator, i) for i in range(len(VALVES))}) == 1
+    return ["" if alike else f"_{name}" for name in VALVES]
 
 
 def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:

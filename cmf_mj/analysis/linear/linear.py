@@ -227,7 +227,11 @@ class Linear:
             seen = row @ np.asarray(loop.C)
             opened = np.asarray(loop.A) - entry @ column @ seen
             broken = control.ss(opened, entry @ column, -seen, 0.0, loop.dt)
-            found.append(response_margins(broken(np.exp(2j * np.pi * _MARGINS * loop.dt))))
+            # With log(-L) = a + j b, b within half a turn: -a where b is 0, and b where a is.
+            logarithm = np.log(-broken(np.exp(2j * np.pi * _MARGINS * loop.dt)))
+            level, angle = logarithm.real, logarithm.imag
+            gain, phase = _least_at_zero(level, angle), _least_at_zero(angle, level)
+            found.append((-20.0 / np.log(10.0) * gain, np.degrees(phase)))
         return np.array(found)
 
     def measures(self, law: str | Law) -> tuple[Measures, ...]:
@@ -282,17 +286,6 @@ class Linear:
         bandwidth = [falls(LINES, -level, 3.0)[0] for level in rejection.T]
         static = np.where(static > _ENDLESS * least, np.inf, static)
         return np.array([static, least, bandwidth, rejection.max(axis=0)])
-
-
-def response_margins(response: ArrayLike) -> tuple[float, float]:
-    """Gain [dB] and phase margin [deg] of the response L of a broken loop, (K,), lines in order.
-
-    With log(-L) = a + j b, b within half a turn: -a where b is 0, and b where a is; the least size.
-    """
-    logarithm = np.log(-np.asarray(response, dtype=complex))
-    level, angle = logarithm.real, logarithm.imag
-    gain, phase = _least_at_zero(level, angle), _least_at_zero(angle, level)
-    return -20.0 / np.log(10.0) * gain, float(np.degrees(phase))
 
 
 def _least_at_zero(values: Array, other: Array) -> float:

@@ -124,18 +124,14 @@ def _asked(law: Law, legs: int) -> tuple[Any, ...]:
         for half in (answers[:asked], answers[asked:])
         for part in (half[:, :count], half[:, count:])
     )
-    kept = _acting(a, c, legs)
-    names = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
-    return a[np.ix_(kept, kept)], b[kept], c[:, kept], d, names
-
-
-def _acting(a: Matrix, c: Matrix, legs: int) -> NDArray[np.int64]:
-    """States that reach the output, of all legs where they do of one; the compensator always."""
+    # Of all legs those states that reach the output of one do; the compensator's always counts.
     kinds = a.shape[0] // legs
     links = (a != 0.0).reshape(kinds, legs, kinds, legs).any(axis=(1, 3))
     seen = (c != 0.0).reshape(-1, kinds, legs).any(axis=(0, 2))
     seen[0] = True
-    return np.flatnonzero(np.repeat(reached(links.T, seen), legs))
+    kept = np.flatnonzero(np.repeat(reached(links.T, seen), legs))
+    names = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
+    return a[np.ix_(kept, kept)], b[kept], c[:, kept], d, names
 
 
 def reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -249,15 +245,11 @@ def _delayed(matrices: tuple[Matrix, ...], frames: int) -> tuple[Matrix, ...]:
     """The plant behind a register of `frames` commands a leg."""
     a, b, c, d = matrices
     order, legs = b.shape
-    shift = np.kron(np.eye(frames, k=-1), np.eye(legs))
-    last = np.kron(np.eye(1, frames, k=frames - 1), np.eye(legs))
-    first = np.kron(np.eye(frames, 1), np.eye(legs))
-    return (
-        np.block([[a, b @ last], [np.zeros((frames * legs, order)), shift]]),
-        np.vstack([np.zeros((order, legs)), first]),
-        np.hstack([c, d @ last]),
-        np.zeros_like(d),
-    )
+    shift = np.eye(frames * legs, k=-legs)
+    first, last = np.eye(frames * legs, legs), np.eye(legs, frames * legs, k=(frames - 1) * legs)
+    joined = np.block([[a, b @ last], [np.zeros((frames * legs, order)), shift]])
+    entry = np.vstack([np.zeros((order, legs)), first])
+    return joined, entry, np.hstack([c, d @ last]), np.zeros_like(d)
 
 
 def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> FrequencyResponse:

@@ -48,14 +48,10 @@ class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
         self.output_unit = output_unit
         """Unit of the output."""
 
-    @property
-    def si_factor(self) -> float:
-        """What the gain is multiplied with to count in SI units and command fractions."""
-        return units.factor(self.output_unit) / units.factor(self.input_unit)
-
     def to_si(self) -> control.TransferFunction:
         """The same system in SI units, commands as fractions; labels are kept."""
-        above, below = self.num_array[0, 0] * self.si_factor, self.den_array[0, 0]
+        size = units.factor(self.output_unit) / units.factor(self.input_unit)
+        above, below = self.num_array[0, 0] * size, self.den_array[0, 0]
         names = {"inputs": self.input_labels, "outputs": self.output_labels, "name": self.name}
         return control.tf(above, below, self.dt, **names)
 
@@ -100,12 +96,8 @@ def _difference(
 ) -> tuple[NDArray[np.float64], ...]:
     """Set the row `rate` to the difference of the row `output` over a frame; one more state."""
     a, b, c, d = matrices
-    order = a.shape[0]
-    a = np.block([[a, np.zeros((order, 1))], [c[output], np.zeros((1, 1))]])
-    b = np.vstack([b, d[output]])
-    c = np.hstack([c, np.zeros((c.shape[0], 1))])
-    d = d.copy()
-    c[rate] = c[output] / frame
+    a = np.block([[a, np.zeros((a.shape[0], 1))], [c[output], np.zeros((1, 1))]])
+    b, c, d = np.vstack([b, d[output]]), np.pad(c, ((0, 0), (0, 1))), d.copy()
+    c[rate], d[rate] = c[output] / frame, d[output] / frame
     c[rate, -1] = -1.0 / frame
-    d[rate] = d[output] / frame
     return a, b, c, d

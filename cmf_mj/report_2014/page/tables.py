@@ -35,11 +35,6 @@ def texts(name: str, **values: Any) -> list[str]:
     return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
 
 
-def law_title(name: str) -> str:
-    """Of a shipped law."""
-    return load_law(name).title
-
-
 TITLES: dict[str, str] = CONTENTS["results"]  #: Result tables of the report, by number.
 
 PHASE, GAIN, DAMPING = 0.10, 0.12, 0.1
@@ -55,7 +50,6 @@ _NAN = float("nan")
 _ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
 _OF = {"hardware": "hardware", "nonlinear": "model"}
 _LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
-RINGS = "the step rings on; its sweep has {} Hz all the same"
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
 }
@@ -113,11 +107,11 @@ def _share(row: ResultRow, value: float, sign: str = "+") -> str:
     return number(100.0 * value, f"{sign}.1f %") if row.unit else number(value, f"{sign}.2f")
 
 
-def computed_text(row: ResultRow, unit: str = "") -> str:
-    """What is computed, with a unit if named; or why there is no number."""
-    if row.computed == row.computed:
-        return number(row.computed, f".2f {unit}")
-    return "none below 10 Hz" if row.stable else "unstable"
+def computed_text(row: ResultRow) -> str:
+    """What is computed, or why there is no number."""
+    if np.isnan(row.computed):
+        return "none below 10 Hz" if row.stable else "unstable"
+    return number(row.computed, ".2f")
 
 
 RESULTS = (
@@ -160,9 +154,8 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
     """The numbers of a printed row beside those of a law."""
     rows = []
     appendix, read = row.table.startswith("D-"), law == row.read_as
-    label = row.dof if appendix else law_title(law)
-    if appendix and not read:
-        label = f"{row.dof}, {law_title(law)}"
+    title = load_law(law).title
+    label = title if not appendix else row.dof if read else f"{row.dof}, {title}"
     result = runs.case(_ON[row.of], law, row.dof)
     machine = runs.case("machine", law, row.dof).measures if appendix and read else None
     for quantity in _QUANTITIES:
@@ -187,7 +180,7 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
             fitted = value is not None and quantity.title in BANDWIDTHS
         note = "" if within else _remark(row.law, row.table, quantity.title)
         if not (stable or note) and swept == swept:
-            note = RINGS.format(f"{swept:.2f}")
+            note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
         rows.append(
             ResultRow(
                 *(row.law, label, _OF[row.of], quantity.title, quantity.unit, printed, computed),

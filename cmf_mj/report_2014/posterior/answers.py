@@ -40,9 +40,9 @@ def interval(span: Array, form: str = ".2f") -> str:
     return middle if middle == "-" else f"{middle} ({low} to {high})"
 
 
-def percent(share: float, digits: int = 0) -> str:
+def percent(share: float) -> str:
     """A share as per cent, without rounding to certainty."""
-    text = number(100.0 * share, f".{digits}f %")
+    text = number(100.0 * share, ".0f %")
     if share < 1.0 and text == "100 %":
         return "over 99 %"
     return "under 1 %" if share > 0.0 and text == "0 %" else text
@@ -58,11 +58,6 @@ def probability_text(span: Array) -> str:
     """A probability with its interval."""
     low, middle, high = (f"{100.0 * value:.0f}" for value in span)
     return f"{middle} % ({low} to {high})"
-
-
-def filter_name(corner: float) -> str:
-    """What stands before the gain."""
-    return "none" if corner == 0.0 else f"{corner:.3g} Hz"
 
 
 def _span(title: str | None = None, form: str = ".2f", name: str = "") -> Field:
@@ -154,7 +149,9 @@ class GainStep(NamedTuple):
     """One gain of acceleration behind one filter, on machines drawn from the posterior."""
 
     gain: Annotated[float, Field(title="gain [%/(in/s²)]", form="g")]
-    corner: Annotated[float, Field(title="filter", form=filter_name)]  #: [Hz], 0 for no filter.
+    corner: Annotated[
+        float, Field(title="filter", form=lambda hertz: f"{hertz:.3g} Hz" if hertz else "none")
+    ]  #: [Hz], 0 for no filter.
     stable: Annotated[Array, Field(title="stable with every cab", form=probability_text)]
     """Share of the machines on which it is stable with every cab, and its interval."""
     damping: Annotated[Array, _span("least damping ratio", ".3f")]
@@ -299,29 +296,20 @@ def checks(results: Results) -> Result[EvidenceCheck]:
         both = [np.exp(span) if one.relative else span for span in both]
         rows.append(EvidenceCheck(one.name, one.value, one.deviation, *both))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
-    return Result(rows, [*fields_of(EvidenceCheck), inside])
+    return Result(rows, (*fields_of(EvidenceCheck), inside))
 
 
 def unknowns(results: Results) -> Result[dict[str, Any]]:
     """Range and posterior of each unknown."""
-    rows = [
-        {
-            "unknown": name,
-            "range": one,
-            "posterior": _both(results, column(results.machines, name))[1],
-        }
-        for name, one in results.study.settings.unknowns.items()
-    ]
+    rows = []
+    for name, one in results.study.settings.unknowns.items():
+        posterior = _both(results, column(results.machines, name))[1]
+        rows.append({"unknown": name, "range": one, "posterior": posterior})
     return Result(rows, UNKNOWNS)
 
 
 def posterior_tables(results: Results) -> dict[str, Result[Any]]:
     """All tables by the name of their file."""
-    return {
-        "stability": stability(results),
-        "changes": changes(results),
-        "spans": spans(results),
-        "gains": gain_steps(results),
-        "unknowns": unknowns(results),
-        "evidence": checks(results),
-    }
+    tables: dict[str, Result[Any]] = {"stability": stability(results), "changes": changes(results)}
+    tables |= {"spans": spans(results), "gains": gain_steps(results)}
+    return tables | {"unknowns": unknowns(results), "evidence": checks(results)}

@@ -53,18 +53,10 @@ def weighed(bank: Bank) -> Result[Weighed]:
         ranks = quantiles(bank.points[:, : len(unknowns)]).T
         medians = [float(weighted_quantiles(one, weights, np.array(0.5))) for one in ranks]
         near, name = min((min(u, 1.0 - u), name) for u, name in zip(medians, unknowns, strict=True))
-        rows.append(
-            Weighed(
-                plant,
-                bank.log_evidence(plant) - none,
-                float(np.sqrt(((weights - alone) ** 2).sum())),
-                shares.get(plant, np.nan),
-                effective_size(weights),
-                weighted_quantiles(values, weights, LEVELS),
-                near,
-                name,
-            )
-        )
+        more, error = bank.log_evidence(plant) - none, ((weights - alone) ** 2).sum()
+        size, value = effective_size(weights), weighted_quantiles(values, weights, LEVELS)
+        share, deviation = shares.get(plant, np.nan), float(np.sqrt(error))
+        rows.append(Weighed(plant, more, deviation, share, size, value, near, name))
     return Result(sorted(rows, key=lambda row: -row.evidence), fields_of(Weighed))
 
 
@@ -96,9 +88,8 @@ def left_out(bank: Bank) -> Result[LeftOut]:
                 made = np.concatenate([bank.shown[p][:, k] for p in mixed])
                 known = np.concatenate(list(weights.values())) * np.isfinite(made)
                 made = np.where(known > 0.0, made, 0.0)
-                ranks.append(
-                    float(known @ stats.norm.cdf((y - made) / one.deviation) / known.sum())
-                )
+                below = stats.norm.cdf((y - made) / one.deviation)
+                ranks.append(float(known @ below / known.sum()))
                 if out == [k]:
                     span = predicted(made, one.deviation, known)
             span = np.exp(span) if one.relative else span
@@ -131,12 +122,10 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
             ranks.append(order.index(plant))
             gains.append(every[plant] - every[NONE])
             much.append(every[order[0]] - every[NONE] >= most)
-        rows.append(
-            {"plant": plant, "right": np.mean(np.array(ranks) == 0)}
-            | {_THIRD: np.mean(np.array(ranks) < 3), _MUCH: np.mean(much)}
-            | {"gain": np.median(gains)}
-            | {f"found {p}": n for p, n in found.items()}
-        )
+        places = np.array(ranks)
+        row = {"plant": plant, "right": np.mean(places == 0), _THIRD: np.mean(places < 3)}
+        row |= {_MUCH: np.mean(much), "gain": np.median(gains)}
+        rows.append(row | {f"found {p}": n for p, n in found.items()})
     shown = Field("plant"), *(Field(name, form=percent) for name in ("right", _THIRD, _MUCH))
     gain = Field("gain", "median ln Z over none", "+.2f")
     return Result(rows, (*shown, gain, *(Field(f"found {p}") for p in bank.alone)))
