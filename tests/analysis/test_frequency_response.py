@@ -240,13 +240,6 @@ def test_the_first_crossing_counts() -> None:
     assert first < 2.0 < last
 
 
-def test_bandwidths_take_any_control_response() -> None:
-    omega = 2 * np.pi * np.linspace(0.1, 10.0, 500)
-    plain = control.frequency_response(second_order(0.5, 3.0), omega)
-    result = bandwidths(control.FrequencyResponseData(np.ravel(plain.frdata), omega))
-    assert result.phase_hz == pytest.approx(3.0, abs=1e-3)
-
-
 # -- refused records ----------------------------------------------------------------------------
 
 

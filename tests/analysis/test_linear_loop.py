@@ -261,14 +261,6 @@ def test_exact_response_is_given_like_a_measured_one() -> None:
     assert result.output_labels == ["leg_position"]
 
 
-@pytest.mark.parametrize(
-    ("law", "gain"), [("original", 0.998), ("original_as_printed", 0.166), ("velocity", 0.931)]
-)
-def test_static_gain_of_laws_without_integral(law: str, gain: float) -> None:
-    """21.91/21.95, the misprint's 0.166, and 47/50.48 = 0.931."""
-    assert control.dcgain(closed_loop(law, hardware_velocity(1))) == pytest.approx(gain, abs=1e-3)
-
-
 def test_the_integral_takes_the_static_error_away() -> None:
     for law in ("velocity_integral", "position_error_rate", "force"):
         loop = closed_loop(law, hardware_velocity(2))

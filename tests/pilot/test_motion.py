@@ -8,13 +8,7 @@ from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.motion import (
-    PilotMotion,
-    at_lever_arm,
-    body_rates,
-    gravity_in_body,
-    turn_to_body,
-)
+from cmf_mj.pilot.motion import PilotMotion, at_lever_arm, gravity_in_body
 
 G = 9.80665
 LEVEL = np.zeros((1, 3))
@@ -83,21 +77,6 @@ def test_motion_on_the_platform_against_differenced_positions():
     np.testing.assert_allclose(result.attitude, pose[:, 3:])
 
 
-def test_angular_acceleration_is_the_derivative_of_the_rate():
-    step = 1e-4
-    rows = [motion(np.array([1.0 + k * step])) for k in (-1, 0, 1)]
-    omega, alpha = np.empty((3, 3)), np.empty((3, 3))
-    for k, (pose, velocity, acceleration) in enumerate(rows):
-        body_rates(pose[0, 3:], velocity[0, 3:], acceleration[0, 3:], omega[k], alpha[k])
-    np.testing.assert_allclose(alpha[1], (omega[2] - omega[0]) / (2 * step), atol=1e-7)
-
-
-def test_turn_to_body_is_the_transpose_of_the_rotation():
-    angles, vector, out = np.array([0.3, -0.4, 1.2]), np.array([1.0, -2.0, 0.5]), np.empty(3)
-    turn_to_body(angles, vector, out)
-    np.testing.assert_allclose(out, rotation(*angles).T @ vector, rtol=1e-14)
-
-
 def test_record_of_a_run_agrees_with_the_platforms_own_motion():
     """MuJoCo's crew accelerometer against the rigid-body formula on the differentiated pose."""
     command = signals.sine("pitch", np.radians(2.0), 1.0, cycles=2.0)
@@ -117,10 +96,6 @@ def test_record_of_a_run_agrees_with_the_platforms_own_motion():
     assert np.abs(apart[inside]).max() < 0.01 * swing
     turning = felt.angular_rate[1:][: computed.time.size] - computed.angular_rate
     assert np.abs(turning[inside]).max() < 0.01 * np.ptp(computed.angular_rate[:, 1])
-
-
-def test_station_of_the_cab_is_above_and_ahead():
-    np.testing.assert_array_equal(load_cab("gfd").station, [0.6, 0.0, -2.3])
 
 
 def test_resampling_keeps_straight_lines():

@@ -156,7 +156,10 @@ def test_shipped_gains_are_the_printed_ones_but_for_two_readings(printed: dict[s
     assert differs == {"original": {"b"}, "force": {"d"}}.get(law.name, set())
 
 
-@pytest.mark.parametrize(("law", "expected"), [("velocity", 47.0 / 50.48), ("original", 0.998)])
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [("velocity", 47.0 / 50.48), ("original", 0.998), ("original_as_printed", 0.166)],
+)
 def test_steady_state_of_a_law_follows_from_its_gains(law: str, expected: float) -> None:
     """The gain of the demand over the net gain of the position, D_p + C B_p / (1 - A)."""
     gains = load_law(law)
