@@ -265,13 +265,9 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     )
     how = (record.rate, command.period)
     frequency, response = matrix_response(demand, feedback, *how, band=command.band)
-    return control.FrequencyResponseData(
-        np.moveaxis(response, 0, -1),
-        2.0 * np.pi * frequency,
-        inputs=[f"{dof}_demand" for dof in DOFS],
-        outputs=list(DOFS),
-        name="response",
-    )
+    names = {"inputs": [f"{dof}_demand" for dof in DOFS], "outputs": list(DOFS)}
+    matrix, omega = np.moveaxis(response, 0, -1), 2.0 * np.pi * frequency
+    return control.FrequencyResponseData(matrix, omega, name="response", **names)
 
 
 def _wrapped(estimate: Estimate) -> FrequencyResponse:

@@ -134,9 +134,8 @@ def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
     excursions = np.where(along < 0.0, -low, high) * along
     poses = np.zeros((excursions.size, 6))
     poses[:, index] = excursions
-    return Sweep(
-        dof, excursions, np.array([plant.hydraulic_modes(pose).frequency_hz for pose in poses])
-    )
+    found = [plant.hydraulic_modes(pose).frequency_hz for pose in poses]
+    return Sweep(dof, excursions, np.array(found))
 
 
 def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.float64]:

@@ -65,13 +65,10 @@ def periodic_response(
     squares = np.sum(np.abs(ys - response * xs) ** 2, axis=0) / power_x
     noise = squares / (periods * (periods - 1)) if periods > 1 else np.full_like(squares, np.nan)
     cross = np.abs(np.mean(np.conj(xs) * ys, axis=0)) ** 2
-    return Estimate(
-        lines / period,
-        response,
-        spectra.share_of(cross, power[lines] * np.mean(np.abs(ys) ** 2, axis=0)),
-        spectra.confidence_radius(noise, periods - 1.0),
-        np.full(lines.size, float(periods)),
-    )
+    coherence = spectra.share_of(cross, power[lines] * np.mean(np.abs(ys) ** 2, axis=0))
+    radius = spectra.confidence_radius(noise, periods - 1.0)
+    averages = np.full(lines.size, float(periods))
+    return Estimate(lines / period, response, coherence, radius, averages)
 
 
 def sine_response(x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike) -> Estimate:
@@ -110,13 +107,9 @@ def sine_response(x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike)
     power, count = _near(residual, chosen / resolution, sines / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2
-    return Estimate(
-        chosen,
-        response,
-        spectra.share_of(explained, explained + np.nan_to_num(noise)),
-        spectra.confidence_radius(noise, count),
-        count + 1.0,
-    )
+    coherence = spectra.share_of(explained, explained + np.nan_to_num(noise))
+    radius = spectra.confidence_radius(noise, count)
+    return Estimate(chosen, response, coherence, radius, count + 1.0)
 
 
 def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:

@@ -204,7 +204,7 @@ def without_network(aircraft: Path, copy: Path) -> None:
     shutil.copytree(aircraft, copy)
     file = copy / f"{aircraft.name}.xml"
     tree = ElementTree.parse(file)
-    for tag in ("input", "output"):
-        for element in tree.getroot().findall(tag):
-            tree.getroot().remove(element)
+    root = tree.getroot()
+    for element in (*root.findall("input"), *root.findall("output")):
+        root.remove(element)
     tree.write(file)

@@ -64,10 +64,7 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
     speed += stopped
     forward = forward + np.diff(stopped, prepend=0.0) * MOST_RATE
     yaw_rate = side / np.maximum(speed, 5.0)
-    zero = np.zeros(time.size)
-    return PilotMotion(
-        time,
-        np.column_stack([forward, side, zero - STANDARD_GRAVITY]),
-        np.column_stack([zero, zero, yaw_rate]),
-        np.column_stack([zero, zero, np.cumsum(yaw_rate) / MOST_RATE]),
-    )
+    zero, yaw = np.zeros(time.size), np.cumsum(yaw_rate) / MOST_RATE
+    force = np.column_stack([forward, side, zero - STANDARD_GRAVITY])
+    rate, attitude = (np.column_stack([zero, zero, each]) for each in (yaw_rate, yaw))
+    return PilotMotion(time, force, rate, attitude)

@@ -128,20 +128,20 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
             files = " nor a .csv or .parquet file"
             raise unknown_name("flight", str(source), all_flight_names(), files)
         path = _SHIPPED / f"{source}.parquet"
-    table, column_units = read_table(path), dict[str, str]()
+    table, column_units, names = read_table(path), dict[str, str](), list[str]()
     origin = Origin(title=path.stem, source=path.name)
     if (raw := (table.schema.metadata or {}).get(_KEY.encode())) is not None:
         where = f"{path}: header {_KEY}"
         header = validated(FlightHeader, parsed_json(raw, where), where)
         column_units, origin = header.units, header.origin
     else:
-        titles = [_HEADER.match(cell) for cell in table.column_names]
-        for cell, title in zip(table.column_names, titles, strict=True):
-            if title is None:
+        for cell in table.column_names:
+            if (title := _HEADER.match(cell)) is None:
                 allowed = "name or name [unit]"
                 raise InputError(f"{path}: header: {cell!r} is refused; allowed: {allowed}")
-        column_units = {title["name"]: title["unit"] or "1" for title in titles if title}
-        table = table.rename_columns([title["name"] for title in titles if title])
+            names.append(title["name"])
+            column_units[title["name"]] = title["unit"] or "1"
+        table = table.rename_columns(names)
     columns = {}
     for name in dict.fromkeys(["time", *sum(COLUMNS.values(), ()), *table.column_names]):
         values = read_column(path, table, name)

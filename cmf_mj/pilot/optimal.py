@@ -88,13 +88,8 @@ def _solve(
     # v_S = S u + G x_d: tilt adds to the specific force.
     gravity = np.zeros((nn, nd))
     gravity[-1, -1] = tilt
-    a = np.block(
-        [
-            [av, bv @ gravity, -bv],
-            [np.zeros((nd, nv)), ad, np.zeros((nd, nn))],
-            [np.zeros((nn, nv + nd)), -np.diag(corners)],
-        ]
-    )
+    a = linalg.block_diag(av, ad, -np.diag(corners))
+    a[:nv, nv:] = np.hstack([bv @ gravity, -bv])
     b = np.vstack([bv, bd, np.zeros((nn, nn))])
     errors, states, efforts = (np.diag(1.0 / np.square(size)) for size in sizes)
     sensed = np.hstack([cv, dv @ gravity, -dv])
@@ -106,10 +101,8 @@ def _solve(
     p = linalg.solve_continuous_are(a, b, q, r, s=n)
     feedback = linalg.solve(r, b.T @ p + n.T, assume_a="pos")
     kept, aircraft = feedback[:, : nv + nd], feedback[:, nv + nd :]
-    closed = (
-        a[: nv + nd, : nv + nd] - b[: nv + nd] @ kept,
-        a[: nv + nd, nv + nd :] - b[: nv + nd] @ aircraft,
-    )
+    own, entry = a[: nv + nd], b[: nv + nd]
+    closed = own[:, : nv + nd] - entry @ kept, own[:, nv + nd :] - entry @ aircraft
     rows, efforts_in = motion
     c = np.hstack([np.zeros((len(rows), nv)), rows]) - efforts_in @ kept
     filtering = (*closed, c, -efforts_in @ aircraft)

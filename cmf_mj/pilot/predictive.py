@@ -207,12 +207,9 @@ class Predictive:
         self._near = np.einsum("ijk,jk...->ik...", self._approach, self._free)
         noticed = self._noticed[:, None]
         self._error = error[..., :given] / noticed
-        self._soft = np.vstack(
-            [
-                self._free[1, :, 3:5].reshape(2 * count, free) / self._tilt,
-                (error[..., given:] / noticed).reshape(3 * count, free) @ unscale,
-            ]
-        )
+        turned = self._free[1, :, 3:5].reshape(2 * count, free) / self._tilt
+        pushed = (error[..., given:] / noticed).reshape(3 * count, free) @ unscale
+        self._soft = np.vstack([turned, pushed])
 
     def bound(self, seconds: float) -> None:
         """Let the solver take so long and no longer [s]; 0 counts its iterations alone."""

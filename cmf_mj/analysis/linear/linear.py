@@ -314,13 +314,10 @@ def loop_damping(loop: control.StateSpace) -> dict[str, float]:
     inside = (size > DAMPED[0]) & (size < DAMPED[1])
     counts = residues >= SHARE * residues[:, inside].max(axis=1, keepdims=True, initial=0.0)
     slow = inside & (size < PAIR_HZ)
-    return {
-        "stable": are_stable(poles),
-        "least": _least(ratio, inside),
-        "pair": _least(ratio, slow),
-        "pair_hz": float(size[slow][np.argmin(ratio[slow])]) if slow.any() else float("nan"),
-        **{dof: _least(ratio, inside & counts[i]) for i, dof in enumerate(DOFS)},
-    }
+    pair_hz = float(size[slow][np.argmin(ratio[slow])]) if slow.any() else float("nan")
+    found = {"stable": are_stable(poles), "least": _least(ratio, inside)}
+    found |= {"pair": _least(ratio, slow), "pair_hz": pair_hz}
+    return found | {dof: _least(ratio, inside & counts[i]) for i, dof in enumerate(DOFS)}
 
 
 def _least(ratio: Array, where: NDArray[np.bool_]) -> float:

@@ -54,12 +54,9 @@ class ReportFigure(NamedTuple):
             "steps": "; ".join(map(_step_text, cases)) if self.kind == "steps" else "",
         }
         plants = dict.fromkeys(need.on for need in self.needs)
-        parts = (
-            CONTENTS["caption"][self.kind].format(**values),
-            *(CONTENTS["words"][on] for on in plants),
-            self.note,
-        )
-        return figure, " ".join(part for part in parts if part)
+        caption = CONTENTS["caption"][self.kind].format(**values)
+        parts = [caption, *(CONTENTS["words"][on] for on in plants), self.note]
+        return figure, " ".join(filter(None, parts))
 
 
 FIGURES = tuple(

@@ -181,16 +181,10 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
         note = "" if within else _remark(row.law, row.table, quantity.title)
         if not (stable or note) and swept == swept:
             note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
-        rows.append(
-            ResultRow(
-                *(row.law, label, _OF[row.of], quantity.title, quantity.unit, printed, computed),
-                *(off, allowed, bool(within), fitted and read, read),
-                stable=stable,
-                swept=swept,
-                hexapod=hexapod,
-                note=note,
-            )
-        )
+        of_what = (row.law, label, _OF[row.of], quantity.title, quantity.unit)
+        judged = ResultRow(*of_what, printed, computed, off, allowed, bool(within), False, read)
+        judged = judged._replace(calibrated=fitted and read, stable=stable, swept=swept)
+        rows.append(judged._replace(hexapod=hexapod, note=note))
     return rows
 
 
@@ -204,15 +198,10 @@ def _linear_rows() -> tuple[ResultRow, ...]:
         unit, scale = ("", 1.0) if row.unit == "1" else ("Hz", row.published)
         quantity = _LOOP_QUANTITIES[row.quantity]
         note = "" if row.within else _remark("velocity", "4-1", quantity)
-        rows.append(
-            ResultRow(
-                *("velocity", f"linear model #{row.model}", f"Eq {row.equation}", quantity, unit),
-                *(row.published, row.computed, row.deviation / scale, row.tolerance / scale),
-                *(row.within, False, True),
-                swept=row.computed,
-                note=note,
-            )
-        )
+        of_what = ("velocity", f"linear model #{row.model}", f"Eq {row.equation}", quantity, unit)
+        off = (row.deviation / scale, row.tolerance / scale, row.within)
+        judged = ResultRow(*of_what, row.published, row.computed, *off, False, True)
+        rows.append(judged._replace(swept=row.computed, note=note))
     return tuple(rows)
 
 

@@ -219,14 +219,11 @@ def stability(results: Results) -> Result[Stability]:
     for (law, cab), machines in groups(results.damping, "law", "cab"):
         unstable, run = 1.0 - column(machines, "stable"), where(results.simulated, law=law, cab=cab)
         simulated = 1.0 - column(run, "stable")
-        rows.append(
-            Stability(
-                *(law, cab, _chance(unstable, weights(results, ())), _chance(unstable, every)),
-                {group: _chance(unstable, some) for group, some in without.items()},
-                *(int(simulated.sum()), run.num_rows),
-                int((simulated == unstable[run["machine"].to_numpy()]).sum()),
-            )
-        )
+        agreeing = int((simulated == unstable[run["machine"].to_numpy()]).sum())
+        prior, posterior = _chance(unstable, weights(results, ())), _chance(unstable, every)
+        reduced = {group: _chance(unstable, some) for group, some in without.items()}
+        counts = (int(simulated.sum()), run.num_rows, agreeing)
+        rows.append(Stability(law, cab, prior, posterior, reduced, *counts))
     drawn = f"{results.machines.num_rows} machines drawn"
     title = f"how often each law is unstable: {drawn}, effective {effective_size(every):.0f}"
     return Result(rows, STABILITY, title)
@@ -253,11 +250,9 @@ def spans(results: Results) -> Result[Span]:
     for (law, cab, dof), machines in groups(results.measures, "law", "cab", "dof"):
         count, stable = column(machines, "count"), column(machines, "stable")
         some = count * stable if stable.sum() >= _FEWEST else np.zeros_like(count)
-        quantiles = {
-            name: weighted_quantiles(column(machines, name), some, LEVELS)
-            for name in Span._fields[4:]
-        }
-        rows.append(Span(cab, law, dof, _chance(stable, count), **quantiles))
+        values = (column(machines, name) for name in Span._fields[4:])
+        quantiles = (weighted_quantiles(each, some, LEVELS) for each in values)
+        rows.append(Span(cab, law, dof, _chance(stable, count), *quantiles))
     return Result(rows, fields_of(Span))
 
 

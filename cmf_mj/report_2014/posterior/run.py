@@ -82,7 +82,7 @@ class PosteriorStudy:
     hydraulics: HydraulicParameters
 
     def identity(self) -> dict[str, Any]:
-        """What the study runs, as JSON values, see `journal`."""
+        """What the study runs, as JSON values, see `Journal`."""
         return {
             "settings": self.settings.model_dump(mode="json"),
             "laws": [law.model_dump(mode="json") for law in self.laws],
@@ -162,7 +162,7 @@ class Task:
     """One machine and what is asked of it."""
 
     number: int
-    kind: str  #: One of `_ASK`.
+    kind: str  #: One of `_ANSWERS`.
     values: Mapping[str, float]  #: Of the unknowns.
     draw: int | None = None  #: Of the mismatch; None for none.
     about: str = ""  #: Of a point: what is moved. Of a simulated machine: its cab.
@@ -200,29 +200,29 @@ def run_posterior(
     journal = Journal(Path(folder), study.identity())
     every = settings.rounds * settings.draws + settings.kept + 1 + 2 * len(settings.unknowns)
     every += len(evidence.PRESSURES) + settings.simulated * len(study.cabs)
-    run = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
+    ask = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
-    force = asked_force(run)
+    force = force_at_pressures(ask)
     tables["force"] = [
         {"supply_pressure": p, "g": g} for p, g in zip(evidence.PRESSURES, force, strict=True)
     ]
-    drawn, tables["damping"], posterior = _weighted(study, run, np.array(force))
+    drawn, tables["damping"], posterior = _weighted(study, ask, np.array(force))
     tables["machines"] = drawn
     kept, counts = np.unique(
         sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
     )
-    run.every -= settings.kept - len(kept)
+    ask.every -= settings.kept - len(kept)
     chosen = [(Unknowns(settings.unknowns).of(drawn[i]), int(i)) for i in kept]
-    for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
+    for (_, number), count, rows in zip(chosen, counts, ask("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
     moved = _points(settings.unknowns, drawn, posterior)
-    for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
+    for (_, _, about), rows in zip(moved, ask("point", moved), strict=True):
         tables["points"] += [row | {"about": about} for row in rows]
     order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
     some = [chosen[i] for i in order[: settings.simulated]]
     flights = [(*machine, cab.name) for machine in some for cab in study.cabs]
-    for (_, number, _), rows in zip(flights, run("simulated", flights), strict=True):
+    for (_, number, _), rows in zip(flights, ask("simulated", flights), strict=True):
         tables["simulated"] += [row | {"machine": number} for row in rows]
     paths = (
         write_parquet(row_table(rows), journal.folder / f"{name}.parquet")
@@ -231,13 +231,13 @@ def run_posterior(
     return Results(study, *map(read_table, paths))
 
 
-def asked_force(run: Asker) -> list[float]:
+def force_at_pressures(ask: Asker) -> list[float]:
     """Acceleration under force feedback [g] at `PRESSURES`."""
-    return [rows[0]["g"] for rows in run("force", [({"psi": p},) for p in evidence.PRESSURES])]
+    return [rows[0]["g"] for rows in ask("force", [({"psi": p},) for p in evidence.PRESSURES])]
 
 
 def _weighted(
-    study: PosteriorStudy, run: Asker, force: Array
+    study: PosteriorStudy, ask: Asker, force: Array
 ) -> tuple[list[Row], list[Row], Array]:
     """Rounds of machines with their weights, damping ratios of all, and the posterior's weights."""
     settings, drawn, damping = study.settings, list[Row](), list[Row]()
@@ -246,22 +246,22 @@ def _weighted(
     def likelihoods(_: int, points: Array) -> Array:
         first = len(drawn)
         values = [study.values(q) for q in sampling.quantiles(points)]
-        for rows in run("drawn", [(v, first + i) for i, v in enumerate(values)]):
+        for rows in ask("drawn", [(v, first + i) for i, v in enumerate(values)]):
             number = len(drawn)
             drawn.append(rows[0] | {"machine": number})
             damping.extend(row | {"machine": number} for row in rows[1:])
         new = drawn[first:]
         numbers = evidence.log_likelihoods(evidence.counted(new))[:, :-1]  # the last is held out
         psi = np.array([row["supply_pressure"] for row in new])
-        said = {
+        likelihood_by_group = {
             **{name: numbers[:, of == name].sum(axis=1) for name in ("rows", "fits")},
             "three_g": evidence.oscillation_likelihood(psi, force),
             "flown": np.where([row["flown"] for row in new], 0.0, -np.inf),
         }
-        for name, values_of in said.items():
+        for name, values_of in likelihood_by_group.items():
             for row, value in zip(new, values_of.tolist(), strict=True):
                 row[f"log_{name}"] = value
-        return np.sum([said[group] for group in GROUPS], axis=0)
+        return np.sum([likelihood_by_group[group] for group in GROUPS], axis=0)
 
     size = len(settings.unknowns)
     made = sampling.importance(likelihoods, size, settings.draws, settings.rounds, settings.seed)
@@ -346,13 +346,13 @@ def _simulated(task: Task) -> list[Row]:
     return rows
 
 
-def force_of(task: Task) -> list[Row]:
+def force_answer(task: Task) -> list[Row]:
     """Acceleration under force feedback [g]."""
     return [{"g": evidence.oscillation_g(task.values["psi"])}]
 
 
-_ASK: dict[str, Callable[[Task], list[Row]]] = {
-    "force": force_of,
+_ANSWERS: dict[str, Callable[[Task], list[Row]]] = {
+    "force": force_answer,
     "drawn": _drawn,
     "kept": _kept,
     "point": _point,
@@ -360,9 +360,9 @@ _ASK: dict[str, Callable[[Task], list[Row]]] = {
 }
 
 
-def refused(error: BaseException) -> list[Row]:
+def raised(error: BaseException) -> list[Row]:
     """A machine that cannot be asked ends the study."""
     raise error
 
 
-_WORK = Work(lambda task, _: _ASK[task.kind](task), refused, lambda task: task.number)
+_WORK = Work(lambda task, _: _ANSWERS[task.kind](task), raised, lambda task: task.number)

@@ -44,11 +44,11 @@ from cmf_mj.report_2014.posterior.run import (
     PosteriorSettings,
     PosteriorStudy,
     Task,
-    asked_force,
     check_bounded,
-    force_of,
+    force_answer,
+    force_at_pressures,
     load_posterior,
-    refused,
+    raised,
 )
 from cmf_mj.signals.composite import ROUNDS, seven_sines
 from cmf_mj.studies.case import make_case, run_case
@@ -63,7 +63,7 @@ READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of 
 TEMPER = 0.25  #: a of made-up machines.
 _REGRESSED = 0.2  # of the machines count in the regression
 _LIGHT = 1e-4  # weight of a machine in a plant from which its pairs are asked
-_NOTHING = dict.fromkeys([one.name for one in evidence.observations()], np.nan) | {"flown": False}
+_UNASKED = dict.fromkeys([one.name for one in evidence.observations()], np.nan) | {"flown": False}
 _OF = {"rows": "simulated", "fits": "arx"}
 
 
@@ -184,8 +184,8 @@ def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
     return [control.ss(one.continuous.velocity.to_si()) for one in made]
 
 
-_ASK = {"force": force_of, "readings": _readings, "bank": _bank, "verdict": _verdicts}
-_WORK = Work(lambda task, _: _ASK[task.kind](task), refused, lambda task: task.number)
+_ANSWERS = {"force": force_answer, "readings": _readings, "bank": _bank, "verdict": _verdicts}
+_WORK = Work(lambda task, _: _ANSWERS[task.kind](task), raised, lambda task: task.number)
 
 
 @dataclass(frozen=True)
@@ -279,14 +279,14 @@ def run_effects(
     every = 2 * count + settings.kept * (1 + len(used)) + len(evidence.PRESSURES) + bool(reading)
     journal = Journal(Path(folder), study.identity())
     ask = Asker(journal, partial(Task, study=study), _WORK, how, progress, every)
-    force = np.array(asked_force(ask))
-    moved = ask("readings", [({},)])[0] if reading else []
+    force = np.array(force_at_pressures(ask))
+    shifts = ask("readings", [({},)])[0] if reading else []
     machines, rows = list[Row](), dict[str, list[Row]]()
 
     def bank(points: Array, ratio: Array, pairs: Iterable[str] = ()) -> Bank:
         supply = np.array([machine["supply_pressure"] for machine in machines])
         three_g = evidence.oscillation_likelihood(supply, force)
-        return Bank(study, points, ratio, three_g, *_made(study, rows, machines, moved, pairs), [])
+        return Bank(study, points, ratio, three_g, *_made(study, rows, machines, shifts, pairs), [])
 
     def likelihoods(_: int, points: Array) -> Array:
         first = len(machines)
@@ -309,13 +309,13 @@ def run_effects(
     best = sorted(alone.alone[1:], key=lambda one: -alone.log_evidence(one))[: settings.pairs]
     pairs = ["+".join(two) for two in combinations([n for n in used if n in best], 2)]
     asked = [p for p in pairs if not set(_parts(p)) & reading.keys()]
-    most = np.max([alone.weights(plant) for plant in alone.alone], axis=0)
-    worth = np.flatnonzero((most > _LIGHT) & bool(asked)).tolist()
-    ask.every += len(worth) - count
-    answers = ask("bank", [(machines[i], i, ";".join(asked)) for i in worth])
-    said = dict(zip(worth, answers, strict=True))
+    largest = np.max([alone.weights(plant) for plant in alone.alone], axis=0)
+    heavy = np.flatnonzero((largest > _LIGHT) & bool(asked)).tolist()
+    ask.every += len(heavy) - count
+    answers = ask("bank", [(machines[i], i, ";".join(asked)) for i in heavy])
+    answered = dict(zip(heavy, answers, strict=True))
     for k, pair in enumerate(asked):
-        rows[pair] = [said[i][k] if i in said else _NOTHING for i in range(count)]
+        rows[pair] = [answered[i][k] if i in answered else _UNASKED for i in range(count)]
     whole = bank(points, drawn.ratio, pairs)
     return replace(whole, verdicts=_asked_verdicts(whole, ask, machines))
 
@@ -331,7 +331,7 @@ def _made(
     study: PosteriorStudy,
     rows: Mapping[str, list[Row]],
     machines: list[Row],
-    moved: list[Row],
+    shifts: list[Row],
     pairs: Iterable[str] = (),
 ) -> tuple[dict[str, Array], dict[str, NDArray[np.bool_]]]:
     """Numbers as counted of all plants, those that only read otherwise too, and what can fly."""
@@ -342,7 +342,7 @@ def _made(
         source = rows["+".join(n for n in _parts(plant) if n not in reading) or NONE]
         made = evidence.counted(source)
         for name in shifted:
-            by = {row["name"]: row["shift"] for row in moved if row["reading"] == reading[name]}
+            by = {row["name"]: row["shift"] for row in shifts if row["reading"] == reading[name]}
             share = np.array([machine[name] for machine in machines])
             made = made + share[:, None] * np.array([by.get(one.name, 0.0) for one in stated])
         shown[plant], flown[plant] = made, np.array([row["flown"] for row in source])
