@@ -125,17 +125,24 @@ def test_a_force_that_stays_moves_the_simulated_cab_by_the_stiffness_at_rest() -
     assert LINEAR.disturbance(LAW)[0, 0] == np.inf
 
 
-def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
-    """|S| = 1 / |1 + loop gain|, K_p G k (K / (s + leak)) / (m s^2 + K s / (s + leak)) / s behind
-    lags and 1.5 frames; two chambers' leaks add below 2 % and 0.3 dB."""
-    gain, plant = 60.0, SingleLegs(load_hydraulics("hardware"))
-    law = Law(name="p", title="Position", direct_gain=Gains(reference=gain, position=-gain))
-    p, s = plant.parameters, 2j * np.pi * np.linspace(0.1, 20.0, 4000)
-    mass, leak = plant.reflected_mass()[0, 0], p.leak_rate.si
+def leg_loop_gain(
+    plant: SingleLegs, gain: float, s: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """K_p G k (K / (s + leak)) / (m s^2 + K s / (s + leak)) / s behind lags and 1.5 frames."""
+    p, mass = plant.parameters, plant.reflected_mass()[0, 0]
     spring = mass * (2.0 * np.pi * 11.3) ** 2
     lags = (1.0 + s / p.drive_lag.si) * (1.0 + s / p.valve_lag.si) * np.exp(1.5 * s * FRAME)
-    oil = spring * s / (s + leak)
-    loop = gain * units.PERCENT / units.INCH * p.leg_speed.si / s / lags * oil / (oil + mass * s**2)
+    oil = spring * s / (s + p.leak_rate.si)
+    flow = gain * units.PERCENT / units.INCH * p.leg_speed.si / s / lags
+    return np.asarray(flow * oil / (oil + mass * s**2))
+
+
+def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
+    """|S| = 1 / |1 + loop gain|; two chambers' leaks add below 2 % and 0.3 dB."""
+    gain, plant = 60.0, SingleLegs(load_hydraulics("hardware"))
+    law = Law(name="p", title="Position", direct_gain=Gains(reference=gain, position=-gain))
+    s = 2j * np.pi * np.linspace(0.1, 20.0, 4000)
+    loop = leg_loop_gain(plant, gain, s)
     level = -20.0 * np.log10(np.abs(1.0 + loop))
     *_, bandwidth, peak = Linear(plant).disturbance(law)
     first = s.imag[np.argmax(level > -3.0)] / (2.0 * np.pi)
@@ -147,12 +154,8 @@ def test_margins_are_those_of_the_closed_form_and_end_at_the_limit_of_stability(
     """Of the same loop by python-control, 0.3 dB and 1 deg; with the gain 2 % below and above the
     margin it is stable and not."""
     gain, plant = 60.0, SingleLegs(load_hydraulics("hardware"))
-    p, s = plant.parameters, 2j * np.pi * np.geomspace(0.1, 100.0, 4000)
-    mass, leak = plant.reflected_mass()[0, 0], p.leak_rate.si
-    spring = mass * (2.0 * np.pi * 11.3) ** 2
-    lags = (1.0 + s / p.drive_lag.si) * (1.0 + s / p.valve_lag.si) * np.exp(1.5 * s * FRAME)
-    oil = spring * s / (s + leak)
-    loop = gain * units.PERCENT / units.INCH * p.leg_speed.si / s / lags * oil / (oil + mass * s**2)
+    s = 2j * np.pi * np.geomspace(0.1, 100.0, 4000)
+    loop = leg_loop_gain(plant, gain, s)
     expected = control.stability_margins(control.FRD(loop, s.imag))
     linear = Linear(plant)
 

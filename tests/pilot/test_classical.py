@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from cab_motions import G, level, pushed, sustained, turn_entry, turned
+from cab_motions import G, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.filters import Held, hold
@@ -205,10 +205,7 @@ def test_frame_by_frame_is_the_whole_run_to_the_bit():
     flown = mixed(80.0)
     whole = Washout().run(flown)
     live = Washout()
-    frames = [
-        live.frame(force, rate)
-        for force, rate in zip(flown.specific_force, flown.angular_rate, strict=True)
-    ]
+    frames = list(map(live.frame, flown.specific_force, flown.angular_rate))
     for name in ("pose", "velocity", "acceleration"):
         values = np.array([getattr(frame, name) for frame in frames])
         np.testing.assert_array_equal(values, getattr(whole, name))
@@ -231,11 +228,6 @@ def test_the_platform_turns_about_the_pilot():
         lost.max(), -station[2] * stream.acceleration[early, 4].max(), rtol=0.1
     )
     assert about_head.specific_force[early, 0].min() > about_centroid.specific_force[early, 0].min()
-
-
-def test_level_flight_moves_nothing():
-    stream, _ = simulated(level(2.0))
-    np.testing.assert_array_equal(stream.pose, 0.0)
 
 
 @pytest.mark.parametrize(("rate", "sensed"), [(5.0, 0.120), (10.0, 0.256)])

@@ -116,13 +116,9 @@ def test_a_datagram_of_another_form_is_refused(form: str, data: bytes) -> None:
         decode(form, data)
 
 
-def shipped(name: str) -> Telemetry:
-    return read_telemetry(name)
-
-
 def as_packets(name: str, form: str) -> list[tuple[float, bytes]]:
     """A shipped flight as another simulator would send it, in single precision."""
-    sent = shipped(name)
+    sent = read_telemetry(name)
     packets = []
     for row in zip(*sent, strict=True):
         at, force, rates, attitude, *path = row
@@ -187,7 +183,7 @@ EXCITED: dict[str, tuple[Spoil, str]] = {
 
 @pytest.mark.parametrize("name", flight_names())
 def test_each_error_is_found_and_none_in_the_clean_flight(name: str) -> None:
-    sent = shipped(name)
+    sent = read_telemetry(name)
     assert check_telemetry(sent).errors == ()
     for error, (spoil, words) in ERRORS.items():
         said = check_telemetry(spoil(sent)).errors
@@ -198,7 +194,7 @@ def test_what_a_flight_cannot_show_is_said_and_the_rest_is_found() -> None:
     """Without a roll, for one, no sign of roll can be told; with it, it is."""
     shown = dict.fromkeys(EXCITED, 0)
     for name in flight_names():
-        sent = shipped(name)
+        sent = read_telemetry(name)
         unseen = check_telemetry(sent).unseen
         for error, (spoil, words) in EXCITED.items():
             found = any(words in said for said in check_telemetry(spoil(sent)).errors)
@@ -211,7 +207,7 @@ def test_what_a_flight_cannot_show_is_said_and_the_rest_is_found() -> None:
 def test_flights_sent_as_packets_are_clean_and_come_back(form: str) -> None:
     for name in flight_names():
         received, refused = telemetry_of(form, iter(as_packets(name, form)))
-        sent = shipped(name)
+        sent = read_telemetry(name)
         assert refused == 0 and check_telemetry(received).errors == ()
         flown = flight_of(received, form, name).motion
         np.testing.assert_allclose(flown.specific_force, sent.specific_force, atol=5e-5)
@@ -220,8 +216,8 @@ def test_flights_sent_as_packets_are_clean_and_come_back(form: str) -> None:
 
 def test_without_speed_and_height_units_and_gravity_are_still_told() -> None:
     for name in ("engine_failure", "take_off", "turn"):
-        unknown = np.full(shipped(name).time.size, np.nan)
-        sent = shipped(name)._replace(speed=unknown, height=unknown)
+        unknown = np.full(read_telemetry(name).time.size, np.nan)
+        sent = read_telemetry(name)._replace(speed=unknown, height=unknown)
         assert check_telemetry(sent).errors == ()
         for error in ("g", "deg/s", "deg", "no gravity", "gravity twice", "z up"):
             spoil, words = ERRORS[error]
@@ -229,7 +225,7 @@ def test_without_speed_and_height_units_and_gravity_are_still_told() -> None:
 
 
 def test_times_that_do_not_rise_are_told() -> None:
-    sent = shipped("turn")
+    sent = read_telemetry("turn")
     back = sent.time.copy()
     back[100] = back[98]
     assert "time does not rise at row 100" in check_telemetry(sent._replace(time=back)).errors[0]
@@ -241,7 +237,7 @@ def test_times_that_do_not_rise_are_told() -> None:
 @pytest.mark.parametrize("name", ["turn", "take_off", "engine_failure"])
 def test_a_clock_that_is_set_back_is_the_only_error(name: str) -> None:
     """What comes after is not joined to what was 12 s earlier."""
-    sent = shipped(name)
+    sent = read_telemetry(name)
     back = sent.time - np.where(np.arange(sent.time.size) < 0.6 * sent.time.size, 0.0, 12.0)
     (error,) = check_telemetry(sent._replace(time=back)).errors
     assert "time does not rise at row" in error
@@ -249,7 +245,7 @@ def test_a_clock_that_is_set_back_is_the_only_error(name: str) -> None:
 
 @pytest.mark.parametrize(("unit", "size"), [("ms", 1e-3), ("us", 1e-6)])
 def test_times_in_another_unit_are_told_and_nothing_else_is(unit: str, size: float) -> None:
-    sent = shipped("turn")
+    sent = read_telemetry("turn")
     told = f"time steps are {0.0125 / size:g} s: is time in {unit}?"
     assert check_telemetry(sent._replace(time=sent.time / size)).errors == (told,)
     gap = _interrupted(sent)
@@ -272,7 +268,7 @@ def test_forces_are_turned_by_the_attitude_of_their_own_time() -> None:
 def test_a_csv_with_units_is_read(tmp_path: Path) -> None:
     path = load_flight("turn").save(tmp_path / "turn.csv")
     received = read_telemetry(path)
-    np.testing.assert_array_equal(received.specific_force, shipped("turn").specific_force)
+    np.testing.assert_array_equal(received.specific_force, read_telemetry("turn").specific_force)
     path.write_text(path.read_text().replace("roll", "bank"))
     with pytest.raises(InputError, match="roll: column is missing"):
         read_telemetry(path)

@@ -1,7 +1,6 @@
 """The unknown: sampling against closed forms, evidence by hand, statements from raw samples."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +54,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def results(study: PosteriorStudy, folder: Path) -> Iterator[Results]:
-    yield run_posterior(study, folder, jobs=1, backend="threading")
+def results(study: PosteriorStudy, folder: Path) -> Results:
+    return run_posterior(study, folder, jobs=1, backend="threading")
 
 
 def sampled(
@@ -131,9 +130,8 @@ def test_the_fits_have_the_gain_at_1_hz_and_the_pair_that_are_printed() -> None:
 
 
 def test_likelihood_is_that_of_independent_gaussians() -> None:
-    perfect, names = {}, [one.name for one in evidence.observations()]
-    for one in evidence.observations():
-        perfect[one.name] = one.value
+    perfect = {one.name: one.value for one in evidence.observations()}
+    names = list(perfect)
     one = evidence.observations()[names.index("velocity_phase_bandwidth_hz")]
     away = perfect | {one.name: one.value * np.exp(2.0 * one.deviation)}
     missing = perfect | {"original_damping_ratio": float("nan")}
@@ -162,9 +160,8 @@ def two_pairs(first: tuple[float, float], second: tuple[float, float]) -> contro
     for dof in DOFS:
         hertz, ratio = first if dof in ("surge", "pitch") else second
         w = 2.0 * np.pi * hertz
-        blocks.append(
-            control.ss([[0.0, 1.0], [-(w**2), -2.0 * ratio * w]], [[0.0], [w**2]], [[1.0, 0.0]], 0)
-        )
+        a = [[0.0, 1.0], [-(w**2), -2.0 * ratio * w]]
+        blocks.append(control.ss(a, [[0.0], [w**2]], [[1.0, 0.0]], 0))
     return control.sample_system(control.append(*blocks), FRAME, method="zoh")
 
 
@@ -224,9 +221,8 @@ def test_a_run_that_was_cut_off_goes_on_with_the_same_bits(
     (tmp_path / JOURNAL).write_text("".join(lines[:-3]))
     run_posterior(study, tmp_path, jobs=1, backend="threading")
     for name in TABLES:
-        assert (tmp_path / f"{name}.parquet").read_bytes() == (
-            folder / f"{name}.parquet"
-        ).read_bytes()
+        again, whole = (there / f"{name}.parquet" for there in (tmp_path, folder))
+        assert again.read_bytes() == whole.read_bytes()
 
 
 def test_a_column_that_the_first_row_lacks_reaches_the_file() -> None:
@@ -248,18 +244,16 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
         for row in damping
         if (row["law"], row["cab"]) == ("acceleration_d2", "gfd") and not row["stable"]
     )
-    (said,) = [
-        r for r in answers.stability(results) if (r.law, r.cab) == ("acceleration_d2", "gfd")
-    ]
+    at = {(row.law, row.cab): row for row in answers.stability(results)}
+    said = at["acceleration_d2", "gfd"]
     assert said.posterior[1] == pytest.approx(unstable)
     pair = {(r["law"], r["machine"]): r["pair"] for r in damping if r["cab"] == "gfd"}
     moved = [
         (pair["acceleration_eq_3_6", i] - pair["position_error_rate", i], weight[i])
         for i in range(len(machines))
     ]
-    (change,) = [
-        r for r in answers.changes(results) if (r.law, r.cab) == ("acceleration_eq_3_6", "gfd")
-    ]
+    changes = {(row.law, row.cab): row for row in answers.changes(results)}
+    change = changes["acceleration_eq_3_6", "gfd"]
     values = np.array([value for value, _ in moved])
     prior = sampling.normalised(np.array([row["log_ratio"] for row in machines]))
     for weights, said_of in ((np.array(weight), change.posterior), (prior, change.prior)):
@@ -307,12 +301,8 @@ def test_bounds_that_cannot_be_are_refused() -> None:
 def test_the_command_writes_tables_and_readable_figures(
     tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
-    table = "".join(
-        f"{name} = {value!r}\n".replace("'", '"')
-        for name, value in SMALL.items()
-        if name != "draws"
-    )
-    (tmp_path / "mine.toml").write_text(f'base = "rotation"\n{table}draws = 8\n')
+    lines = (f"{name} = {value!r}\n".replace("'", '"') for name, value in SMALL.items())
+    (tmp_path / "mine.toml").write_text('base = "rotation"\n' + "".join(lines))
     command = ["study", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--jobs", "2"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
