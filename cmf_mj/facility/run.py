@@ -15,7 +15,13 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PlainValidator, field_validator, model_validator
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    field_validator,
+    model_validator,
+)
 from pydantic.json_schema import SkipJsonSchema
 
 from cmf_mj.analysis.modes import bound
@@ -103,11 +109,19 @@ class Run(Arguments):
     def _numbers(cls, value: Any, info: Any) -> Any:  # type: ignore[override]
         return value if info.field_name in ("source", "start") else in_range(value)
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _with_law(cls, table: Any) -> Any:
-        named = isinstance(table, dict) and isinstance(table.get("machine"), str)
-        return {"law": load_machine(table["machine"]).law} | table if named else table
+    def _with_law(cls, table: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+        """The machine's law where a run names none; it counts as not set."""
+        if (
+            not isinstance(table, dict)
+            or "law" in table
+            or not isinstance(table.get("machine"), str)
+        ):
+            return make(table)
+        run = make({"law": load_machine(table["machine"]).law} | table)
+        run.model_fields_set.discard("law")
+        return run
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -156,7 +170,11 @@ class Run(Arguments):
         """The run as a file has it, defaults left out."""
         if self.source is not None or isinstance(self.plant, Plant) or isinstance(self.law, Law):
             raise InputError("plant, law, source: a file holds names and signals, not what is made")
-        return self.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude_none=True)
+        how: Any = {"mode": "json", "by_alias": True, "exclude_none": True}
+        table = self.model_dump(**how, exclude_defaults=True)
+        if self.law != load_machine(self.machine).law:  # the field's default is the CMF's own
+            table["law"] = str(self.law)
+        return table
 
     def but(self, **fields: Any) -> "Run":
         """The same run with other `fields`, checked again."""

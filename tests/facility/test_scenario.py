@@ -10,7 +10,7 @@ import pytest
 import tomlkit
 from shared import cmf
 
-from cmf_mj import Hexapod, load_law, signals, simulate
+from cmf_mj import Hexapod, load_law, load_machine, signals, simulate
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.run import Run, SignalSession
@@ -50,6 +50,18 @@ def test_a_run_saved_to_another_folder_reads_back_as_the_same(
     assert again.cab == str(tmp_path / "mine.toml")
     assert again == run.but(cab=again.cab)
     assert load_scenario(save_scenario(again, tmp_path / "again.toml")) == again
+
+
+@pytest.mark.parametrize("machine", ["cmf", "simona", "lab"])
+def test_the_law_survives_the_file_on_every_machine(machine: str, tmp_path: Path) -> None:
+    """Of any law: a default is the machine's, `velocity` that of the CMF alone."""
+    own = load_machine(machine).law
+    for law in (own, "velocity", "original"):
+        run = Run(machine=machine, law=law)
+        assert load_scenario(save_scenario(run, tmp_path / "run.toml")).law == law
+    assert Run(machine=machine).law == own
+    assert Run().but(machine=machine).law == own == Run(machine="cmf").but(machine=machine).law
+    assert Run(machine="cmf", law="velocity").but(machine=machine).law == "velocity"
 
 
 def test_every_field_survives_the_file(tmp_path: Path) -> None:
