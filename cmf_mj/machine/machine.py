@@ -30,7 +30,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.quantity import Area, Kind, Length, Quantity
-from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
+from cmf_mj.core.settings import Name, Settings, beside, merged, read_toml, user_file, validated
 from cmf_mj.core.units import FASTEST_RATE, HERTZ, INCH, RATE, SLOWEST_RATE
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import LENGTHS, Geometry, Gimbals, make_geometry
@@ -323,9 +323,9 @@ def read_machine(path: Path) -> Machine:
 def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any]:
     """A field that names a file, with its folder."""
     value = table.get(field)
-    if isinstance(value, str) and value.endswith((".toml", ".xml")):
+    if isinstance(value, str) and value.endswith(".xml"):
         return {field: str((folder / value).resolve())}
-    return {}
+    return {field: str(beside(folder, value))} if isinstance(value, str) else {}
 
 
 def recorded_machine(metadata: Mapping[str, Any]) -> Machine:

@@ -136,6 +136,12 @@ def test_an_unknown_unit_is_refused_with_those_of_its_kind(tmp_path: Path) -> No
         load_machine(written(tmp_path, table))
 
 
+def test_a_law_of_a_file_of_several_lies_beside_the_machine(tmp_path: Path) -> None:
+    machine = load_machine(written(tmp_path, table_of() | {"law": "two.toml:second"}))
+    assert machine.law == str(tmp_path.resolve() / "two.toml:second")
+    assert load_machine(written(tmp_path, table_of() | {"law": "original"})).law == "original"
+
+
 def test_a_stated_limit_stays(tmp_path: Path) -> None:
     table = table_of()
     span = {"low": -0.1, "high": 0.1, "unit": "m", "status": "stated", "source": "test"}
