@@ -24,7 +24,7 @@ The report uses the first (overshoots of 15, 7 and 23 % are 0.5, 0.6 and 0.4) an
 feedback, the last (1 dB is 0.5). It does not say which one Table 4-1 has.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control
 import numpy as np
@@ -171,7 +171,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
             f"record: goes from 10 to 90 % of the step within a sample of {1.0 / rate:.4g} s; "
             "allowed: a motion, in a record that shows it"
         )
-    return measured._replace(residual=residual, stable=stable and not strays(record))
+    return measured._replace(residual=residual, stable=stable and not ends_off_demand(record))
 
 
 def _verdict(record: Record) -> tuple[float, bool]:
@@ -185,7 +185,7 @@ def _verdict(record: Record) -> tuple[float, bool]:
     return residual, bool(residual < RESIDUAL or last < DECAY * earlier)
 
 
-def strays(record: Record) -> bool:
+def ends_off_demand(record: Record) -> bool:
     """Whether a step ends with a leg farther from its demand than if it had stood still.
 
     With x the legs' mean of the last second less their rest, r the step of their demands, both (n,)
@@ -255,7 +255,7 @@ class Measures(NamedTuple):
         return resonant_damping(10.0 ** (self.peak_gain_db / 20.0)) if self.stable else _NAN
 
 
-def joined(
+def measures_from(
     widths: Bandwidths | None = None,
     step: StepMetrics | None = None,
     mode: tuple[float, float] = (_NAN, _NAN),
@@ -268,10 +268,17 @@ def joined(
     measures = Measures(mode_damping_ratio=mode[0], mode_frequency_hz=mode[1])
     if step is not None and not step.stable:
         return measures
-    values: dict[str, Any] = dict(zip(Measures._fields, widths or (), strict=False))
-    values |= step._asdict() if step is not None else {}
-    values.pop("residual", None)
-    return measures._replace(**values)
+    if widths is not None:
+        measures = measures._replace(
+            phase_bandwidth_hz=widths.phase_hz,
+            gain_bandwidth_hz=widths.gain_hz,
+            peak_gain_db=widths.peak_db,
+            later_phase_hz=widths.later_phase_hz,
+            graze_from_hz=widths.graze_from_hz,
+            graze_to_hz=widths.graze_to_hz,
+        )
+    of_step = step._asdict() if step is not None else {}
+    return measures._replace(**{name: of_step[name] for name in of_step if name != "residual"})
 
 
 def sweep_response(
@@ -293,7 +300,7 @@ def measure_records(
     """Measure a law on records of a sweep and of a step of at least five seconds."""
     response = sweep_response(sweep, dof, segment=segment)
     widths = bandwidths(response) if response is not None else None
-    return joined(widths, step_metrics(step, dof))
+    return measures_from(widths, step_metrics(step, dof))
 
 
 def measure_loop(
@@ -312,12 +319,12 @@ def measure_loop(
     pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
     mode = _mode(pairs, np.abs(pairs))
     if not are_stable(poles):
-        return joined(mode=mode)
+        return measures_from(mode=mode)
     static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
     _, reached = loop_step(loop, duration)
     step = measure_step(reached, 1.0 / loop.dt, final=static)
     lines = np.asarray(frequencies, dtype=np.float64)
-    return joined(bandwidths(loop_response(loop, lines)), step, mode)
+    return measures_from(bandwidths(loop_response(loop, lines)), step, mode)
 
 
 def are_stable(poles: NDArray[np.complex128]) -> bool:
@@ -325,7 +332,7 @@ def are_stable(poles: NDArray[np.complex128]) -> bool:
     return bool((np.abs(poles) < _INSIDE).all())
 
 
-def holds(poles: NDArray[np.complex128]) -> bool:
+def holds_position(poles: NDArray[np.complex128]) -> bool:
     """Whether a discrete loop holds its position: no real pole at 1 or beyond."""
     return not bool((poles.real[np.abs(poles.imag) < 1e-9] >= _INSIDE).any())
 

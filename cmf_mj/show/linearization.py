@@ -17,7 +17,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.analysis.linear.poles import Mode, reduced
-from cmf_mj.analysis.measures import are_stable, joined
+from cmf_mj.analysis.measures import are_stable, measures_from
 from cmf_mj.analysis.modes import EnvelopeModes, Sweep
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
@@ -127,7 +127,7 @@ def loop_table(study: LinearizationStudy) -> Table:
     """Bandwidths and margins of the law's loops."""
     rows = []
     for (name, loop), of in zip(study.loops.items(), study.margins, strict=True):
-        measures = joined(bandwidths(loop))
+        measures = measures_from(bandwidths(loop))
         found = (phase_text(measures), *measures[1:3], *of)
         rows.append((name, *(found if study.stable else ("unstable",) * 5)))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.measurable import CLEAR
-from cmf_mj.analysis.measures import joined
+from cmf_mj.analysis.measures import measures_from
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table, fields_of, lines
 from cmf_mj.machine.geometry import DOFS, by_kind
@@ -38,7 +38,7 @@ RESPONSE = tuple(
 def recordings_table(measures: RecordingMeasures) -> Table:
     """Bandwidths and peak of recordings."""
     response = measures.response
-    found = {"measures": joined(bandwidths(response))}
+    found = {"measures": measures_from(bandwidths(response))}
     why = f"not excited, or of a coherence below {CLEAR:g}"
     rows = lines(found | {"coherence": response.coherence.min()}, RESPONSE)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"

@@ -20,11 +20,11 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import (
     Measures,
-    holds,
-    joined,
+    ends_off_demand,
+    holds_position,
     measure_loop,
+    measures_from,
     step_metrics,
-    strays,
     sweep_response,
 )
 from cmf_mj.analysis.published import Published, published
@@ -222,12 +222,12 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
         sweep.save(plain_path(records, f"{case.label}-chirp.parquet"))
         step.save(plain_path(records, f"{case.label}-step.parquet"))
     response = sweep_response(sweep, segment=case.segment)
-    measures = joined(bandwidths(response) if response else None, step_metrics(step))
+    measures = measures_from(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
-    drifts, small = strays(step), Measures()
+    drifts, small = ends_off_demand(step), Measures()
     loop = small_loop(case) if measures.stable else None
     if loop is not None:
-        drifts = not holds(loop.poles())
+        drifts = not holds_position(loop.poles())
         small = measure_loop(loop, frequencies=_LINES)
     measures = Measures() if drifts else measures
     return CaseResult(case, response, measures, step, gap, small.phase_bandwidth_hz, drifts)

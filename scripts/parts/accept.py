@@ -24,7 +24,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from cmf_mj import load_cab, load_hydraulics, load_law
-from cmf_mj.analysis.measures import Measures, joined, measure_records, step_metrics
+from cmf_mj.analysis.measures import Measures, measure_records, measures_from, step_metrics
 from cmf_mj.control.law import Law
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -125,7 +125,7 @@ def measured(run: Run) -> tuple[Run, Found]:
     case = run.case
     if run.group == "steps":
         step = step_metrics(case.run(case.step(), rate=256))._replace(stable=True)
-        return run, Found(joined(None, step), float("nan"))
+        return run, Found(measures_from(None, step), float("nan"))
     ends = asymptotes(case.build(), case.dof, case.pose).saturation(case.size)
     return run, Found(measure_records(*case.sweep_and_step(), segment=case.segment), ends)
 

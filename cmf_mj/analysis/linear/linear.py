@@ -43,9 +43,9 @@ from cmf_mj.analysis.linear.ports import Excitation
 from cmf_mj.analysis.measures import (
     Measures,
     are_stable,
-    joined,
     least_damped_mode,
     measure_step,
+    measures_from,
     oscillations,
 )
 from cmf_mj.analysis.modes import bound
@@ -336,7 +336,7 @@ def loop_measures(
     mode = least_damped_mode(poles, frame=loop.dt)
     axes = int(loop.noutputs)
     if not are_stable(poles):
-        return (joined(mode=mode),) * axes, None
+        return (measures_from(mode=mode),) * axes, None
     peaks = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
     lines = np.union1d(FREQUENCIES, peaks[(peaks > BAND[0]) & (peaks < BAND[1])])
     omega = 2.0 * np.pi * lines
@@ -347,7 +347,7 @@ def loop_measures(
     for i in range(axes):
         widths = bandwidths(control.FrequencyResponseData(response[i, i], omega))
         step = measure_step(steps[:, i, i], 1.0 / loop.dt, final=float(final[i, i]))
-        measures.append(joined(widths, step, mode))
+        measures.append(measures_from(widths, step, mode))
     return tuple(measures), response
 
 

@@ -78,7 +78,7 @@ def left_out(bank: Bank) -> Result[LeftOut]:
     shares, stated, rows = bank.shares(), observations(), list[LeftOut]()
     best = max(bank.shown, key=bank.log_evidence)
     sources = [one.name.split("_")[0] if one.group == "rows" else one.group for one in stated]
-    for plant in (NONE, best, AVERAGE):
+    for plant in dict.fromkeys((NONE, best, AVERAGE)):
         mixed = shares if plant == AVERAGE else {plant: 1.0}
         for k, one in enumerate(stated):
             same = [i for i, source in enumerate(sources) if source == sources[k]]
@@ -149,6 +149,15 @@ class Verdict(NamedTuple):
     same_sign: Annotated[Array, Field(form=probability_text)]  #: Probability of its median's sign.
 
 
+def _mixed(weights: Array, own: dict[str, NDArray[np.bool]], shares: dict[str, float]) -> Array:
+    """Weights of machines of several plants, `own` which are of each; sum 1, or NaN of none."""
+    known = np.zeros(len(weights))
+    for plant, share in shares.items():
+        if weights[own[plant]].any():
+            known += share * weights * own[plant] / weights[own[plant]].sum()
+    return np.asarray(known / (known.sum() or np.nan))
+
+
 def verdicts(bank: Bank) -> Result[Verdict]:
     """All laws with all cabs on all plants, last the average weighted by evidence."""
     shares, every = bank.shares(), bank.verdicts
@@ -164,19 +173,16 @@ def verdicts(bank: Bank) -> Result[Verdict]:
         moved = np.array([r["pair"] - base[r["plant"], r["machine"]] for r in mine])
         count, flown = (np.array([r[name] for r in mine], float) for name in ("count", "flown"))
         own = {p: np.array([r["plant"] == p for r in mine]) for p in mixed}
-        spans = []
-        for weights in (count, count * flown):
-            known = np.zeros(len(mine))
-            for p, share in mixed.items():
-                if weights[own[p]].any():
-                    known += share * weights * own[p] / weights[own[p]].sum()
-            most = sum(share * size[p] for p, share in mixed.items())
-            total = known.sum() or np.nan
-            machines = min(effective_size(known / total), most)
-            spans.append(chance(float(known @ unstable) / total, machines))
+        most = sum(share * size[p] for p, share in mixed.items())
+
+        known = _mixed(count, own, mixed)
+        any_machine = chance(float(known @ unstable), min(effective_size(known), most))
+        known = _mixed(count * flown, own, mixed)  # those on which the law as flown is stable
+        machines = min(effective_size(known), most)
+        if_flown = chance(float(known @ unstable), machines)
         change = weighted_quantiles(moved, known, LEVELS)
-        same = float(known @ (np.sign(moved) == np.sign(change[1]))) / total
-        rows.append(Verdict(plant, law, cab, spans[1], spans[0], change, chance(same, machines)))
+        same = chance(float(known @ (np.sign(moved) == np.sign(change[1]))), machines)
+        rows.append(Verdict(plant, law, cab, if_flown, any_machine, change, same))
     return Result(rows, fields_of(Verdict))
 
 

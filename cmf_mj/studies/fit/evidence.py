@@ -36,7 +36,13 @@ from pydantic import Field
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.measures import Measures, are_stable, joined, least_damped_mode, measure_loop
+from cmf_mj.analysis.measures import (
+    Measures,
+    are_stable,
+    least_damped_mode,
+    measure_loop,
+    measures_from,
+)
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, within
@@ -224,7 +230,7 @@ def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
 
 def _with_bandwidths(measures: Measures, widths: Any) -> Measures:
     """Measures with bandwidths also where the step rings on."""
-    there = joined(widths)
+    there = measures_from(widths)
     return measures._replace(**{name: getattr(there, name) for name in _OF_RESPONSE})
 
 
