@@ -79,7 +79,7 @@ SIZE = sum(count for _, count in KINDS.values())
 WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
 
 LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
-SLOW = 0.2  #: Re + |Im| of a pole [rad/s] below which it does not count.
+SLOW = 0.3  #: Re + |Im| of a pole [rad/s] below which it does not count; leaks take 0.4 and more.
 LEAST = 0.05  #: Share of a number that is left of it at least.
 
 
