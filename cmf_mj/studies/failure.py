@@ -342,10 +342,10 @@ def run_failure(
     """Run one event and measure what it does.
 
     `case` names law, hexapod, degree of freedom and amplitude of the manoeuvre's sine (default 6 in
-    or 4 deg in heave with velocity feedback, the GFD, the `hardware` set); `after` is the length of
-    the run after the event [s]. `command`, or poses (N, 6) at the machine's control rate, stands in
-    for the sine and must be longer than `event.at`. `protection` is `default`, a TOML file, or None
-    for none.
+    or 4 deg in heave with velocity feedback, the GFD, the `hardware` set), about its pose, and has
+    its electronics and delay; `after` is the length of the run after the event [s]. `command`, or
+    poses (N, 6) at the machine's control rate, stands in for the sine and must be longer than
+    `event.at`. `protection` is `default`, a TOML file, or None for none.
     """
     chosen = make_case("velocity") if case is None else case
     check_name("plant", chosen.plant, [Hexapod.name])
@@ -355,13 +355,18 @@ def run_failure(
         size = by_kind(chosen.dof, *AMPLITUDES) * relative_travel(machine, chosen.dof)
     if command is None:
         command = faded_sine(chosen.dof, size, frequency, at=event.at, after=after)
+        command = Command(command.pose + np.asarray(chosen.pose), command.signal, command.seed)
         check_limits(command, machine=machine)
     command = commanded(command, machine.rate)
     length = (command.pose.shape[0] - 1) * machine.frame
     if not event.at < length:
         raise InputError(f"at: {event.at} s must be within the run of {length:g} s")
     message, usual = "", None
-    options: dict[str, Any] = {"events": [event], "protection": protection}
+    usually: dict[str, Any] = {
+        "electronics": chosen.electronics,
+        "command_delay": chosen.command_delay,
+    }
+    options = usually | {"events": [event], "protection": protection}
     try:
         record = simulate(plant, chosen.law, command, **options)
     except OutOfBounds as left:
@@ -370,7 +375,7 @@ def run_failure(
         shorter = Command(command.pose[: max(left.frame, 2)], command.signal, command.seed)
         record = simulate(plant, chosen.law, shorter, **options)
     if event.at < FADE and not message:
-        usual = float(_off(simulate(plant, chosen.law, command)).max())
+        usual = float(_off(simulate(plant, chosen.law, command, **usually)).max())
     how = (chosen.dof, protection is not None, record)
     return measure_failure(plant, event, *how, message=message, usual=usual)
 

@@ -11,6 +11,7 @@ from shared import cmf
 
 from cmf_mj import Hexapod, InputError, load_machine, simulate
 from cmf_mj.cli.simulate import events_of
+from cmf_mj.electronics.chain import load_electronics
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.events import KINDS, default_event
@@ -449,3 +450,15 @@ def test_all_is_every_kind_and_every_single_valve() -> None:
     assert {event.kind for event in events if event.valve == 1} == set(SINGLE)
     assert {event.leg for event in events} == {None, 3}
     assert {event.at for event in events} == {0.5}
+
+
+def test_a_case_keeps_its_pose_electronics_and_delay() -> None:
+    pose, noisy = (0.05, 0.0, -0.1, 0.0, 0.0, 0.0), load_electronics("noisy")
+    case = make_case("velocity", pose=pose, electronics=noisy, command_delay=3)
+    record = run_failure(default_event("valve_dead", 1.0), case, after=4.0).record
+    np.testing.assert_allclose(record["demand_pose"][0], pose, atol=1e-12)
+    assert record.metadata["command_delay"] == 3
+    assert (
+        record.metadata["electronics"]
+        != run_failure(default_event("valve_dead", 1.0), after=4.0).record.metadata["electronics"]
+    )
