@@ -25,7 +25,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,12 +92,26 @@ class ChannelColumns(Settings):
     offset: float | _Numbers = 0.0  #: What the file shows where the channel is zero [unit].
 
 
+class MappedColumn(NamedTuple):
+    """One column of a channel, which is sign (scale value - offset)."""
+
+    name: str  #: Empty for one that was not recorded.
+    unit: str
+    sign: int
+    scale: float
+    offset: float
+
+    def si(self, raw: Array) -> Array:
+        """Its values in SI."""
+        return units.to_si(self.unit, self.sign * (self.scale * raw - self.offset))
+
+
 class ColumnMap(Settings):
     """What the columns of a recording are, as heads this module.
 
     >>> position = {"columns": "x{leg}", "unit": "mm"}
     >>> made = ColumnMap(time={"rate": 500.0}, channels={"leg_position": position})
-    >>> made.columns("leg_position")[0][0]
+    >>> made.columns("leg_position")[0].name
     'x1'
     """
 
@@ -119,18 +133,18 @@ class ColumnMap(Settings):
                 if isinstance(one.columns, str) and "{leg}" not in one.columns:
                     allowed = "allowed: a pattern with {leg}, or six names"
                     raise InputError(f"columns: {one.columns!r} is refused; {allowed}")
-                for (_, unit, *_), si in zip(self.columns(name), _si(name), strict=True):
-                    _check_unit(unit, si)
+                for column, si in zip(self.columns(name), _si(name), strict=True):
+                    _check_unit(column.unit, si)
         return self
 
-    def columns(self, channel: str) -> list[tuple[str, str, int, float]]:
-        """Name, empty for one not recorded, unit, sign and offset of each column of a channel."""
+    def columns(self, channel: str) -> list[MappedColumn]:
+        """The six columns of a channel."""
         one = self.channels[channel]
         names = one.columns
         if isinstance(names, str):
             names = tuple(names.replace("{leg}", str(leg)) for leg in self.legs)
-        parts = [names, *(_six(part) for part in (one.unit, one.sign, one.offset))]
-        return list(zip(*parts, strict=True))
+        parts = map(_six, (names, one.unit, one.sign, one.scale, one.offset))
+        return list(map(MappedColumn, *parts))
 
 
 def _si(channel: str) -> list[str]:
@@ -205,15 +219,16 @@ def _known(metadata: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
 
 def _whole(source: Source, chosen: ColumnMap, stroke: float) -> ColumnMap:
     """A map without the channels that a file has not; the others have a number in every cell."""
-    names = {one: {name for name, *_ in chosen.columns(one)} for one in chosen.channels}
+    names = {one: {column.name for column in chosen.columns(one)} for one in chosen.channels}
     there = {one: chosen.channels[one] for one in names if names[one] & {*source.columns}}
     for channel in there:
         most = stroke if channel in STROKES else np.inf
-        for name, unit, *_ in chosen.columns(channel):
-            odd = ~(np.abs(units.to_si(unit, source.column(name))) < most)
+        for one in chosen.columns(channel):
+            odd = ~(np.abs(one.si(source.column(one.name))) < most)
             if odd.any():
-                allowed = f"allowed: a number within {units.from_si(unit, most):.6g} {unit}"
-                raise InputError(f"{name}: row {int(odd.argmax()) + 1} has no such; {allowed}")
+                allowed = f"allowed: a number within {units.from_si(one.unit, most):.6g} {one.unit}"
+                allowed += f" of {one.offset:g}" if one.offset else ""
+                raise InputError(f"{one.name}: row {int(odd.argmax()) + 1} has no such; {allowed}")
     if not source.ended:
         raise InputError("the last row has no line end and may be cut off; if it is whole, add one")
     return chosen.model_copy(update={"channels": there or chosen.channels})
@@ -227,8 +242,8 @@ def write_facility_csv(record: Record, path: str | Path) -> Path:
     chosen, columns, target = load_columns(), {}, Path(path)
     for channel in (name for name in chosen.channels if name in record.channels):
         legs = shaped(channel, record[channel], None, 6).T
-        for (name, unit, *_), leg in zip(chosen.columns(channel), legs, strict=True):
-            columns[name] = units.from_si(unit, leg)
+        for one, leg in zip(chosen.columns(channel), legs, strict=True):
+            columns[one.name] = units.from_si(one.unit, leg)
     rows = np.column_stack([record.time, *columns.values()])
     header = ",".join([str(chosen.time.column), *columns])
     footer = REMARK + json.dumps(dict(record.metadata) | {"sample_rate": record.rate})
@@ -275,26 +290,29 @@ def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
 
 
 def _last_place(source: Source, chosen: ColumnMap, channel: str) -> float:
-    """What the last decimal of a channel's columns is in SI, 0 where they fill a double."""
+    """What the last decimal of a channel's columns is in SI, 0 where they fill a double.
+
+    Columns with no number but zero do not tell.
+    """
     places = [0.0]
-    for name, unit, *_ in chosen.columns(channel) if channel in chosen.channels else ():
-        raw = source.columns.get(name, np.zeros(0))
-        fits = (n for n in range(10) if np.array_equal(np.round(raw, n), raw, equal_nan=True))
-        count = units.factor(unit) * abs(chosen.channels[channel].scale)
+    for one in chosen.columns(channel) if channel in chosen.channels else ():
+        raw = source.columns.get(one.name, np.zeros(0))
+        raw = raw[np.isfinite(raw) & (raw != 0.0)]
+        fits = (n for n in range(10) if raw.size and np.array_equal(np.round(raw, n), raw))
+        count = units.factor(one.unit) * abs(one.scale)
         places.append(next((count * 10.0**-n for n in fits), 0.0))
     return max(places)
 
 
 def _legs(source: Source, chosen: ColumnMap, channel: str) -> tuple[Array, list[str]]:
     """Histories of a channel in SI, (6, N), NaN for legs not recorded, and the names of these."""
-    one, columns, made, missing = chosen.channels[channel], chosen.columns(channel), [], []
+    columns, made, missing = chosen.columns(channel), [], []
     lost = np.full(next(iter(source.columns.values())).size, np.nan)
-    pattern = isinstance(one.columns, str)
-    if pattern and not any(name in source.columns for name, *_ in columns):
-        raise unknown_name(f"channels.{channel}: column", columns[0][0], source.columns)
-    for k, (name, unit, sign, offset) in enumerate(columns):
-        absent = not name or (pattern and name not in source.columns)
-        missing += [name or f"{channel} of leg {k + 1}"] if absent else []
-        raw = lost if absent else source.column(name)
-        made.append(units.to_si(unit, sign * (one.scale * raw - offset)))
+    pattern = isinstance(chosen.channels[channel].columns, str)
+    if pattern and not any(column.name in source.columns for column in columns):
+        raise unknown_name(f"channels.{channel}: column", columns[0].name, source.columns)
+    for k, column in enumerate(columns):
+        absent = not column.name or (pattern and column.name not in source.columns)
+        missing += [column.name or f"{channel} of leg {k + 1}"] if absent else []
+        made.append(column.si(lost if absent else source.column(column.name)))
     return np.array(made), missing

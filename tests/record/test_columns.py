@@ -82,6 +82,36 @@ def test_sign_scale_offset_and_order(tmp_path: Path) -> None:
     np.testing.assert_allclose(record["leg_position"], LEGS, atol=1e-12)
 
 
+@pytest.mark.parametrize("retracting", [1, -1])
+def test_the_stroke_of_a_whole_file_counts_from_its_offset(retracting: int, tmp_path: Path) -> None:
+    """Half-millimetres from retracted, up to twice the half stroke: a count is no extension."""
+    half = 1e3 * LAB.half_stroke
+    legs = np.tile(np.linspace(0.01, 1.99, 200)[:, None] * half, (1, 6))
+    position = {"scale": 0.5, "sign": retracting, "offset": half}
+    chosen = mapped(position=position, whole=True)
+    record = read_mapped(written(tmp_path, ".csv", columns(2.0 * legs)), chosen, LAB)
+    due = 1e-3 * retracting * (legs - half)
+    np.testing.assert_allclose(record["leg_position"], due, atol=1e-12)
+    legs[5, 2] = -1.0
+    words = f"x3: row 6 has no such; allowed: a number within {half:g} mm of {half:g}"
+    with pytest.raises(InputError, match=words):
+        read_mapped(written(tmp_path, ".csv", columns(2.0 * legs)), chosen, LAB)
+
+
+@pytest.mark.parametrize("untold", [0.0, np.nan, None])
+def test_a_column_without_numbers_does_not_tell_the_last_place(
+    untold: float | None, tmp_path: Path
+) -> None:
+    content = columns(np.round(1e3 * LEGS, 3))
+    content["x2"] = np.full(200, untold)
+    if untold is None:
+        del content["x2"]
+    channels = {"leg_reference": {"columns": "x{leg}", "unit": "mm"}}
+    file = written(tmp_path, ".parquet", content)
+    record = read_mapped(file, mapped(channels=channels), LAB)
+    assert record.metadata["recording"]["last_place"] == pytest.approx(1e-6)
+
+
 @pytest.mark.parametrize("rate", [128.0, 333.33, 682.0 + 2.0 / 3.0, 2048.0])
 def test_clock_is_found_through_stamps_of_few_digits(rate: float) -> None:
     even, found = even_clock(np.round(3.7 + np.arange(5000) / rate, 4))

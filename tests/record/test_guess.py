@@ -86,7 +86,7 @@ def test_guess_reads_names_units_and_labels(tmp_path: Path) -> None:
     made, text = guessed(names, tmp_path, 1, "Time [ms]")
     assert (made.time.column, made.time.unit) == ("Time [ms]", "ms")
     assert made.channels["leg_position"].unit == "in"
-    assert made.columns("cap_pressure")[2] == ("p3 [bar]", "bar", 1, 0.0)
+    assert made.columns("cap_pressure")[2] == ("p3 [bar]", "bar", 1, 1.0, 0.0)
     assert made.channels["demand_pose"].unit == ("m", "m", "m", "rad", "rad", "rad")
     assert "# not recognised: oil [C]" in text
     assert "# other channels: leg_velocity, " in text
