@@ -27,7 +27,6 @@ STANDARD_GRAVITY = constants.g
 PERCENT = 0.01
 GALLON = constants.gallon
 GALLON_PER_MINUTE = constants.gallon / constants.minute
-LITRE_PER_MINUTE = constants.liter / constants.minute
 HERTZ = 2.0 * np.pi
 
 _SI = (
@@ -41,8 +40,7 @@ _FACTORS: dict[str, float] = {
     "gal": GALLON,
     "gpm": GALLON_PER_MINUTE,
     "l": constants.liter,
-    "l/min": LITRE_PER_MINUTE,
-    "lpm": LITRE_PER_MINUTE,
+    **dict.fromkeys(("l/min", "lpm"), constants.liter / constants.minute),
     "mm": constants.milli,
     "cm": constants.centi,
     "ms": constants.milli,
@@ -74,10 +72,10 @@ _NAMES = {
     **{"kN": "N", "lbf": "N", "lbm": "kg", "deg": "rad", "%": "1", "ms": "s", "us": "s"},
     **{"kt": "m/s", "g": "m/s^2", "Hz": "rad/s", "in^2": "m^2", "gal": "m^3", "l": "m^3"},
     **dict.fromkeys(("gpm", "l/min", "lpm"), "m^3/s"),
-    **{"lbf s": "N s", "deg s": "rad s", "psi/gpm": "Pa s/m^3", "bar/lpm": "Pa s/m^3"},
+    **{"lbf s": "N s", "deg s": "rad s"},
     **dict.fromkeys(("lbm ft^2", "lbm in^2", "slug ft^2"), "kg m^2"),
 }
-"""SI units by the unit, or by a part of a compound one; those of SI are their own."""
+"""SI units by the part of a unit; those of SI are their own."""
 
 Value = TypeVar("Value", float, np.ndarray)
 
@@ -111,8 +109,11 @@ def si_unit(unit: str) -> str:
     factor(unit)
     if unit in _NAMES:
         return _NAMES[unit]
-    first, *rest = (_NAMES.get(part, part) for part in unit.split("/"))
-    return "/".join([first, *(part for part in rest if part != "1")])
+    first, *rest = (_NAMES.get(part, part).split("/") for part in unit.split("/"))
+    above = [first[0], *(part for _, *turned in rest for part in turned)]
+    below = [*first[1:], *(part for part, *_ in rest)]
+    product = " ".join(part for part in above if part != "1") or "1"
+    return "/".join([product, *(part for part in below if part != "1")])
 
 
 def to_si(unit: str, value: Value) -> Value:
