@@ -77,15 +77,20 @@ def exclusive_folder(folder: Path) -> Iterator[Path]:
     locks gives none.
     """
     check_target(folder / "any", "out", folder)
-    made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
+    made: list[Path] = []
     held = -1
     try:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            for path in (*reversed(folder.parents), folder):
+                if not os.path.exists(path):
+                    with suppress(FileExistsError):  # another run was faster
+                        path.mkdir()
+                        made.append(path)
             if fcntl:
-                held = os.open(folder, os.O_RDONLY)
+                held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            made.clear()
             fault = "another run writes to it; allowed: another folder, or to wait"
             raise InputError(f"out: {str(folder)!r} is refused: {fault}") from None
         except OSError as error:
@@ -97,11 +102,11 @@ def exclusive_folder(folder: Path) -> Iterator[Path]:
         finally:
             _sweep(folder)
     finally:
+        with suppress(OSError):  # not empty
+            for path in reversed(made):
+                path.rmdir()
         if held >= 0:
             os.close(held)
-        with suppress(OSError):  # not empty
-            for path in made:
-                path.rmdir()
 
 
 def _sweep(folder: Path) -> None:
@@ -191,8 +196,9 @@ def read_table(path: Path) -> pa.Table:
         return _read_parquet(path)
     if path.suffix != ".csv":
         raise InputError(f"{path}: must end in .csv or .parquet")
+    check_file(path)
     try:
-        table = pyarrow.csv.read_csv(check_file(path))
+        table = pyarrow.csv.read_csv(path)
         parts = (name.strip(' "').partition("[") for name in table.column_names)
         return table.rename_columns(["".join((name.lower(), *unit)) for name, *unit in parts])
     except (OSError, ValueError, pa.ArrowException) as error:
@@ -210,8 +216,9 @@ def read_headed(path: Path, key: str, model: type[Model]) -> tuple[pa.Table, Mod
 
 
 def _read_parquet(path: Path) -> pa.Table:
+    check_file(path)
     try:
-        table = pyarrow.parquet.read_table(check_file(path), page_checksum_verification=True)
+        table = pyarrow.parquet.read_table(path, page_checksum_verification=True)
         written = (table.schema.metadata or {}).get(_DIGEST)
         changed = written is not None and written != _digest(table)
     except (OSError, ValueError, pa.ArrowException) as error:

@@ -154,11 +154,13 @@ def as_tuples(value: Any) -> Any:
 
 
 def check_file(path: Path) -> Path:
-    """Refuse what is there and no file: a folder, or a pipe, which would be waited for."""
+    """Refuse what is no file: nothing, a folder, or a pipe, which would be waited for."""
     if "\0" in str(path):
         raise InputError(f"{str(path)!r}: cannot be read: no name has a null character")
-    if os.path.exists(path) and not os.path.isfile(path):
-        raise InputError(f"{path}: cannot be read: it is a folder or a device, not a file")
+    if not os.path.isfile(path):
+        there = "it is a folder or a device, not a file"
+        fault = there if os.path.exists(path) else "there is no such file"
+        raise InputError(f"{path}: cannot be read: {fault}")
     return path
 
 

@@ -25,6 +25,7 @@ from scipy.interpolate import BPoly
 from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.arrays import real, shaped
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import check_file
 from cmf_mj.facility.front import Source, from_table
 from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.host.stream import read_stream
@@ -68,8 +69,7 @@ class HostFile(Signal):
     """How velocities are made where the file has none."""
 
     def _check(self) -> None:
-        if not Path(self.file).is_file():
-            raise InputError(f"{self.file}: cannot be read: there is no such file")
+        check_file(Path(self.file))
 
     def command(self, seed: int = 0) -> Command:
         """Poses from the first frame's time to the last one's."""
