@@ -294,6 +294,11 @@ def test_bad_loops_are_named() -> None:
     )
     with pytest.raises(ValueError, match="model: leg_position is discrete"):
         leg_plant(discrete)
+    length = UnitTransferFunction(
+        [1.0], [1.0, 1.0], input_unit="%", output_unit="in", outputs="leg_velocity"
+    )
+    with pytest.raises(ValueError, match="output_unit: 'in' of leg_velocity is refused; .* m/s"):
+        leg_plant(length)
 
 
 def test_line_by_line_loop_is_that_of_the_state_space() -> None:

@@ -65,6 +65,9 @@ def leg_plant(model: UnitTransferFunction, *, frame: float = FRAME) -> control.S
     """
     given, allowed = model.output_labels[0], FEEDBACK[:3]
     place = FEEDBACK.index(check_name("model: output", given, allowed))
+    if units.si_unit(model.output_unit) != (si_unit := ("m", "m/s", "m/s^2")[place]):
+        fault = f"{model.output_unit!r} of {given} is refused; allowed: a unit of {si_unit}"
+        raise InputError(f"model: output_unit: {fault}")
     if not model.isctime():
         raise InputError(f"model: {given} is discrete; a continuous model is needed")
     si = model.to_si()
