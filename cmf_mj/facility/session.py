@@ -54,7 +54,7 @@ class Live(NamedTuple):
 
     time: float  #: Time of the next frame [s].
     qpos: NDArray[np.float64]  #: MuJoCo's generalised positions, (nq,).
-    demand: NDArray[np.float64]  #: Platform demand of the last frame [m, rad], z down, (6,).
+    demand: NDArray[np.float64]  #: Platform demand, last frame [m, rad], z down, (6,), or NaN.
     reference: NDArray[np.float64]  #: Leg reference [m].
     extension: NDArray[np.float64]  #: True leg extension from neutral [m].
     valve_command: NDArray[np.float64]  #: Fraction of full command.
@@ -279,7 +279,7 @@ class Session:
         """The present state."""
         memory, state, source = self.memory, self.dynamics.state, self.source
         poses, operating = source.poses, ""
-        demand = poses[max(self.frame - 1, 0) % poses.shape[0]]
+        demand = poses[max(self.frame - 1, 0) % len(poses)] if poses.size else np.full(6, np.nan)
         late = False
         if source.hosted:
             late = bool(host_late(source.blocks.dcu, source.dcu_state))

@@ -92,6 +92,7 @@ def test_an_open_loop_has_no_law_to_hand_over_from() -> None:
     with pytest.raises(InputError, match="law: velocity is refused; allowed: in a loop closed"):
         run.engage(load_law("velocity"))
     assert run.look().law == ""
+    np.testing.assert_array_equal(run.look().demand, np.full(6, np.nan))  # has no poses
 
 
 def test_a_request_needs_a_host() -> None:
