@@ -278,9 +278,8 @@ class Session:
     def look(self) -> Live:
         """The present state."""
         memory, state, source = self.memory, self.dynamics.state, self.source
-        poses, operating = source.poses, ""
+        poses, operating, late = source.poses, "", False
         demand = poses[max(self.frame - 1, 0) % len(poses)] if poses.size else np.full(6, np.nan)
-        late = False
         if source.hosted:
             late = bool(host_late(source.blocks.dcu, source.dcu_state))
             demand, operating = source.motion[0], State(source.progress[0].state).name.lower()
