@@ -188,7 +188,7 @@ class Field:
     name: str = ""  #: Column of frame and files; empty for what is only printed.
     title: str | None = None  #: Head of the column where it is printed; by default the name.
     form: str | Callable[[Any], str] | None = None
-    """Format of a number, which may end in a unit, see `table.number`; or what makes it text."""
+    """Format of a number, which may end in a unit, see `number`; or what makes it text."""
     unit: str = ""  #: In which it is printed; the frame has SI.
     of: str | Callable[[Any], Any] = ""
     """Path of attributes and entries that leads from a row to the value, by default the name; or
@@ -241,11 +241,11 @@ def fields_of(row: type) -> tuple[Field, ...]:
     | --- | --- |
     | velocity | 2.8 Hz |
     """
-    return tuple(
-        next((replace(f, name=name) for f in extras if isinstance(f, Field)), Field(name))
-        for name, hint in get_type_hints(row, include_extras=True).items()
-        for extras in [getattr(hint, "__metadata__", ())]
-    )
+    found = []
+    for name, hint in get_type_hints(row, include_extras=True).items():
+        stated = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Field)]
+        found.append(replace(stated[0], name=name) if stated else Field(name))
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    Field,
-    ModelWrapValidatorHandler,
-    PlainValidator,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PlainValidator, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from cmf_mj.analysis.modes import bound
@@ -111,7 +105,7 @@ class Run(Arguments):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _with_law(cls, table: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+    def _with_law(cls, table: Any, make: Callable[[Any], Self]) -> Self:
         """The machine's law where a run names none; it counts as not set."""
         if (
             not isinstance(table, dict)
@@ -224,12 +218,12 @@ class Run(Arguments):
         """
         if self.source is None:
             return SignalSession(self, keep)
-        plant = self._built()
+        plant = self.built_plant()
         law = None if self.law is None else self.begun_law()
         source, start, context = demands.as_source(self.source, plant, self.start)
         if self.operation is not None:
             source, start = self.operation.source(plant.machine, source, self.start, ring)
-        settings, frames = self._settled(plant.machine), self.frames
+        settings, frames = self.session_settings(plant.machine), self.frames
         how: Any = {"frames": frames, "context": context, "keep": keep, "pace": pace}
         return Session(plant, law, source, start, settings, **how)
 
@@ -252,12 +246,13 @@ class Run(Arguments):
                 progress(session.frame, session.frames)
         return session.record()
 
-    def _built(self) -> Plant:
+    def built_plant(self) -> Plant:
+        """The plant that was given, or a new one of that name."""
         if isinstance(self.plant, Plant):
             return self.plant
         return make_plant(self.plant, self.carried, self.hydraulics)
 
-    def _settled(self, machine: Machine) -> parts.SessionSettings:
+    def session_settings(self, machine: Machine) -> parts.SessionSettings:
         """Settings of the run as its session takes them."""
         guard, electronics = self.protection, self.electronics
         if electronics is not None and electronics.seed is None:
@@ -282,8 +277,8 @@ class SignalSession(Session):
         """
         if run.source is not None:
             raise InputError("source: is a table or a host's; allowed: a run of signals")
-        plant, operation = run._built(), run.operation
-        self._begun_as, rate, frames = run, plant.machine.rate, run.frames
+        plant, operation = run.built_plant(), run.operation
+        self._scenario, rate, frames = run, plant.machine.rate, run.frames
         self._demand = demands.LayeredDemand(demands.added(run.signal, run.seed, rate))
         if operation is None:
             table = demands.TableFeed(self._demand, plant.machine)
@@ -295,28 +290,32 @@ class SignalSession(Session):
             self._feed = hosted
             source, start = operation.source(plant.machine, hosted.log, run.start)
         keep = 600.0 if frames is None and keep is None else keep
-        settings, frames = run._settled(plant.machine), frames or MOST_FRAMES
+        settings, frames = run.session_settings(plant.machine), frames or MOST_FRAMES
         super().__init__(plant, run.begun_law(), source, start, settings, frames=frames, keep=keep)
         self._filled = 0
         load = cache(partial(load_law, machine=plant.machine))
         self._due = deque(self._checked(one.when(rate), one, load) for one in run.change)
-        self._laws(self._due)
+        self._laws_after(self._due)
         self._done: list[parts.Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
-        self._strikes = sorted(round(event.at * rate) + 1 for event in run.events)
+        self._after_failures = sorted(round(event.at * rate) + 1 for event in run.events)
 
     def run(self, frames: int | None = None) -> None:
-        """Run a number of control frames, at most to the end; refusals as of any session."""
+        """Run a number of control frames, at most to the end; refusals as of any session.
+
+        In parts, each to the next frame in which something is due: the end, a change, a new block
+        of the demand, or the frame after a failure, in which an overload joins the pushes.
+        """
         target = self.frames if frames is None else min(self.frame + frames, self.frames)
         while self.frame < target:
             while self._due and self._due[0].frame <= self.frame:
-                self._happen(self._due.popleft())
+                self._carry_out(self._due.popleft())
             if self.frame % demands.BLOCK == 0:
-                self._fill(self.frame)
+                self._refill(self.frame)
             self.push(self._pushes)
             ends = [target, (self.frame // demands.BLOCK + 1) * demands.BLOCK]
             ends += [due.frame for due in self._due]
-            ends += [strike for strike in self._strikes if strike > self.frame]
+            ends += [strike for strike in self._after_failures if strike > self.frame]
             super().run(min(ends) - self.frame)
 
     def apply(self, change: parts.Change) -> None:
@@ -331,12 +330,12 @@ class SignalSession(Session):
         coming = list(self._due)
         load = partial(load_law, machine=self.plant.machine)
         coming.insert(at, self._checked(self.frame, change, load))
-        self._laws(coming)
+        self._laws_after(coming)
         self._due = deque(coming)
 
     def done(self) -> Run:
         """What has been done so far, as a run that does it again bit for bit."""
-        frames, begun, rate = max(self.frame, 1), self._begun_as, self.rate
+        frames, begun, rate = max(self.frame, 1), self._scenario, self.rate
         past: dict[str, Any] = {
             "change": tuple(change for change in self._done if change.when(rate) < frames),
             "events": tuple(event for event in begun.events if round(event.at * rate) < frames),
@@ -359,12 +358,12 @@ class SignalSession(Session):
 
     def _checked(self, frame: int, change: parts.Change, load: Any) -> parts.Due:
         """The change with its motion, after a check that all of it is possible."""
-        run, signal = self._begun_as, change.signal
+        run, signal = self._scenario, change.signal
         change.check(run.plant, run.operation is not None)
         motion = None if signal is None else demands.added(signal, run.seed, self.rate)
         return parts.Due(frame, change, motion, None if change.law is None else load(change.law))
 
-    def _laws(self, coming: Sequence[parts.Due]) -> list[Law]:
+    def _laws_after(self, coming: Sequence[parts.Due]) -> list[Law]:
         """The law after each of the coming changes; one may make the next impossible."""
         laws = [] if self._engaged is None else [self._engaged]
         for due in coming:
@@ -372,25 +371,26 @@ class SignalSession(Session):
             laws.append(bound(law, self.plant))
         return laws[1:]
 
-    def _happen(self, due: parts.Due) -> None:
+    def _carry_out(self, due: parts.Due) -> None:
+        """Make a change, and keep it with its frame for `done`."""
         change = due.change
         self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
         if change.law is not None or change.gains:
-            self.engage(self._laws([due])[0])
+            self.engage(self._laws_after([due])[0])
         if due.motion is not None:
             self._demand.change(self.frame, due.motion, round(change.fade * self.rate))
             if self.frame % demands.BLOCK:
-                self._fill(self._filled)
+                self._refill(self._filled)
         for failure in change.failure:
             self.inject(Event(at=self.frame / self.rate, **dict(failure)))
-            self._strikes.append(self.frame + 1)
+            self._after_failures.append(self.frame + 1)
         if change.push is not None:
             push = change.push
             self._pushes[self.body(push.body)] = (*push.force, *push.torque)
         if change.request is not None:
             self.request(Request[change.request.upper()])
 
-    def _fill(self, first: int) -> None:
+    def _refill(self, first: int) -> None:
         self._feed.fill(first)
         if isinstance(self._feed, demands.HostFeed):
             self.exchange(arrivals=self._feed.log)
