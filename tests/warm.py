@@ -20,7 +20,9 @@ from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
 from cmf_mj.control.inverse import follow, opened
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection, make_protection
+from cmf_mj.control.states import Request, State
 from cmf_mj.electronics.chain import gravity_history
+from cmf_mj.facility.host import handover
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.run import SignalSession
 from cmf_mj.facility.scenario import load_scenario
@@ -66,14 +68,14 @@ def table() -> None:
 def chain() -> None:
     SignalSession(load_scenario("operate_from_settled")).run(4)
     dcu = make_dcu(load_dcu())
-    upsample(dcu, resting(dcu), host.make_log(1), 1)
-    limit_chain.run(limit_chain.State.OFF, [limit_chain.Request.NONE], np.zeros((1, 6)))
-    machine = operating_states.at(operating_states.State.OFF)
-    operating_states.run(machine, [operating_states.Request.NONE])
+    upsample(dcu, resting(dcu), handover.make_log(1), 1)
+    limit_chain.run(np.zeros((2, 6)))
+    machine = operating_states.at(State.OFF)
+    operating_states.run(machine, [Request.NONE])
     operating_states.test_the_diagram_of_the_documentation_has_every_change_and_no_other()
-    live = streams.build(streams.State.ENGAGED, [])
+    live = streams.build(State.ENGAGED, [])
     streams._advance(live, 0, 1, np.zeros(6), 2**40, np.zeros((3, 1, 6)))
-    host._read_until(host.make_ring(2), host.make_log(1), 0)
+    host._read_until(handover.make_ring(2), handover.make_log(1), 0)
     for settings in ("simona", "predictive", "optimal"):
         flown, by_frame = level(0.1), Washout(settings)
         stream = Washout(settings).run(flown)
