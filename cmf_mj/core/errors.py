@@ -17,7 +17,7 @@ class CmfError(Exception):
     ...     cmf_mj.load_law("fast.toml")
     ... except cmf_mj.CmfError as error:
     ...     print(error)
-    fast.toml: cannot be read: No such file or directory
+    fast.toml: cannot be read: there is no such file
     """
 
     __module__ = "cmf_mj"

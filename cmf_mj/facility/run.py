@@ -223,7 +223,7 @@ class Run(Arguments):
         source, start, context = demands.as_source(self.source, plant, self.start)
         if self.operation is not None:
             source, start = self.operation.source(plant.machine, source, self.start, ring)
-        settings, frames = self.session_settings(plant.machine), self.frames
+        settings, frames = self._session_settings(plant.machine), self.frames
         how: Any = {"frames": frames, "context": context, "keep": keep, "pace": pace}
         return Session(plant, law, source, start, settings, **how)
 
@@ -252,7 +252,7 @@ class Run(Arguments):
             return self.plant
         return make_plant(self.plant, self.carried, self.hydraulics)
 
-    def session_settings(self, machine: Machine) -> parts.SessionSettings:
+    def _session_settings(self, machine: Machine) -> parts.SessionSettings:
         """Settings of the run as its session takes them."""
         guard, electronics = self.protection, self.electronics
         if electronics is not None and electronics.seed is None:
@@ -290,7 +290,7 @@ class SignalSession(Session):
             self._feed = hosted
             source, start = operation.source(plant.machine, hosted.log, run.start)
         keep = 600.0 if frames is None and keep is None else keep
-        settings, frames = run.session_settings(plant.machine), frames or MOST_FRAMES
+        settings, frames = run._session_settings(plant.machine), frames or MOST_FRAMES
         super().__init__(plant, run.begun_law(), source, start, settings, frames=frames, keep=keep)
         self._filled = 0
         load = cache(partial(load_law, machine=plant.machine))
