@@ -35,7 +35,7 @@ from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
-from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, SLOW, Box, Family
+from cmf_mj.studies.certificate_family import LARGEST, SIZE, SLOW, Box, Family
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
@@ -160,8 +160,7 @@ def certify(
         parts = np.array_split(some, len(some) // _CHUNK + 1)
         drawn.append(np.concatenate([pose.damping_in(box, part) for part in parts]))
         worst.append(some[drawn[-1].argmin()])
-    none = np.zeros((1, sum(SIZES)))
-    nominal = [float(pose.damping(none)[0]) for pose in poses]
+    nominal = [pose.nominal() for pose in poses]
     weakest = sorted(range(len(poses)), key=lambda i: drawn[i].min())
     broken, proofs = (poses[int(np.argmin(nominal))], np.zeros(SIZE), 0.0), []
     if min(nominal) > 0.0:

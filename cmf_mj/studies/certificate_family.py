@@ -23,8 +23,8 @@ s = (2 / T) atanh(w T/2) and the hold for the mean of two frames: right up to (w
 
 Poles slower than `SLOW` do not count. They are the mean pressures of chambers, which creep as fast
 as pistons leak; a leg whose valve begins to open under its load has one at 0, where what is left
-out decides its sign. `operating_point` takes rests alone that keep themselves, and machines of
-such boxes, linearised one by one, are stable.
+out decides its sign. `operating_point` takes rests alone that keep themselves. They count in the
+nominal machine, so that a law that lets the platform creep away is not certified.
 """
 
 from collections.abc import Mapping
@@ -75,11 +75,10 @@ KINDS = {
 """Paths of the unknowns and how many numbers each has, in the order of a point of the box."""
 
 SIZE = sum(count for _, count in KINDS.values())
-
 WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
-
 LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
 SLOW = 0.3  #: Re + |Im| of a pole [rad/s] below which it does not count; leaks take 0.4 and more.
+_STILL = 1e-7  #: Rate [rad/s] of a pole that is at 0 but for rounding.
 LEAST = 0.05  #: Share of a number that is left of it at least.
 
 
@@ -140,12 +139,8 @@ largest of them over the stall force."""
 _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01  #: Range of the slopes taken over the one found.
-_OF_LEGS = {
-    name: slice(6 * i, 6 * i + 6)
-    for i, name in enumerate(
-        ("drive", "spool", "cap_port", "rod_port", "leak", "cap_oil", "rod_oil")
-    )
-}
+_NAMES = "drive spool cap_port rod_port leak cap_oil rod_oil".split()
+_OF_LEGS = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(_NAMES)}
 """Parameters of legs, each of which enters once, by what they change."""
 _LEGS = 6 * len(_OF_LEGS)
 _OF_CAB = (3, 4, 4, 4, 3)
@@ -295,6 +290,13 @@ class Family:
         poles = np.linalg.eigvals(_off(self.loop, deltas))
         slow = poles.real + np.abs(poles.imag) < SLOW
         return np.asarray(np.where(slow, 1.0, -poles.real / np.abs(poles)).min(axis=1))
+
+    def nominal(self) -> float:
+        """That of the nominal machine, whose slow poles are exact: -1 where one does not decay."""
+        poles = np.linalg.eigvals(self.loop.a)
+        slow = poles[poles.real + np.abs(poles.imag) < SLOW]
+        holds = bool((slow.real < -_STILL).all())
+        return float(self.damping(np.zeros((1, sum(SIZES))))[0]) if holds else -1.0
 
     def damping_in(self, box: Box, points: Array) -> Array:
         """Damping ratios at points of the unit box."""

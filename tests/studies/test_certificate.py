@@ -14,6 +14,7 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.analysis.measures import are_stable
 from cmf_mj.analysis.modes import bound
+from cmf_mj.control.law import Gains
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns
@@ -172,6 +173,20 @@ def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
     assert one.nominal < 0.0
     assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
     assert one.beyond > 0.5
+
+
+@pytest.mark.parametrize("position", [0.0, 0.2, -0.2])
+def test_a_law_that_lets_the_platform_creep_away_is_not_certified(
+    position: float, tmp_path: Path, plant: cmf_mj.Hexapod
+) -> None:
+    """Without position feedback, or with the wrong sign: no pole is faster than 0.04 rad/s."""
+    gains = Gains(velocity=-2.3, reference=-position, position=position)
+    law = cmf_mj.Law(name="creeps", title="Creeps", direct_gain=gains)
+    held = position < 0.0
+    assert (Family(plant, law, np.zeros(6)).nominal() > 0.0) == held
+    if not held:
+        one = certify(plant, law, tmp_path, BOX, QUICK._replace(poses=1, samples=64))
+        assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
 
 
 def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
