@@ -1,13 +1,11 @@
 # Two commands on a fresh machine with Python 3.11 and make:
 #   make compare   set up and run the main job
 #   make test      set up and check what guards a change, within ten minutes
-#   make test-all  that, and what is slow by nature: browser, films, whole studies, long searches
+#   make test-all  that, and what is slow by nature: browser, whole studies, long searches
 #   make search    the searches ten times longer: hours
 #   make test-versions  the tests with the lowest and the newest versions allowed, and pre-releases
 #   make site      the documentation as a site in build/site
 #   make paper     two pages to cite: build/paper/paper.pdf (needs chromium)
-#   make video     set up and film the machine in motion: out/video.mp4
-#   make studio    set up and open the machine in a web page
 #   make laws      measure all shipped laws and refresh their tables in docs: an hour
 #   make report    set up and reproduce the report on one page: out/report/report.html
 # Both build .venv from constraints.txt. The plain pip lines are in the README.
@@ -20,7 +18,7 @@ WORKERS ?= auto
 export OPENBLAS_NUM_THREADS = 1
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare laws report video studio test test-all test-versions lint types imports links tests slow search site paper constraints clean
+.PHONY: compare laws report test test-all test-versions lint types imports links tests slow search site paper constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
@@ -44,12 +42,6 @@ laws: $(VENV)/ready
 
 report: $(VENV)/ready-report
 	$(BIN)/cmf report
-
-video: $(VENV)/ready-video
-	$(BIN)/cmf video tour --fps 15 --file out/video.mp4
-
-studio: $(VENV)/ready-studio
-	$(BIN)/cmf studio
 
 test: lint types imports links tests
 

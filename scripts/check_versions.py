@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 EXTRAS = (
-    *("report", "cluster", "video", "studio", "flight", "rl"),
+    *("report", "cluster", "flight", "rl"),
     *("verification", "docs"),
 )
 """Extras that the tests of the package import."""

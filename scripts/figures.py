@@ -4,17 +4,12 @@
     python scripts/figures.py limits    a leg demand that leaves its limits, clamped and limited
     python scripts/figures.py lurch     raising from the stops, with the integrator's trigger or not
     python scripts/figures.py rotation  damping over gain of acceleration and height of the cab
-    python scripts/figures.py model     the machine with a cab, or the excavator; --motion films it
-    python scripts/figures.py studio    the studio's page in a headless Chromium, after a push
+    python scripts/figures.py model     the machine with a cab, or the excavator
 
-Off-screen: without a display EGL and then OSMesa are tried, unless MUJOCO_GL names one. `studio`
-needs Debian's package `chromium` and the extras `studio` and `dev`.
+Without a display, MUJOCO_GL names the OpenGL to render with: egl or osmesa.
 """
 
 import argparse
-import io
-import shutil
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +19,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
-from PIL import Image
-from playwright.sync_api import Page, ViewportSize, sync_playwright
 
 from cmf_mj import Hexapod, Linear, load_cab, load_law, signals
 from cmf_mj.cli.common import refuse
@@ -35,18 +28,12 @@ from cmf_mj.core import units
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.facility.operation import Operation, operate
-from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.report_2014.posterior.run import acceleration_law
-from cmf_mj.show.film import FilmSettings, film
 from cmf_mj.show.look import DARK, legend, new_figure, save_figure
 from cmf_mj.show.operation import overview_figure
-from cmf_mj.show.stage import FilmStage
-
-MOTION = FilmSettings(fps=10, width=400, height=270, strip=150)
-"""Small enough for a README."""
 
 NO_TRIGGER = -40.0
 """Below the mechanical stop [in]: no leg comes there."""
@@ -63,18 +50,6 @@ ROWS = (
     ("velocity [in/s]", units.INCH),
     ("acceleration [g]", units.STANDARD_GRAVITY),
 )
-
-SIZE = ViewportSize(width=1440, height=900)
-"""Of the studio's picture [px]."""
-
-CHROMIUM = (
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
-)
-"""Arguments without a GPU: WebGL in software."""
-
-PATIENCE = 120_000
-"""Longest wait for the page [ms]."""
 
 
 def cycle(options: argparse.Namespace) -> None:
@@ -258,64 +233,25 @@ def rotation(options: argparse.Namespace) -> None:
 
 
 def model(options: argparse.Namespace) -> None:
-    """Picture or film of a machine."""
-    if options.motion is not None:
-        shown = load_scenario(options.motion)
-        changes = {"cab": options.cab, "duration": options.seconds, "record_every": 8}
-        record = shown.model_copy(update=changes).record()
-        film([record], options.out, MOTION, titles=[shown.title])
-        return
+    """Picture of a machine."""
     if options.excavator:
         drawn = mujoco.MjModel.from_xml_path(str(models.model_path("excavator.xml")))
     else:
         drawn = hexapod_model(options.cab)
-    with FilmStage(drawn, options.width, options.height, options.camera) as stage:
-        pixels = stage.picture(mujoco.MjData(drawn).qpos)
+    data = mujoco.MjData(drawn)
+    mujoco.mj_forward(drawn, data)
+    with mujoco.Renderer(drawn, options.height, options.width) as renderer:
+        renderer.update_scene(data, options.camera)
+        pixels = renderer.render()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     matplotlib.image.imsave(options.out, pixels)
-
-
-def begin(page: Page, url: str, seconds: float) -> None:
-    """Open the page, push the platform and let some time pass."""
-    page.set_default_timeout(PATIENCE)
-    page.goto(url)
-    page.get_by_text("real-time factor").wait_for()
-    for button in page.locator(".mantine-Notification-closeButton").all():
-        button.click()
-    page.get_by_label("push", exact=True).first.click()
-    page.get_by_role("option", name="left", exact=True).click()
-    page.get_by_label("push now", exact=True).first.click()
-    page.mouse.move(SIZE["width"] / 2, SIZE["height"] / 2)
-    page.wait_for_timeout(1000.0 * seconds)
-
-
-def studio(options: argparse.Namespace) -> None:
-    """Picture of the studio."""
-    from cmf_mj.show.studio.server import Studio
-
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        raise ValueError("no Chromium to open the page in: apt-get install chromium")
-    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    served = Studio(port=options.port)
-    try:
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium, args=list(CHROMIUM))
-            page = browser.new_page(viewport=SIZE)
-            begin(page, served.url, options.seconds)
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            picture = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
-            picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(options.out, optimize=True)
-            browser.close()
-    finally:
-        served.stop()
 
 
 def main() -> None:
     """Draw the picture that is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     pictures = parser.add_subparsers(dest="picture", required=True)
-    lengths = {cycle: 34.0, limits: None, lurch: None, rotation: None, model: 6.0, studio: 12.0}
+    lengths = {cycle: 34.0, limits: None, lurch: None, rotation: None, model: None}
     for draw, seconds in lengths.items():
         name = draw.__name__
         one = pictures.add_parser(name, help=(draw.__doc__ or "").splitlines()[0])
@@ -325,20 +261,16 @@ def main() -> None:
             one.add_argument("--seconds", type=float, default=seconds, help="length of the run")
         if draw in (cycle, lurch):
             one.add_argument("--law", default="velocity_integral", help="a law with an integral")
-    limited, lurching, drawn, page = (
-        pictures.choices[n] for n in ("limits", "lurch", "model", "studio")
-    )
+    limited, drawn = pictures.choices["limits"], pictures.choices["model"]
     limited.add_argument("--limits", type=Path, help="TOML file of limits that differ")
     pictures.choices["lurch"].add_argument(
         "--wait", type=float, default=60.0, help="time on the stops [s]"
     )
     drawn.add_argument("--cab", choices=models.CABS, default="gfd", help="default: %(default)s")
     drawn.add_argument("--excavator", action="store_true", help="draw the excavator instead")
-    drawn.add_argument("--motion", metavar="SCENARIO", help="film it instead: name or file")
     drawn.add_argument("--camera", default="overview", help="overview, side or front (hexapod)")
     drawn.add_argument("--width", type=int, default=1280, help="pixels, at most 1920")
     drawn.add_argument("--height", type=int, default=720, help="pixels, at most 1080")
-    pictures.choices["studio"].add_argument("--port", type=int, default=8471, help="TCP port")
     options = parser.parse_args()
     try:
         options.draw(options)

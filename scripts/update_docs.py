@@ -58,9 +58,9 @@ COPIES = {
     "compare/step_surge.png": "images/step_surge.png",
     "modes/modes_sweep.png": "images/modes_sweep.png",
     "films/surge_heave.html": "_static/films/surge_heave.html",
-    # cmf video surge_ring --laws velocity,position_error_rate --start 0.8 --seconds 3 --speed 0.25
+    # cmf play surge_ring --laws velocity,position_error_rate --start 0.8 --seconds 3 --speed 0.25
     "films/surge_laws.html": "_static/films/surge_laws.html",
-    # cmf video surge.toml heave.toml of docs/_static/course, as the lesson says
+    # cmf play surge.toml heave.toml of docs/_static/course, as the lesson says
     "films/course.html": "_static/films/course.html",
     "films/cueing.html": "_static/films/cueing.html",
     **{
@@ -71,7 +71,7 @@ COPIES = {
     **{f"course/{name}.html": f"_static/course/{name}.html" for name in ("exercises", "leg")},
     "course/gains.png": "images/course_gains.png",
     "course/fit.png": "images/course_fit.png",
-    "films/valve_hard_over.mp4": "_static/films/valve_hard_over.mp4",
+    "films/valve_hard_over.html": "_static/films/valve_hard_over.html",
     "fit/report/stated.png": "images/calibration_report.png",
     "fit/hardware/stated.png": "images/calibration_hardware.png",
     "omct/omct.png": "images/omct.png",
@@ -83,7 +83,6 @@ COPIES = {
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "verification/crane.png": "images/crane.png",
-    "capacity/envelope.png": "images/envelope.png",
     "ablation/ladder.png": "images/ladder.png",
     "stiffness/stiffness.png": "images/stiffness.png",
     "mismatch/rates.png": "images/mismatch_rates.png",

@@ -11,7 +11,6 @@ LINES = {
     "run": "run heave_step --out {out}",
     "compare": "compare --laws velocity --dofs heave --quick --out {out}",
     "failure": "failure pump_lost --after 4 --at 1 --out {out}",
-    "capacity": "capacity --signal sine --dofs heave --out {out}",
     "linearize": "linearize --out {out}",
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --out {out}",
     "measure": "measure {swept} --out {out}",
@@ -38,7 +37,7 @@ LINES = {
     "machine new": "machine new mine --file {out}/mine.toml",
     "machine build": "machine build cmf --out {out}",
     "export": "export library --out {out}",
-    "video": "video heave_step --seconds 0.5 --file {out}/x.mp4",
+    "play": "play heave_step --seconds 0.5 --file {out}/x.html",
 }
 """Lines by the words of their commands."""
 

@@ -36,7 +36,6 @@ SEAMS = (
     "studies.engine:_started",
     "studies.tuning.search:cost",
     "studies.fit.evidence:Linear",
-    "show.studio.server:Studio.__init__",
 )
 """Functions in which the work of commands begins, besides joblib's."""
 
@@ -49,7 +48,7 @@ TEXTS = (
     *("velocity,velocity", "velocity,all", "heave,heave", r"$\foo$", "missing.toml", "missing.csv"),
     *("missing.parquet", "é\u202e", "-1", "1 in", "0 in", "nan in", "inf deg", "1e300 in", "-5 in"),
     *("3 deg", "1 kg", "in", "1  in", "1,2,3", "0,0,0,0,0,0", "nan,0,0,0,0,0", "9e9,0,0,0,0,0"),
-    *("0,0,0", "4,3,1", "99999999,1,1", "127.0.0.1:9", "256.0.0.1:x", ":", "x.mp4", "x.xyz"),
+    *("0,0,0", "4,3,1", "99999999,1,1", "127.0.0.1:9", "256.0.0.1:x", ":", "x.html", "x.xyz"),
 )
 VALUES: tuple[Any, ...] = (
     *(0, -1, 1, 2**31, 2**70, 0.0, -0.0, 1e-320, 1e17, 1e300, float("nan"), float("inf"), True),
@@ -177,7 +176,7 @@ def line(
         if option.name == "out":
             given += ["--out", "out"]
         elif option.name in ("file", "target"):
-            given += ["--file", str(pick(generator, ("out/x.mp4", "out/x.csv", "out/x.toml")))]
+            given += ["--file", str(pick(generator, ("out/x.html", "out/x.csv", "out/x.toml")))]
     return given
 
 

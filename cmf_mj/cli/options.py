@@ -138,7 +138,7 @@ size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 
 new_file = partial(file, callback=check_writable)  #: Option of a file to write.
 
-_of_machine, _of_film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
+_of_machine = partial(Option, rich_help_panel="Machine")
 _read_first = partial(Option, is_eager=True)  #: Before the options whose names depend on it.
 
 ALL, VELOCITY = ["all"], ["velocity"]  #: Defaults of options that take several names.
@@ -194,12 +194,4 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]
 Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
-Fps = Annotated[int, _of_film(help="frame rate of a film [1/s]")]
-Speed = Annotated[float, _of_film(help="times real speed")]
-Camera = Annotated[
-    str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=_of_film)
-]
-Width = Annotated[int, _of_film(help="of the picture of one run [px]")]
-Height = Width
-Start = Annotated[float, _of_film(help="time in the run when a film begins [s]")]
-Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]
+Seconds = Annotated[float | None, Option(help="length of a run [s]; default to the end")]

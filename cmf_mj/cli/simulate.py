@@ -1,4 +1,4 @@
-"""Simulate: `cmf run`, `compare`, `failure`, `capacity`, `video` and `studio`."""
+"""Simulate: `cmf run`, `compare`, `failure` and `play`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from cmf_mj.cli.common import (
     amplitude_option,
     app,
     claim,
-    given_by_user,
     noise_option,
     progress_bar,
     quantity_option,
     show,
     written,
 )
-from cmf_mj.cli.options import argument, name_or_file, new_file, size
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.cli.options import argument, choice, name_or_file, new_file, size
+from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
     from cmf_mj.plant.events import Event
@@ -32,11 +31,6 @@ command = partial(app.command, rich_help_panel="Simulate")
 drawing = options.drawing(command)
 
 _DEFAULT_LAWS = ["velocity", "position_error_rate", "acceleration"]
-_MOTIONS = (
-    "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
-    "time [s], surge, sway, heave [m], roll, pitch, yaw [rad]"
-)
-_SIGNALS = "studies.capacity:SIGNALS"
 _SIZE = "of sweeps in translation; rotations are 0.2 deg, steps 1 in for every 0.33 in of it"
 
 
@@ -171,47 +165,18 @@ def failure_command(
     )
 
 
-@drawing("capacity")
-def capacity_command(
-    signal: Annotated[str, name_or_file(_SIGNALS, "SIGNAL", _MOTIONS)] = "sine",
-    dof: options.Dof = "heave",
-    amplitude: Annotated[str | None, size(help="with its unit; sine on the CMF '15 in'")] = None,
-    frequency: Annotated[float | None, Option(help="of the sine, else the highest [Hz]")] = None,
-    law: options.Law = "velocity",
-    machine: options.Machine = "cmf",
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "hardware",
-    least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
-    dofs: options.Dofs = options.ALL,
-    out: options.Out = Path("out/capacity"),
-) -> None:
-    """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
-    from cmf_mj.core import units
-    from cmf_mj.show import operation as report
-    from cmf_mj.studies import asymptotes
-    from cmf_mj.studies.capacity import capacity, manoeuvre
-
-    plant = cmf_mj.Hexapod(cab, hydraulics)
-    least = None if least_pressure is None else least_pressure * units.PSI
-    demand = manoeuvre(signal, dof, amplitude_option(dof, amplitude), frequency, machine)
-    result = capacity(demand, plant, law, least_pressure=least)
-    paths = report.save_capacity(result, plant, dofs, out)
-    show(report.capacity_result(result).turned, asymptotes.envelope(plant, dofs), written(paths))
-
-
 _SOURCES = "scenarios, or Parquet records (of a flight with what its pilot felt)"
 
 
 def _differing(name: str, names: list[str]) -> str:
     """What of a file's path is not in all paths; its name or a run's folder where nothing is."""
-    parts, *others = (Path(one).with_suffix("").parts for one in (name, *names))
+    parts, *others = (Path(path).with_suffix("").parts for path in (name, *names))
     own = [part for part in parts if not all(part in other for other in others)]
     return "/".join(own or [part for part in parts[-2:] if part != "record"])
 
 
-@command("video")
-def video_command(
-    context: Context,
+@command("play")
+def play_command(
     sources: Annotated[
         list[str] | None, argument(options.SCENARIOS, "[SOURCE]...", _SOURCES, free=True)
     ] = None,
@@ -220,29 +185,27 @@ def video_command(
     ] = None,
     machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
-    file: Annotated[Path, new_file(help="MP4 file, or HTML page to play")] = Path("out/video.mp4"),
-    fps: options.Fps = 30,
-    speed: options.Speed = 1.0,
-    camera: options.Camera = "overview",
-    width: options.Width = 720,
-    height: options.Height = 450,
-    start: options.Start = 0.0,
-    seconds: options.Seconds = None,
+    file: Annotated[Path, new_file(help="HTML file")] = Path("out/play.html"),
+    speed: Annotated[float, Option(help="times real speed")] = 1.0,
+    camera: Annotated[
+        str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front")
+    ] = "overview",
+    start: Annotated[float, Option(help="time in the runs when the page begins [s]")] = 0.0,
+    seconds: Annotated[
+        float | None, Option(help="length of the part of the runs [s]; default to the end")
+    ] = None,
 ) -> None:
-    """Show runs side by side, as MP4 or an HTML page; needs no display."""
-    from cmf_mj.show.film import FilmSettings, film
+    """Write runs side by side as a page that plays them."""
     from cmf_mj.show.flight import saved_traces
+    from cmf_mj.show.player.play import play
 
-    given = [name for name in ("fps", "width", "height") if given_by_user(context, name)]
-    if given and file.suffix == ".html":
-        text = "a page is as large as its window and draws as fast as its browser"
-        raise InputError(f"{', '.join(given)}: {text}; leave out, or write .mp4")
     names = sources or ["heave_sine"]
-    kept = [Path(name) / "record.parquet" for name in names]  # of folders of runs
-    names = [str(path) if path.is_file() else name for name, path in zip(names, kept, strict=True)]
-    look = FilmSettings(fps, speed, camera, width, height, start=start, seconds=seconds)
     if len(names) > 1 and laws:
         raise InputError("laws: are for one scenario; give one, or no laws")
+    of_runs = [Path(name) / "record.parquet" for name in names]  # where a name is a run's folder
+    names = [
+        str(path) if path.is_file() else name for name, path in zip(names, of_runs, strict=True)
+    ]
     records, titles = [], []
     files = [Path(name) for name in names if name.endswith(".parquet")]
     with progress_bar() as progress:
@@ -252,58 +215,13 @@ def video_command(
                 law = records[-1].metadata["law"].replace("_", " ")
                 titles.append(f"{_differing(name, names)}: {law}")
                 continue
-            base = cmf_mj.load_scenario(name)
-            for law in laws or [str(base.law)]:
-                one = _changed(base, law=law, machine=machine, cab=cab)
-                records.append(one.record(progress=progress))
-                said = f"{Path(law).stem.replace('_', ' ')} law"
-                titles.append(said if laws else one.title or Path(name).stem)
+            scenario = cmf_mj.load_scenario(name)
+            for law in laws or [str(scenario.law)]:
+                run = _changed(scenario, law=law, machine=machine, cab=cab)
+                records.append(run.record(progress=progress))
+                of_law = f"{Path(law).stem.replace('_', ' ')} law"
+                titles.append(of_law if laws else run.title or Path(name).stem)
     traces = saved_traces(files) if len(files) == len(names) else []
-    if traces:
-        look = look._replace(strip=300)
-    with progress_bar("drawing", compiles=False) as progress:
-        path = film(records, file, look, titles=titles, traces=traces, progress=progress)
-    show(f"written: {path}")
-
-
-@command("studio")
-def studio_command(
-    scenario: options.Scenario = "",
-    machine: options.OtherMachine = None,
-    law: options.OtherLaw = None,
-    cab: options.OtherCab = None,
-    host: Annotated[str, Option(help="address to listen on")] = "127.0.0.1",
-    port: Annotated[int, Option(help="TCP port; the next free one if it is taken")] = 8048,
-    browse: Annotated[
-        bool, Option("--open/--no-open", help="whether to open the page in a browser")
-    ] = True,
-) -> None:
-    """Drive the machine in a web page, in real time."""
-    import signal
-    import time
-    import warnings
-    import webbrowser
-
-    for package in ("viser", "mjviser"):
-        require(package, "studio")
-    from cmf_mj.show.studio.desk import ready_scenarios
-    from cmf_mj.show.studio.server import Studio
-
-    # A picture on its way to a tab that has just been closed is nothing to tell of.
-    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    begun = cmf_mj.load_scenario(scenario) if scenario else ready_scenarios()["studio"]
-    print("compiling the loop: up to a minute the first time", flush=True)
-    studio = Studio(host, port, _changed(begun, machine=machine, law=law, cab=cab))
-    try:
-        # A shell that starts it in the background would have it ignore Ctrl-C for good.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.default_int_handler)
-        print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
-        if browse:
-            webbrowser.open(studio.url)
-        while True:
-            time.sleep(1.0)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        studio.stop()
+    looks: dict[str, Any] = {"speed": speed, "camera": camera, "start": start, "seconds": seconds}
+    play(records, file, titles=titles, traces=traces, **looks)
+    show(f"written: {file}")

@@ -1,1 +1,1 @@
-"""Results as tables, figures and films, in the studio, and in the report on one page."""
+"""Results as tables, figures and pages that play runs."""

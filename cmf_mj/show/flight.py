@@ -19,7 +19,7 @@ from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import cueing, look
-from cmf_mj.show.stage import Panels
+from cmf_mj.show.player.traces import Panels
 
 _MOTIONS = {
     "aircraft": ("aircraft", look.BLUE, 1.2),

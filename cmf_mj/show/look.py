@@ -323,7 +323,7 @@ class Panel(NamedTuple):
 
     y_title: str
     curves: tuple[Curve, ...]
-    from_zero: bool = False  #: Whether the y axis of a film has zero at its lower end.
+    from_zero: bool = False  #: Whether the y axis of a page has zero at its lower end.
 
 
 def plot_panel(axes: Axes, panel: Panel) -> None:

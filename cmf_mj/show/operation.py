@@ -1,9 +1,6 @@
-"""Tables, figures and files of runs: overview, account of host frames, timing, replay, capacity.
+"""Tables, figures and files of runs: overview, account of host frames, timing, replay."""
 
-Of capacity, what a manoeuvre took out of the supply; and the envelope, the largest sustained sine.
-"""
-
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -15,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.control.states import State
 from cmf_mj.core import units
-from cmf_mj.core.result import Result, Table
+from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.host.stream import write_arrivals
@@ -23,12 +20,9 @@ from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.facility.replay import Replay
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import save_scenario
-from cmf_mj.machine.geometry import DOFS, by_kind, dof_unit
-from cmf_mj.plant.plant import Plant
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
-from cmf_mj.studies.asymptotes import FREQUENCIES, Asymptotes, asymptotes, envelope
-from cmf_mj.studies.capacity import CAPACITY, CapacityResult
 
 _LEAST = 1e-9  #: Demand below which a degree of freedom is at rest [m or rad].
 
@@ -197,69 +191,3 @@ def replay_summary(replayed: Replay) -> str:
         return f"{replayed.law}: identical, bit for bit, over {replayed.time.size} frames"
     note = ", interpolated to 2048 Hz" if replayed.interpolated else ""
     return f"{replayed.law}: largest difference {100.0 * replayed.difference:.3g} %{note}"
-
-
-_CLOSED: dict[str, tuple[str, Any, str]] = {
-    "displacement": ("operational displacement", "-", look.BLUE),
-    "leg_stroke": ("leg stroke", ":", look.SKY),
-    "valve_command": ("leg speed behind the lags", "--", look.ORANGE),
-    "pump_flow": ("sustained pump flow", "-.", look.GREEN),
-    "stall_force": ("stall force over reflected mass", (0.0, [5, 1, 1, 1, 1, 1]), "#999933"),
-}
-"""Title, line and colour of every closed form."""
-
-
-def capacity_result(result: CapacityResult) -> Result[CapacityResult]:
-    """What a manoeuvre took out of the supply, as a row."""
-    about = result.record.metadata
-    words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
-    return Result([result], CAPACITY, f"capacity: {', '.join(filter(None, words))}")
-
-
-def envelope_figure(plant: Plant, dofs: Sequence[str]) -> Figure:
-    """Velocity over frequency, log-log, with diagonals of displacement and acceleration."""
-    columns = min(len(dofs), 3)
-    rows = -(-len(dofs) // columns)
-    figure = look.new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
-    for place, dof in enumerate(dofs, start=1):
-        _envelope_panel(figure.add_subplot(rows, columns, place), asymptotes(plant, dof))
-    look.legend(figure)
-    name = " ".join(filter(None, (plant.cab.upper(), plant.parameters.name)))
-    figure.suptitle(f"{name}: largest sustained sine, closed forms of its limits")
-    return figure
-
-
-def _envelope_panel(axis: Axes, closed: Asymptotes) -> None:
-    unit = dof_unit(closed.dof)
-    length, turn = units.factor(unit), by_kind(closed.dof, units.STANDARD_GRAVITY, units.DEGREE)
-    frequency = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], 200)
-    curves = [closed.velocities(float(f)) for f in frequency]
-    least = np.array([min(curve.values()) for curve in curves]) / length
-    across, up = (0.9 * frequency[0], 1.1 * frequency[-1]), (0.4 * least.min(), 3.0 * least.max())
-    axis.set(xscale="log", yscale="log", xlim=across, ylim=up)
-    # Of constant displacement (rising) and of constant acceleration (falling).
-    f, v = np.meshgrid(np.geomspace(*across, 60), np.geomspace(*up, 60))
-    rate, levels = 2.0 * np.pi * f, 10.0 ** np.arange(-6, 7)
-    per = by_kind(closed.dof, "g", "deg/s²")
-    for size, label in ((v / rate, unit), (v * rate * length / turn, per)):
-        lines = axis.contour(f, v, size, levels, colors="0.82", linewidths=0.7, zorder=0)
-        axis.clabel(lines, fmt=f"%g {label}", fontsize=6.5, colors="0.45")
-    axis.plot(frequency, least, color=look.DARK, linewidth=1.8, label="largest sine")
-    for name, (title, line, colour) in _CLOSED.items():
-        values = np.array([curve[name] for curve in curves]) / length
-        if np.isfinite(values).all():
-            style: dict[str, Any] = {"color": colour, "linestyle": line, "label": title}
-            axis.plot(frequency, values, linewidth=1.0, **style)
-    for ticks in (axis.yaxis, axis.xaxis):
-        look.frequency_axis(ticks)
-    axis.set(ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
-
-
-def save_capacity(
-    result: CapacityResult, plant: Plant, dofs: Sequence[str], folder: Path
-) -> list[Path]:
-    """Write `capacity.csv`, `capacity.parquet`, and the envelope: CSV (SI), table and figure."""
-    largest = envelope(plant, dofs)
-    files = {"capacity.csv": capacity_result(result), "capacity.parquet": result.record}
-    files |= {"envelope.csv": largest, "envelope.md": largest}
-    return look.save_files(files | {"envelope.png": envelope_figure(plant, dofs)}, folder)

@@ -35,27 +35,20 @@ left out of v. So a simulated machine sustains up to 15 % less where the valves 
 in surge and sway up to a third, where harmonics excite their modes.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import falls
-from cmf_mj.core import units
 from cmf_mj.core.arrays import shaped
-from cmf_mj.core.result import Field, Result
-from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
+from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.plant import Plant
-
-FREQUENCIES = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0, 6.3, 10.0)
-"""Frequencies of an envelope [Hz], five a decade (R5 series)."""
 
 
 @dataclass(frozen=True)
@@ -184,49 +177,3 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
         stiffness=spring,
         leak_rate=4.0 * hydraulics.oil.bulk_modulus * cylinder.leakage / both,
     )
-
-
-class SustainedSine(NamedTuple):
-    """The largest sine of a degree of freedom that a machine sustains; amplitudes."""
-
-    dof: str
-    frequency: float  #: [Hz].
-    displacement: float  #: [m, rad].
-    velocity: float  #: [m/s, rad/s].
-    acceleration: float  #: [m/s^2, rad/s^2].
-    binding: str  #: Limit that binds, see `Asymptotes.velocities`.
-
-
-def _in_field_units(name: str) -> Callable[[SustainedSine], float]:
-    """An amplitude in in or deg, a second; an acceleration in g or deg/s^2."""
-    length = units.STANDARD_GRAVITY if name == "acceleration" else units.INCH
-    return lambda one: float(getattr(one, name)) / by_kind(one.dof, length, units.DEGREE)
-
-
-ENVELOPE = (
-    Field("dof"),
-    Field("frequency", "Hz", ".3g"),
-    *(Field(name, printed=False) for name in SustainedSine._fields[2:5]),
-    *(Field("", name, ".3g", of=_in_field_units(name)) for name in SustainedSine._fields[2:5]),
-    Field("binding", "bound by", lambda name: name.replace("_", " ")),
-)
-
-
-def envelope(plant: Plant, dofs: Sequence[str] = DOFS) -> Result[SustainedSine]:
-    """Performance envelope: the largest sine of every degree of freedom at every frequency.
-
-    >>> from cmf_mj.studies.asymptotes import envelope
-    >>> one = envelope(cmf_mj.Hexapod(), ["heave"])[5]
-    >>> f"{one.velocity / cmf_mj.core.units.INCH:.1f} in/s at {one.frequency:g} Hz, {one.binding}"
-    '27.3 in/s at 1 Hz, pump_flow'
-    """
-    rows = []
-    for dof in dofs:
-        limits = asymptotes(plant, dof)
-        for frequency in FREQUENCIES:
-            found, rate = limits.velocities(frequency), 2.0 * np.pi * frequency
-            binding = min(found, key=lambda name: found[name])
-            speed = found[binding]
-            rows.append(SustainedSine(dof, frequency, speed / rate, speed, speed * rate, binding))
-    caption = "amplitudes in in, in/s, g or deg, deg/s, deg/s^2, from the parameters alone"
-    return Result(rows, ENVELOPE, "largest sustained sine", caption, grouped=True)

@@ -81,6 +81,17 @@ def test_the_crane_rises_to_its_stop_and_is_pressed_on_it(
     assert table[7.0] == pytest.approx([0.7164, 76.0, 1.0, 37795.0], rel=2e-3)
 
 
+def test_the_page_drives_the_machine_by_its_sine(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """2 in at 0.5 Hz in heave; the response has 3 % more, and begins with a fade."""
+    monkeypatch.setattr(sys, "argv", ["drive_in_browser.py", "--seconds", "4"])
+    text = printed("drive_in_browser", capsys)
+    assert re.search(r"http://127\.0\.0\.1:\d+", text)
+    low, high = (float(value) for value in re.findall(r"-?\d\.\d{3}", text))
+    assert -0.06 < low < -0.03 and 0.03 < high < 0.06
+
+
 @pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_hopper_hops_on_machines_that_differ(
     train: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

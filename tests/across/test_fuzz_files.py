@@ -22,6 +22,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Loader
 from cmf_mj.facility.host.stream import read_arrivals, read_stream
 from cmf_mj.facility.scenario import load_scenario
+from cmf_mj.facility.signal import HostFile
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.pilot.flight import load_flight
@@ -29,7 +30,6 @@ from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.run import load_posterior
-from cmf_mj.studies.capacity import manoeuvre
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]
@@ -147,7 +147,7 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("flight.csv", load_flight),
         ("flight.parquet", load_flight),
         ("motion.csv", load_flight),
-        ("stream.csv", lambda path: manoeuvre(str(path), "heave")),
+        ("stream.csv", lambda path: HostFile(kind="host", file=str(path)).command()),
     ):
         yield read, folder / name
 

@@ -26,7 +26,6 @@ LONGEST = 12.0  #: Latest end after the start [s].
 
 
 def test_every_command_that_writes_has_a_line() -> None:
-    """The studio writes when a user asks."""
     writing = {
         " ".join(words)
         for words, command in commands().items()

@@ -11,7 +11,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import av
 import matplotlib.image
 import numpy as np
 import pytest
@@ -87,17 +86,6 @@ def test_figures_of_the_model_draws_each_machine(model: list[str], tmp_path: Pat
     picture = matplotlib.image.imread(tmp_path / "machine.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
-
-
-@pytest.mark.slow
-def test_figures_of_the_model_films_a_scenario(tmp_path: Path) -> None:
-    """Half a second at ten pictures a second, and they differ."""
-    arguments = ("--motion", "tour", "--seconds", "0.5", "--out", "motion.mp4")
-    run("figures.py", "model", *arguments, cwd=tmp_path)
-    with av.open(str(tmp_path / "motion.mp4")) as film:
-        first, *_, last = (one.to_ndarray(format="rgb24") for one in film.decode(video=0))
-        assert film.streams.video[0].frames == 5
-    assert np.abs(last.astype(int) - first).max() > 60
 
 
 def test_limits_draws_its_figure(tmp_path: Path) -> None:

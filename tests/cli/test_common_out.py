@@ -61,7 +61,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> No
     for arguments, said in (
         (("report", "linear", "--out", str(file)), f"out: {str(file)!r} is refused"),
         (("compare", "--out", str(file / "out")), f"out: {str(file / 'out')!r} is refused"),
-        (("video", "--file", str(tmp_path)), f"file: {str(tmp_path)!r} is refused: is a folder"),
+        (("play", "--file", str(tmp_path)), f"file: {str(tmp_path)!r} is refused: is a folder"),
         (("tune", "--file", str(file / "x.toml")), "is not a folder that can be written to"),
         (("report", "linear", "--out", "/proc/out"), "out: '/proc/out' is refused"),
         (("report", "linear", "--out", str(tmp_path / ("n" * 300))), "File name too long"),

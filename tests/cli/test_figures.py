@@ -15,7 +15,6 @@ FIGURES = {
     "run": "overview",
     "compare": "bode_heave step_heave",
     "failure": "pump_lost",
-    "capacity": "envelope",
     "linearize": "bode loop",
     "modes": "modes_sweep",
     "identify": "bode",

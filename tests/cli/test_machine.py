@@ -9,7 +9,7 @@ import pytest
 from shared import cmf
 from typer.main import get_command
 
-from cmf_mj import Hexapod, Run
+from cmf_mj import Hexapod, Record
 from cmf_mj.cli.common import app
 from cmf_mj.studies.settings import load_study
 
@@ -81,29 +81,9 @@ def test_a_study_knows_laws_and_cabs_of_any_machine(tmp_path: Path) -> None:
     assert set(rows["cab"].to_pylist()) == {"payload"}
 
 
-def test_the_studio_takes_machine_law_and_cab(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[Run] = []
-
-    class Served:
-        url = "http://nowhere"
-
-        def __init__(self, host: str, port: int, scenario: Run) -> None:
-            begun.append(scenario)
-
-        def stop(self) -> None:
-            pass
-
-    def ended(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("cmf_mj.show.studio.server.Studio", Served)
-    monkeypatch.setattr("signal.signal", ended)  # as Ctrl-C
-    cmf("studio", "--machine", "lab", "--no-open")
-    cmf("studio", "--machine", "lab", "--law", "velocity", "--cab", "payload", "--no-open")
-    cmf("studio", "--machine", "simona", "--law", "simona_plan", "--no-open")
-    cmf("studio", "heave_sine", "--cab", "rfd", "--no-open")
-    laws = [one.begun_law().name for one in begun]
-    assert laws == ["lab_plan", "velocity", "simona_plan", "velocity"]
-    carried = [(one.carried.machine.name, one.carried.name) for one in begun]
-    assert carried == [("lab", "payload"), ("lab", "payload"), ("simona", "srs"), ("cmf", "rfd")]
-    assert "cab: 'gfd'" in cmf("studio", "--machine", "lab", "--cab", "gfd", "--no-open", code=2)
+def test_a_scenario_takes_machine_and_cab(tmp_path: Path) -> None:
+    refused = cmf("play", "heave_sine", "--machine", "lab", "--cab", "gfd", code=2)
+    assert "cab: 'gfd'" in refused
+    cmf("run", "heave_sine", "--machine", "lab", "--cab", "payload", "--out", tmp_path)
+    begun = Record.load(tmp_path / "record.parquet").metadata
+    assert (begun["law"], begun["cab"]) == ("lab_plan", "payload")

@@ -12,7 +12,7 @@ from cmf_mj.core import units
 from cmf_mj.machine.cab import load_cab, recorded_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.film import model_of
+from cmf_mj.show.player.play import model_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cab_of_your_own.toml"
 
@@ -104,11 +104,10 @@ def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:
         ("compare",),
         ("study", "rotation"),
         ("modes",),
-        ("capacity",),
         ("failure", "pump_lost"),
         ("run", "heave_sine"),
         ("linearize",),
-        ("video",),
+        ("play",),
         ("tune",),
     ],
 )

@@ -241,8 +241,8 @@ def test_edited_gimbals_count_everywhere() -> None:
     assert record["gimbal_error"].max() < 1e-5
 
 
-def test_the_studio_runs_a_machine_with_edited_gimbals(tmp_path: Path) -> None:
-    """What it draws of a run, `latest`, has the legs of the machine's file."""
+def test_a_session_runs_a_machine_with_edited_gimbals(tmp_path: Path) -> None:
+    """What it shows of a run in progress has the legs of the machine's file."""
     text = (models.directory() / "machines" / "simona.toml").read_text("utf-8")
     text = text.replace('"simona"', '"wide"', 1).replace("laws/simona.toml", "velocity")
     text = text.replace("upper_radius = { value = 1.6", "upper_radius = { value = 1.5")

@@ -1,6 +1,7 @@
 """Runs as a page: it holds the record, and what Chromium draws of it is MuJoCo's picture."""
 
 import base64
+import copy
 import io
 import json
 import re
@@ -14,15 +15,20 @@ import mujoco
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
+from shared import cmf
 
-from cmf_mj import Record
+from cmf_mj import Hexapod, Record, Run
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.show.film import FilmSettings, film
+from cmf_mj.facility.scenario import save_scenario, scenario_of
+from cmf_mj.facility.signal import ValveCommands
+from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.plant.hexapod import hexapod_model, hexapod_spec
 from cmf_mj.show.look import Curve, Panel
-from cmf_mj.show.player import writer
-from cmf_mj.show.stage import FilmStage, Reel
+from cmf_mj.show.player import page as writer
+from cmf_mj.show.player.page import PlayedRun
+from cmf_mj.show.player.play import play
+from cmf_mj.show.player.traces import busiest_leg, limits_of, traces_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAWS = "velocity", "position_error_rate"
@@ -43,7 +49,7 @@ def records() -> list[Record]:
 
 @pytest.fixture(scope="module")
 def path(records: list[Record], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return film(records, tmp_path_factory.mktemp("page") / "two.html")
+    return play(records, tmp_path_factory.mktemp("page") / "two.html")
 
 
 def content(path: Path) -> dict[str, Any]:
@@ -82,7 +88,7 @@ def test_a_page_asks_for_nothing_and_names_whose_its_library_is(path: Path) -> N
 def test_slow_motion_that_asks_for_too_much_has_fewer_samples(
     records: list[Record], tmp_path: Path
 ) -> None:
-    path = film(records, tmp_path / "slow.html", FilmSettings(speed=1e-4))
+    path = play(records, tmp_path / "slow.html", speed=1e-4)
     assert 2_500_000 < path.stat().st_size < writer.MOST_BYTES
     assert content(path)["rate"] < writer.SAMPLES_A_SECOND / 1e-4
 
@@ -92,7 +98,7 @@ def test_a_model_too_large_for_a_page_is_refused(
 ) -> None:
     monkeypatch.setattr(writer, "MOST_BYTES", 500_000)
     with pytest.raises(InputError, match=r"file: x.html with 0\.\d MB must be at most 0\.5 MB"):
-        film(records, tmp_path / "x.html")
+        play(records, tmp_path / "x.html")
     assert not list(tmp_path.iterdir())
 
 
@@ -121,8 +127,8 @@ def test_a_step_is_said_in_words(tmp_path: Path) -> None:
     panel = Panel("surge [in]", curves)
     model = hexapod_model("gfd")
     qpos = np.tile(mujoco.MjData(model).qpos, (time.size, 1))
-    reels = [Reel(model, time, qpos, "a step", [panel])]
-    text = writer.write_page(reels, (0.0, 5.0), tmp_path / "x.html", 1.0, "overview").read_text(
+    runs = [PlayedRun(model, time, qpos, "a step", [panel])]
+    text = writer.write_page(runs, (0.0, 5.0), tmp_path / "x.html", 1.0, "overview").read_text(
         encoding="utf-8"
     )
     top = swing.max()
@@ -132,9 +138,127 @@ def test_a_step_is_said_in_words(tmp_path: Path) -> None:
     assert "each swing 50% of the last" in text
     assert f"<td>{-2 * top:.2f} at 0.66 s</td><td>0.00 at 0.00 s</td>" in text
     pulse = curves[0]._replace(y=np.where(np.abs(time - 1.0) < 0.5, 1.0, 0.0))
-    assert writer._said(panel._replace(curves=(pulse, curves[1])), (0.0, 5.0)) == ""
-    between = writer._words(reels, (1.0002, 1.0004))
+    assert writer._step_text(panel._replace(curves=(pulse, curves[1])), (0.0, 5.0)) == ""
+    between = writer._summary(runs, (1.0002, 1.0004))
     assert "<td>-2.000</td><td>-2.000 at 1.00 s</td>" in between
+
+
+@pytest.fixture(scope="module")
+def opened() -> Record:
+    valves = ValveCommands(np.tile([0.1, 0.1, -0.05, -0.05, -0.05, -0.05], (64, 1)))
+    return Run(plant=Hexapod(), law=None, source=valves, electronics=None).record()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"path": "x.mp4"}, "file: x.mp4 must end in .html"),
+        ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
+        ({"speed": 0.0}, "speed: 0.0 must be greater than 0"),
+        ({"start": 1.5}, "start: 1.5 s; allowed: from 0 to below 1.49"),
+        ({"seconds": 0.0}, "seconds: 0.0 must be greater than 0"),
+        ({"records": []}, "records: none is given"),
+    ],
+)
+def test_what_a_page_cannot_do_is_named(
+    change: dict[str, Any], text: str, records: list[Record], tmp_path: Path
+) -> None:
+    arguments = {"records": records, "path": "x.html"} | change
+    with pytest.raises(InputError) as refused:
+        play(arguments.pop("records"), tmp_path / arguments.pop("path"), **arguments)
+    assert text in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_part_of_a_run_is_its_rows(records: list[Record], tmp_path: Path) -> None:
+    part = content(play(records, tmp_path / "part.html", start=0.2, seconds=0.2))
+    assert part["start"] == 0.2 and (part["count"] - 1) / part["rate"] == pytest.approx(0.2)
+    qpos = np.frombuffer(base64.b64decode(part["runs"][0]["qpos"]), "<f4")
+    first = records[0]["generalised_position"][row_at(records[0], 0.2)]
+    np.testing.assert_array_equal(qpos[: first.size], first.astype(np.float32))
+
+
+def test_traces_are_the_records(records: list[Record]) -> None:
+    motion, pressures = traces_of(records[0])
+    assert motion.y_title == "heave [in]"
+    response = {curve.name: curve.y for curve in motion.curves}["response"]
+    np.testing.assert_array_equal(response, records[0]["platform_pose"][:, 2] / units.INCH)
+    leg = int(pressures.y_title.split()[1])
+    cap = pressures.curves[0]
+    assert cap.name == "cap"
+    np.testing.assert_array_equal(cap.y, records[0]["cap_pressure"][:, leg - 1] / units.PSI)
+
+
+def test_runs_beside_each_other_show_one_leg(records: list[Record]) -> None:
+    """The one that moves most in any of them, here the other leg of the second."""
+    record, leg = records[0], busiest_leg(records[0])
+    pressures = record["cap_pressure"].copy()
+    pressures[:, (leg + 1) % 6] = 2.0 * pressures[:, leg]
+    other = {"cap_pressure": pressures}
+    assert busiest_leg(record, other) == (leg + 1) % 6 == busiest_leg(other, record)
+    _, shown = traces_of(record, leg=(leg + 1) % 6)
+    assert shown.y_title == f"leg {(leg + 1) % 6 + 1} [psi]"
+
+
+def test_an_open_loop_shows_its_response(
+    opened: Record, records: list[Record], tmp_path: Path
+) -> None:
+    motion, _ = traces_of(opened)
+    (response,) = motion.curves
+    column = DOFS.index(motion.y_title.split()[0])
+    scale = units.factor(dof_unit(column))
+    np.testing.assert_array_equal(response.y, opened["platform_pose"][:, column] / scale)
+    with pytest.raises(InputError, match=r"traces: \[0, 2\] panels; allowed: as many"):
+        play([records[0], opened], tmp_path / "x.html", traces=[(), traces_of(opened)])
+
+
+def test_limits_hold_what_is_drawn() -> None:
+    """Also of no pressure, and of a span between two samples, where lines are drawn."""
+    time = np.linspace(0.0, 1.0, 11)
+    still = Panel("cap [psi]", (Curve("cap", time, 0.0 * time, "k"),), from_zero=True)
+    sinking = Panel("cap [psi]", (Curve("cap", time, time - 3.0, "k"),), from_zero=True)
+    rising = Panel("heave [in]", (Curve("response", time, time, "k"),))
+    for panel, span, least, most in (
+        *((still, (0.0, 1.0), 0.0, 0.0), (sinking, (0.0, 1.0), -3.0, 0.0)),
+        (rising, (0.42, 0.44), 0.42, 0.44),
+    ):
+        low, high = limits_of([panel], span)
+        assert low <= least and most <= high and low < high
+
+
+def test_the_command_takes_the_folder_of_a_run_and_compares_laws(
+    records: list[Record], tmp_path: Path
+) -> None:
+    records[0].save(tmp_path / "run" / "record.parquet")
+    out = tmp_path / "run.html"
+    cmf("play", tmp_path / "run", "--file", out)
+    assert "<title>run: velocity</title>" in out.read_text(encoding="utf-8")
+    sine = {"kind": "sine", "dof": "heave", "amplitude": [6.0, "in"], "frequency": 1.0}
+    short = scenario_of({"duration": 0.2, "signal": [sine]}, "test")
+    path = save_scenario(short, tmp_path / "short.toml")
+    cmf("play", path, "--laws", "velocity,original", "--file", out)
+    assert [run["title"] for run in content(out)["runs"]] == ["velocity law", "original law"]
+
+
+@pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])
+def test_looks_do_not_act(cab: str) -> None:
+    """The machine without a single shape, light, camera or picture moves bit for bit the same."""
+    full, bare = hexapod_spec(cab), hexapod_spec(cab)
+    for kind in (bare.geoms, bare.lights, bare.cameras):
+        for element in list(kind):
+            bare.delete(element)
+    states = []
+    for spec in (full, bare):
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        rng = np.random.default_rng(5)
+        for _ in range(40):
+            data.ctrl[:] = 3.2e4 + rng.uniform(-2e4, 2e4, 6)
+            mujoco.mj_step(model, data)
+        states.append((model.nq, model.body_inertia, model.body_mass, data.qpos, data.sensordata))
+    assert full.compile().ngeom > 100
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 # In Chromium, with WebGL in software
@@ -214,12 +338,20 @@ def test_the_picture_shows_what_mujoco_renders(visit: Visit, records: list[Recor
         2 * (int(x) // 2) for x in canvas.evaluate("c => [c.clientWidth, c.clientHeight]")
     )
     boxes, lifted = [], records[0]["platform_pose"][:, 2]
-    with FilmStage(hexapod_model("gfd"), width, height) as stage:
+    model = copy.copy(hexapod_model("gfd"))
+    model.vis.global_.offwidth, model.vis.global_.offheight = 2 * width, 2 * height
+    model.vis.quality.offsamples = 0  # two pixels for one each way, averaged, have sharper edges
+    data = mujoco.MjData(model)
+    with mujoco.Renderer(model, 2 * height, 2 * width) as renderer:
         for time in (0.0, float(records[0].time[np.abs(lifted).argmax()])):
             visit.seek(time)
             drawn = matplotlib.image.imread(io.BytesIO(canvas.screenshot()))
             row = row_at(records[0], time)
-            ours = stage.picture(records[0]["generalised_position"][row]) / 255.0
+            data.qpos[:] = records[0]["generalised_position"][row]
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, "overview")
+            fine = renderer.render().reshape(height, 2, width, 2, 3)
+            ours = fine.mean(axis=(1, 3)) / 255.0
             boxes.append((blue_box(drawn), blue_box(ours)))
     for drawn_box, mujocos in boxes:
         assert np.abs(drawn_box - mujocos).max() <= 1.5

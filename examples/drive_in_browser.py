@@ -1,0 +1,91 @@
+"""Drive the machine in a web page: move it, change its law, push it, let something fail.
+
+`pip install 'cmf-mj[browser]'`, run this file, and open the address that it prints. The session
+runs in step with the clock; what the page asks for takes effect in the next control frame, and
+`done` returns all of it as a scenario that `cmf run` repeats bit for bit.
+"""
+
+import argparse
+import queue
+import time
+
+import mujoco
+import viser
+from mjviser import ViserMujocoScene
+
+from cmf_mj import CmfError, law_names
+from cmf_mj.facility.run import SignalSession
+from cmf_mj.facility.scenario import scenario_of
+from cmf_mj.facility.settings import change_of
+from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.plant.events import KINDS, default_event
+from cmf_mj.plant.hexapod import hexapod_model
+
+parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+parser.add_argument("--machine", default="cmf", help="name or TOML file")
+parser.add_argument("--seconds", type=float, default=float("inf"), help="length of the session")
+arguments = parser.parse_args()
+
+run = scenario_of({"machine": arguments.machine, "duration": "open", "record_every": 16}, "page")
+session = SignalSession(run, keep=60.0)
+server = viser.ViserServer(host="127.0.0.1", port=8048, verbose=False)
+model = hexapod_model(run.carried)
+data = mujoco.MjData(model)
+scene = ViserMujocoScene(server, model, num_envs=1)
+
+gui, changes = server.gui, queue.SimpleQueue()
+status = gui.add_markdown("starting")
+law = gui.add_dropdown("law", law_names("all"), initial_value=session.look().law)
+dof = gui.add_dropdown("degree of freedom", DOFS, initial_value="heave")
+amplitude = gui.add_number("amplitude [in or deg]", 2.0, min=0.0, max=40.0, step=0.5)
+frequency = gui.add_number("frequency [Hz]", 0.5, min=0.05, max=10.0, step=0.05)
+push = gui.add_slider("push to the right [kN]", 0.0, 50.0, 1.0, 0.0)
+failure = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
+move, rest, fail = (gui.add_button(name) for name in ("move", "rest", "fail now"))
+
+
+def sine() -> dict[str, object]:
+    """The demand as a scenario file has it."""
+    size = [amplitude.value, dof_unit(dof.value)]
+    shape = {"frequency": frequency.value, "cycles": round(3000 * frequency.value)}
+    return {"kind": "sine", "dof": dof.value, "amplitude": size, **shape}
+
+
+def failed() -> dict[str, object]:
+    """What fails; of leg 1 where it is a leg's."""
+    event = default_event(failure.value, at=0.0)
+    return {"kind": event.kind} | ({} if event.leg is None else {"leg": event.leg})
+
+
+law.on_update(lambda _: changes.put({"law": law.value}))
+push.on_update(lambda _: changes.put({"push": {"force": [0.0, -1e3 * push.value, 0.0]}}))
+move.on_click(lambda _: changes.put({"signal": [sine()]}))
+rest.on_click(lambda _: changes.put({"signal": []}))
+fail.on_click(lambda _: changes.put({"failure": [failed()]}))
+print(f"http://127.0.0.1:{server.get_port()}", flush=True)
+
+changes.put({"signal": [sine()]})
+clock = time.monotonic()
+try:
+    while (live := session.look()).time < arguments.seconds:
+        while not changes.empty():
+            try:
+                session.apply(change_of(changes.get()))
+            except CmfError as refused:
+                print(refused)
+        behind = time.monotonic() - clock - live.time
+        clock += max(behind - 0.25, 0.0)  # a slow computer shows slow motion
+        session.run(max(int(min(behind, 0.25) * session.rate), 0))
+        data.qpos[:] = live.qpos
+        mujoco.mj_kinematics(model, data)
+        scene.update_from_mjdata(data)
+        fault = "" if live.fault is None else f", tripped: {live.fault.name}"
+        pressure = live.cap_pressure.max() / 1e5
+        status.content = f"{live.time:.1f} s, {live.law}, cap at most {pressure:.0f} bar{fault}"
+        time.sleep(1 / 30)
+except CmfError as ended:  # the machine has left its physical bounds
+    print(ended)
+record = session.record()
+heave = record["platform_pose"][:, 2]
+print(f"ran {record.time[-1]:.1f} s; heave from {heave.min():.3f} to {heave.max():.3f} m")
+server.stop()
