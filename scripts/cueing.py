@@ -206,7 +206,8 @@ def record(path: Path) -> None:
         washout = Washout("predictive")
         own, count = washout.predictive, 0
         assert own is not None
-        solve, prices = own._solve, {"price": own._prices, "ease": own._ease}
+        solver, solve = own.solver, own.solver.solve
+        prices = {"price": solver.prices.linear, "ease": solver.prices.ease}
 
         def solving(programme: dict[str, Matrix]) -> Any:
             nonlocal count
@@ -215,7 +216,7 @@ def record(path: Path) -> None:
                 kept.append({**programme, **prices})  # noqa: B023
             return solve(programme)  # noqa: B023
 
-        own._solve = solving  # type: ignore[method-assign]
+        solver.solve = solving  # type: ignore[method-assign]
         washout.run(load_flight(name).motion)
     with path.open("wb") as file:
         pickle.dump(kept, file)

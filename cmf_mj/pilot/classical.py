@@ -47,10 +47,40 @@ from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, TiltCoordinated
 
 Array = NDArray[np.float64]
-Matrices = tuple[Array, Array, Array, Array]
-"""A, B, C, D."""
+
+
+class Matrices(NamedTuple):
+    """A system dx/dt = A x + B u, y = C x + D u."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+
 
 _ITERATIONS = 8  #: Of the implicit step of the tilt; each contracts by T / (2 tau) or less.
+
+
+class Sample(NamedTuple):
+    """What an algorithm takes in at a frame."""
+
+    euler_rates: Array  #: e [rad/s], (3,).
+    slopes: Array  #: Change of the Euler rates over the last interval [rad/s^2], (3,).
+    force: Array  #: f1 [m/s^2], (3,).
+    known: Array | None = None
+    """What a predictive one knows ahead, `inputs` at the knots 2 .. N, (N - 1, 6)."""
+
+    @property
+    def inputs(self) -> Array:
+        """Euler rates and specific force less that of level rest, (6,)."""
+        return np.concatenate([self.euler_rates, self.force + [0.0, 0.0, STANDARD_GRAVITY]])
+
+
+class HeadMotion(NamedTuple):
+    """Motion of the pilot's station in the simulator, inertial axes, with two derivatives."""
+
+    angular: Array  #: Attitude, (3, 3).
+    linear: Array  #: Displacement, (3, 3).
 
 
 class Filter(NamedTuple):
@@ -60,20 +90,19 @@ class Filter(NamedTuple):
     state: Array  #: (n,).
     inputs: Array  #: Of the last sample, (m,).
 
+    @staticmethod
+    def of(system: Held) -> "Filter":
+        """A filter at rest."""
+        states, inputs = system.earlier.shape
+        return Filter(system, np.zeros(states), np.zeros(inputs))
 
-def empty_filter(system: Held) -> Filter:
-    """A filter with nothing in it."""
-    states, inputs = system.earlier.shape
-    return Filter(system, np.zeros(states), np.zeros(inputs))
-
-
-def start_filter(filtering: Filter, inputs: Array) -> Array:
-    """Put a filter into the state after a long time at constant inputs (m,); its outputs (p,)."""
-    filtering.state[:] = settled(filtering.system, inputs)
-    filtering.inputs[:] = inputs
-    out = np.empty(len(filtering.system.output))
-    read(filtering.system, filtering.state, filtering.inputs, out)
-    return out
+    def start(self, inputs: Array) -> Array:
+        """Put it into the state after a long time at constant inputs (m,); its outputs (p,)."""
+        self.state[:] = settled(self.system, inputs)
+        self.inputs[:] = inputs
+        outputs = np.empty(len(self.system.output))
+        read(self.system, self.state, self.inputs, outputs)
+        return outputs
 
 
 @allocating
@@ -99,19 +128,20 @@ class Classical(NamedTuple):
     recovery: float  #: tau [s].
     interval: float  #: T [s].
 
-    def start(self, euler_rates: Array, force: Array, angular: Array, linear: Array) -> None:
-        """Begin with Euler rates (3,) and a specific force f1 (3,) that were constant for long.
-
-        Overwrites attitude and displacement as `move_classical` does.
-        """
-        pushing = np.clip(force[:2], -self.tilt_force, self.tilt_force)
-        _tilt_demands(start_filter(self.low_pass, pushing), self.demand)
+    def start(self, sample: Sample, head: HeadMotion) -> None:
+        """Begin with a sample that was constant for long, without slopes; overwrites `head`."""
+        pushing = np.clip(sample.force[:2], -self.tilt_force, self.tilt_force)
+        _tilt_demands(self.low_pass.start(pushing), self.demand)
         self.tilt[:] = self.demand
         turn = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
-        start_filter(self.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
-        start_filter(self.rotation, np.concatenate([euler_rates, np.zeros(3)]))
-        # A step with the same inputs changes nothing; it reads the outputs.
-        move_classical(self, euler_rates, np.zeros(3), force, angular, linear)
+        rest = np.array([0.0, 0.0, STANDARD_GRAVITY])
+        self.translation.start(turn @ sample.force + rest)
+        self.rotation.start(np.concatenate([sample.euler_rates, np.zeros(3)]))
+        self.move(sample, head)  # the same inputs again change nothing: this reads the outputs
+
+    def move(self, sample: Sample, head: HeadMotion) -> None:
+        """Take in a sample; overwrites the motion of the head."""
+        _move(self, sample, head)
 
 
 def rotation_filter(axis: HighPass) -> Matrices:
@@ -121,7 +151,7 @@ def rotation_filter(axis: HighPass) -> Matrices:
     b = np.array([[0.0, 0.0], [1.0, 0.0]])
     c = np.vstack([[0.0, 1.0], a[1], a[1] @ a])
     d = np.array([[0.0, 0.0], [1.0, 0.0], [a[1, 1], 1.0]])
-    return a, b, c, d
+    return Matrices(a, b, c, d)
 
 
 def low_pass_filter(axis: TiltCoordinated) -> Matrices:
@@ -141,7 +171,8 @@ def translation_filter(axis: ThirdOrder) -> Matrices:
 
 def _with_derivatives(a: Array, b: Array) -> Matrices:
     """A system that puts out its first state and two derivatives; its second is the first one's."""
-    return a, b, np.vstack([np.eye(2, len(a)), a[1]]), np.vstack([np.zeros((2, 1)), b[1]])
+    outputs = np.vstack([np.eye(2, len(a)), a[1]])
+    return Matrices(a, b, outputs, np.vstack([np.zeros((2, 1)), b[1]]))
 
 
 def side_by_side(systems: list[Matrices], interval: float) -> Held:
@@ -155,18 +186,25 @@ def side_by_side(systems: list[Matrices], interval: float) -> Held:
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
     """The algorithm at samples `interval` [s] apart; `start` begins."""
-    turns = [rotation_filter(axis) for axis in (settings.roll, settings.pitch, settings.yaw)]
-    tilts = [low_pass_filter(axis) for axis in (settings.surge, settings.sway)]
-    moves = [translation_filter(axis) for axis in (settings.surge, settings.sway, settings.heave)]
-    most = settings.inputs
-    if (recovery := most.tilt_recovery.si) <= 0.5 * interval:
+    surge, sway, inputs = settings.surge, settings.sway, settings.inputs
+    if inputs.tilt_recovery.si <= 0.5 * interval:
         raise InputError(
-            f"inputs: tilt_recovery: {most.tilt_recovery} is refused; allowed: more than half an "
+            f"inputs: tilt_recovery: {inputs.tilt_recovery} is refused; allowed: more than half an "
             f"interval between samples, {0.5 * interval:.4g} s"
         )
-    turn, tilt, move = (empty_filter(side_by_side(one, interval)) for one in (turns, tilts, moves))
-    limits = (most.tilt_force_limit.si, most.tilt_rate.si, recovery)
-    return Classical(turn, tilt, move, np.zeros((2, 3)), np.zeros((2, 3)), *limits, interval)
+    rotations = [rotation_filter(axis) for axis in (settings.roll, settings.pitch, settings.yaw)]
+    translations = [translation_filter(axis) for axis in (surge, sway, settings.heave)]
+    return Classical(
+        rotation=Filter.of(side_by_side(rotations, interval)),
+        low_pass=Filter.of(side_by_side([low_pass_filter(surge), low_pass_filter(sway)], interval)),
+        translation=Filter.of(side_by_side(translations, interval)),
+        tilt=np.zeros((2, 3)),
+        demand=np.zeros((2, 3)),
+        tilt_force=inputs.tilt_force_limit.si,
+        tilt_rate=inputs.tilt_rate.si,
+        recovery=inputs.tilt_recovery.si,
+        interval=interval,
+    )
 
 
 @allocating
@@ -222,19 +260,15 @@ def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore
 
 
 @allocating
-def move_classical(classical, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
-    """One sample of Euler rates e, their change over the last interval and f1, (3,) each, SI.
-
-    Overwrites the attitude and the displacement of the pilot's station, inertial axes, each with
-    two derivatives, (3, 3).
-    """
+def _move(classical, sample, head):  # type: ignore[no-untyped-def]
     turning = np.empty(6)
-    turning[:3], turning[3:] = euler_rates, slopes
-    push_sample(classical.rotation, turning, angular.reshape(9))
+    turning[:3], turning[3:] = sample.euler_rates, sample.slopes
+    push_sample(classical.rotation, turning, head.angular.reshape(9))
 
+    force, limit = sample.force, classical.tilt_force
     pushing, passed, demand = np.empty(2), np.empty(6), np.empty((2, 3))
     for axis in range(2):
-        pushing[axis] = min(max(force[axis], -classical.tilt_force), classical.tilt_force)
+        pushing[axis] = min(max(force[axis], -limit), limit)
     push_sample(classical.low_pass, pushing, passed)
     _tilt_demands(passed, demand)
     limits = (classical.tilt_rate, classical.recovery, classical.interval)
@@ -242,9 +276,10 @@ def move_classical(classical, euler_rates, slopes, force, angular, linear):  # t
         follow(classical.tilt[axis], classical.demand[axis], demand[axis], *limits)
     classical.demand[:] = demand
     for order in range(3):
-        angular[order, 1] += classical.tilt[0, order]
-        angular[order, 0] -= classical.tilt[1, order]
+        head.angular[order, 1] += classical.tilt[0, order]
+        head.angular[order, 0] -= classical.tilt[1, order]
 
-    moving = rotation(angular[0, 0], angular[0, 1], angular[0, 2]) @ force
+    roll, pitch, yaw = head.angular[0]
+    moving = rotation(roll, pitch, yaw) @ force
     moving[2] += STANDARD_GRAVITY
-    push_sample(classical.translation, moving, linear.reshape(9))
+    push_sample(classical.translation, moving, head.linear.reshape(9))

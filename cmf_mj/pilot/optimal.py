@@ -22,35 +22,106 @@ filter from v_A to u, whose states hold the simulator's position and angle. Size
 the settings (Bryson's rule). The canals are taken without their lead of 0.06 s, to be proper.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.optimize import brentq
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.filters import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.pilot.classical import Filter, Matrices, empty_filter, push_sample, start_filter
+from cmf_mj.pilot.classical import Filter, HeadMotion, Matrices, Sample, push_sample
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
-from cmf_mj.pilot.washout_settings import OptimalSettings, TiltCost
+from cmf_mj.pilot.washout_settings import OptimalSettings
 
 Matrix = NDArray[np.float64]
+
+
+_FIRST_INPUT = {"rate": 0, "force": 3}
+"""Of each axis' inputs among Euler rates (3) and specific force (3)."""
+_FIRST_OUTPUTS = {
+    "rate": {"angle": 0, "rate": 3},
+    "force": {"position": 9, "velocity": 12, "acceleration": 15},
+}
+"""Of what an input moves among angles (9) and displacements (9) with two derivatives."""
+
+
+class ModeLayout(NamedTuple):
+    """What a mode moves, and the order of its signals, by the names of their sizes."""
+
+    axes: dict[str, int]  #: Axis, 0 to 2, of each input of v: a rate about it, a force along it.
+    states: tuple[str, ...]  #: Of x_d.
+    efforts: tuple[str, ...]  #: Of u.
+    tilt: float = 0.0  #: Specific force per angle [m/s^2/rad].
+
+    @property
+    def input_columns(self) -> list[int]:
+        """Where its inputs are among Euler rates (3) and specific force (3)."""
+        return [_FIRST_INPUT[signal] + axis for signal, axis in self.axes.items()]
+
+    @property
+    def output_rows(self) -> dict[str, int]:
+        """Where its motion is among the outputs of `Optimal.filter`, by name."""
+        return {
+            name: first + axis
+            for signal, axis in self.axes.items()
+            for name, first in _FIRST_OUTPUTS[signal].items()
+        }
+
+    def motion(self, states: Matrix, efforts: Matrix, slopes: Matrix) -> dict[int, list[Matrix]]:
+        """Displacement and angle by degree of freedom with two derivatives, of x, u and du/dt."""
+        rows, motion = {name: -row for row, name in enumerate(self.states[::-1], 1)}, {}
+        if "force" in self.axes:
+            acceleration = efforts[self.efforts.index("acceleration")]
+            displacement = [states[rows["position"]], states[rows["velocity"]]]
+            motion[self.axes["force"]] = [*displacement, acceleration]
+        if "rate" in self.axes:
+            rate = self.efforts.index("rate")
+            motion[3 + self.axes["rate"]] = [states[rows["angle"]], efforts[rate], slopes[rate]]
+        return motion
+
+
+_TRAVEL = ("position_integral", "position", "velocity")
+_TILTING = ((*_TRAVEL, "angle"), ("rate", "acceleration"))
+LAYOUTS = {
+    "pitch_surge": ModeLayout({"rate": 1, "force": 0}, *_TILTING, tilt=STANDARD_GRAVITY),
+    "roll_sway": ModeLayout({"rate": 0, "force": 1}, *_TILTING, tilt=-STANDARD_GRAVITY),
+    "yaw": ModeLayout({"rate": 2}, ("angle_integral", "angle"), ("rate",)),
+    "heave": ModeLayout({"force": 2}, _TRAVEL, ("acceleration",)),
+}
+"""All modes by name."""
+
+_DERIVATIVES = {
+    "position_integral": "position",
+    "position": "velocity",
+    "velocity": "acceleration",
+    "angle_integral": "angle",
+    "angle": "rate",
+}
+"""Derivative of each state of x_d, a state or an effort."""
+
+
+class QuadraticCost(NamedTuple):
+    """x Q x + 2 x N u + u R u."""
+
+    states: Matrix  #: Q.
+    cross: Matrix  #: N.
+    efforts: Matrix  #: R.
 
 
 class WashoutMode(NamedTuple):
     """A linear-quadratic problem and its solution."""
 
+    layout: ModeLayout
     plant: tuple[Matrix, Matrix]  #: A, B of dx/dt = A x + B u with x = (x_v, x_d, x_n).
-    cost: tuple[Matrix, Matrix, Matrix]  #: Q, N, R of x Q x + 2 x N u + u R u.
+    cost: QuadraticCost
     riccati: Matrix  #: P of the algebraic Riccati equation.
     feedback: Matrix  #: F of u = -F x.
-    filter: Matrices
-    """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
+    filter: Matrices  #: From the aircraft's inputs to the simulator's motion; states (x_v, x_d).
     sensed: Matrix  #: e of x, less what u adds at once, (rate and force, n).
 
 
@@ -62,222 +133,126 @@ class Optimal(NamedTuple):
     and the force (6) to angles and displacements with two derivatives (18)."""
     interval: float  #: T [s].
 
-    def start(self, euler_rates: Matrix, force: Matrix, angular: Matrix, linear: Matrix) -> None:
+    def start(self, sample: Sample, head: HeadMotion) -> None:
         """As `Classical.start`."""
-        beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
-        start_filter(self.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
-        move_optimal(self, euler_rates, np.zeros(3), force, angular, linear)
+        self.filter.start(np.concatenate([sample.inputs, np.zeros(6)]))
+        self.move(sample, head)
+
+    def move(self, sample: Sample, head: HeadMotion) -> None:
+        """As `Classical.move`."""
+        _move(self, sample, head)
 
 
-def _solve(
-    vestibular: control.StateSpace,
-    tilt: float,
-    chain: tuple[Matrix, Matrix],
-    sizes: tuple[list[float], list[float], list[float]],
-    corners: list[float],
-    motion: tuple[Matrix, Matrix],
-) -> WashoutMode:
-    """Solve one mode, whose filter's outputs are the rows `motion` of x_d and u.
+def _selection(chosen: Iterable[str], signals: Sequence[str]) -> Matrix:
+    """Rows that choose signals by name; zeros for a name that is none of these signals."""
+    return np.array([[float(name == signal) for signal in signals] for name in chosen])
 
-    `vestibular` leads from v to what is sensed, `tilt` is the specific force of its last input per
-    last state of the chain A_d, B_d; sizes are of errors, of x_d, of u, corners b [rad/s].
-    """
-    av, bv, cv, dv = control.ssdata(vestibular)
-    ad, bd = chain
+
+def _sizes(settings: Settings, names: Iterable[str], ending: str = "") -> list[float]:
+    """Sizes in SI by their names in the settings, which may have an ending."""
+    return [getattr(settings, name + ending).si for name in names]
+
+
+def _weight(settings: Settings, names: Iterable[str], ending: str = "") -> Matrix:
+    """Diagonal weight of signals that cost one at their sizes (Bryson's rule)."""
+    return np.diag(1.0 / np.square(_sizes(settings, names, ending)))
+
+
+def _solve_mode(layout: ModeLayout, settings: Settings, senses: control.StateSpace) -> WashoutMode:
+    """Solve one mode; `senses` lead from v to what is sensed."""
+    av, bv, cv, dv = control.ssdata(senses)
+    derivatives = [_DERIVATIVES[state] for state in layout.states]
+    ad, bd = (_selection(derivatives, signals) for signals in (layout.states, layout.efforts))
+    corners = _sizes(settings, layout.axes, "_bandwidth")
     nv, nd, nn = len(av), len(ad), len(corners)
     # v_S = S u + G x_d: tilt adds to the specific force.
     gravity = np.zeros((nn, nd))
-    gravity[-1, -1] = tilt
+    gravity[-1, -1] = layout.tilt
     a = linalg.block_diag(av, ad, -np.diag(corners))
     a[:nv, nv:] = np.hstack([bv @ gravity, -bv])
     b = np.vstack([bv, bd, np.zeros((nn, nn))])
-    errors, states, efforts = (np.diag(1.0 / np.square(size)) for size in sizes)
+
+    error_weight = _weight(settings, layout.axes, "_error")
     sensed = np.hstack([cv, dv @ gravity, -dv])
-    q = sensed.T @ errors @ sensed
+    q = sensed.T @ error_weight @ sensed
     q = 0.5 * (q + q.T)
-    q[nv : nv + nd, nv : nv + nd] += states
-    n = sensed.T @ errors @ dv
-    r = efforts + dv.T @ errors @ dv
-    p = linalg.solve_continuous_are(a, b, q, r, s=n)
-    feedback = linalg.solve(r, b.T @ p + n.T, assume_a="pos")
-    kept, aircraft = feedback[:, : nv + nd], feedback[:, nv + nd :]
-    own, entry = a[: nv + nd], b[: nv + nd]
-    closed = own[:, : nv + nd] - entry @ kept, own[:, nv + nd :] - entry @ aircraft
-    rows, efforts_in = motion
-    c = np.hstack([np.zeros((len(rows), nv)), rows]) - efforts_in @ kept
-    filtering = (*closed, c, -efforts_in @ aircraft)
-    return WashoutMode((a, b), (q, n, r), p, feedback, filtering, sensed)
+    q[nv : nv + nd, nv : nv + nd] += _weight(settings, layout.states)
+    efforts = _weight(settings, layout.efforts) + dv.T @ error_weight @ dv
+    cost = QuadraticCost(q, sensed.T @ error_weight @ dv, efforts)
+
+    riccati = linalg.solve_continuous_are(a, b, cost.states, cost.efforts, s=cost.cross)
+    feedback = linalg.solve(cost.efforts, b.T @ riccati + cost.cross.T, assume_a="pos")
+    filtering = _closed_filter(layout, (a, b), feedback)
+    return WashoutMode(layout, (a, b), cost, riccati, feedback, filtering, sensed)
 
 
-def _pick(count: int, *places: int | None) -> Matrix:
-    """Rows that pick each one of `count` variables, or none of them."""
-    return np.eye(count + 1, count)[[count if place is None else place for place in places]]
-
-
-def _si(sizes: Settings, *names: str) -> list[float]:
-    return [getattr(sizes, name).si for name in names]
-
-
-_TRAVEL = ("position_integral", "position", "velocity")
+def _closed_filter(layout: ModeLayout, plant: tuple[Matrix, Matrix], feedback: Matrix) -> Matrices:
+    """The filter from the aircraft's inputs to the motion of a mode under its feedback."""
+    a, b = plant
+    states = slice(len(a) - len(layout.axes))
+    aircraft = slice(states.stop, None)
+    effort_outputs = _selection(layout.output_rows, layout.efforts)
+    state_outputs = _selection(layout.output_rows, layout.states)
+    sense_outputs = np.zeros((len(state_outputs), states.stop - len(layout.states)))
+    return Matrices(
+        a[states, states] - b[states] @ feedback[:, states],
+        a[states, aircraft] - b[states] @ feedback[:, aircraft],
+        np.hstack([sense_outputs, state_outputs]) - effort_outputs @ feedback[:, states],
+        -effort_outputs @ feedback[:, aircraft],
+    )
 
 
 def washout_modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
-    """All four modes by name.
+    """All modes of `LAYOUTS`, solved.
 
     Inputs of a filter are Euler rate and specific force, outputs angle, its rate, displacement,
     velocity and acceleration, as far as the mode has them.
     """
     senses = load_senses()
     proper = {"lead": senses.canals.lead.model_copy(update={"value": 0.0})}
-    canals = state_space(canal_response(senses.canals.model_copy(update=proper)))
-    otoliths = state_space(otolith_response(senses.otoliths))
-    path, pushed = np.diag([1.0, 1.0], 1), np.array([[0.0], [0.0], [1.0]])
-    turn, turned = np.diag([1.0], 1), np.array([[0.0], [1.0]])
-
-    def tilting(sizes: TiltCost, sign: float) -> WashoutMode:
-        chain = (linalg.block_diag(path, [[0.0]]), linalg.block_diag(pushed, [[1.0]])[:, ::-1])
-        errors = _si(sizes, "rate_error", "force_error")
-        kept = (errors, _si(sizes, *_TRAVEL, "angle"), _si(sizes, "rate", "acceleration"))
-        corners = _si(sizes, "rate_bandwidth", "force_bandwidth")
-        motion = (_pick(4, 3, None, 1, 2, None), _pick(2, None, 0, None, None, 1))
-        both = control.append(canals, otoliths)
-        return _solve(both, sign * STANDARD_GRAVITY, chain, kept, corners, motion)
-
-    solved = {
-        "pitch_surge": tilting(settings.pitch_surge, 1.0),
-        "roll_sway": tilting(settings.roll_sway, -1.0),
+    systems = {
+        "rate": state_space(canal_response(senses.canals.model_copy(update=proper))),
+        "force": state_space(otolith_response(senses.otoliths)),
     }
-    yaw, heave = settings.yaw, settings.heave
-    kept = _si(yaw, "rate_error"), _si(yaw, "angle_integral", "angle"), _si(yaw, "rate")
-    motion = (_pick(2, 1, None), _pick(1, None, 0))
-    corners = _si(yaw, "rate_bandwidth")
-    solved["yaw"] = _solve(canals, 0.0, (turn, turned), kept, corners, motion)
-    kept = _si(heave, "force_error"), _si(heave, *_TRAVEL), _si(heave, "acceleration")
-    motion = (_pick(3, 1, 2, None), _pick(1, None, None, 0))
-    corners = _si(heave, "force_bandwidth")
-    solved["heave"] = _solve(otoliths, 0.0, (path, pushed), kept, corners, motion)
-    return solved
-
-
-PLACES = {
-    "pitch_surge": ((1, 3), (1, 4, 9, 12, 15)),
-    "roll_sway": ((0, 4), (0, 3, 10, 13, 16)),
-    "yaw": ((2,), (2, 5)),
-    "heave": ((5,), (11, 14, 17)),
-}
-"""Inputs and outputs of each mode among those of `Optimal.filter`."""
+    return {
+        name: _solve_mode(
+            layout,
+            getattr(settings, name),
+            control.append(*(systems[signal] for signal in layout.axes)),
+        )
+        for name, layout in LAYOUTS.items()
+    }
 
 
 def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
     """The algorithm at samples `interval` [s] apart; `start` begins."""
-    by_name = washout_modes(settings)
-    a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
+    modes = washout_modes(settings).values()
+    a = linalg.block_diag(*(mode.filter.a for mode in modes))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
     begin = 0
-    for name, mode in by_name.items():
-        mode_a, mode_b, mode_c, mode_d = mode.filter
-        states = slice(begin, begin + len(mode_a))
+    for mode in modes:
+        inputs, rows = np.array(mode.layout.input_columns), mode.layout.output_rows
+        states = slice(begin, begin + len(mode.filter.a))
         begin = states.stop
-        inputs, outputs = (np.array(place) for place in PLACES[name])
-        b[states, inputs] = mode_b
-        c[outputs, states] = mode_c
-        d[np.ix_(outputs, inputs)] = mode_d
+        outputs = np.array(list(rows.values()))
+        b[states, inputs] = mode.filter.b
+        c[outputs, states] = mode.filter.c
+        d[np.ix_(outputs, inputs)] = mode.filter.d
         # Angular acceleration is the derivative of the rate, an output with direct feed-through.
-        for rate in outputs[(outputs >= 3) & (outputs < 6)]:
-            row = list(outputs).index(rate)
-            c[rate + 3, states] = mode_c[row] @ mode_a
-            d[rate + 3, inputs] = mode_c[row] @ mode_b
-            d[rate + 3, inputs + 6] = mode_d[row]
-    return Optimal(empty_filter(hold(a, b, c, d, interval)), interval)
-
-
-class Condensed(NamedTuple):
-    """One mode over the horizon; given s = (x_0, u_0, v_0 .. v_N) and free U = (u_1 .. u_N)."""
-
-    hessian: Matrix  #: H, (mN, mN).
-    gradient: Matrix  #: G, (mN, s).
-    states: Matrix  #: x at each knot of (s, U), (N + 1, n, s + mN).
-    inputs: Matrix  #: u at each knot of (s, U), (N + 1, m, s + mN).
-
-
-def knots(count: int, first: float, horizon: float) -> Matrix:
-    """Times t_0 .. t_N [s], (N + 1,): the first span given, later ones longer by one ratio."""
-    if horizon <= count * first * (1.0 + 1e-9):
-        return np.asarray(first * np.arange(count + 1))
-    sums = np.arange(count)
-    ratio = brentq(lambda r: first * np.sum(r**sums) - horizon, 1.0, horizon / first + 1.0)
-    return np.concatenate([[0.0], np.cumsum(first * ratio**sums)])
-
-
-def span_cost(dynamics: tuple[Matrix, Matrix], weight: Matrix, span: float) -> Matrix:
-    """Cost matrix of (x_0, w_0, w_1) over a span [s], inputs w straight between; exact.
-
-    int e^(M^T t) Q e^(M t) dt by Van Loan's exponential for a small part, then doubled.
-    """
-    a, b = dynamics
-    n, m = b.shape
-    chain = np.zeros((n + 2 * m, n + 2 * m))
-    chain[:n, :n], chain[:n, n : n + m] = a, b
-    chain[n : n + m, n + m :] = np.eye(m)
-    cost = linalg.block_diag(weight, np.zeros((m, m)))
-    doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(chain, 1) * span))) + 1)
-    part = span / 2**doublings
-    joined = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
-    over = joined[len(chain) :, len(chain) :]
-    total = over.T @ joined[: len(chain), len(chain) :]
-    for _ in range(doublings):
-        total, over = total + over.T @ total @ over, over @ over
-    slope = np.eye(n + 2 * m)
-    slope[n + m :, n : n + m], slope[n + m :, n + m :] = -np.eye(m) / span, np.eye(m) / span
-    total = slope.T @ total @ slope
-    return np.asarray(0.5 * (total + total.T))
-
-
-def parts(mode: WashoutMode) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """A, (B, E), the weight of (x, u, v) and P of (x, v) of a mode."""
-    n, m = len(mode.filter[0]), mode.plant[1].shape[1]
-    (a, b), (q, cross, r) = mode.plant, mode.cost
-    order = np.r_[:n, len(a) : len(a) + m, n : len(a)]
-    weight = np.block([[q, cross], [cross.T, r]])[np.ix_(order, order)]
-    return a[:n, :n], np.hstack([b[:n], a[:n, n:]]), weight, mode.riccati
-
-
-def condense(mode: WashoutMode, times: Matrix, smooth: Iterable[float] = ()) -> Condensed:
-    """Condense a mode over knots at some times [s]; slopes of u cost int (u' / smooth)^2 dt."""
-    a, b, weight, terminal = parts(mode)
-    n, m, both = len(a), mode.plant[1].shape[1], b.shape[1]
-    count, p = len(times) - 1, both - m
-    given = n + m + p * (count + 1)
-    size = given + m * count
-    states, inputs = np.zeros((count + 1, n, size)), np.zeros((count + 1, both, size))
-    states[0, :, :n] = np.eye(n)
-    for k in range(count + 1):
-        own = n if k == 0 else given + m * (k - 1)
-        inputs[k, :m, own : own + m] = np.eye(m)
-        ahead = n + m + p * k
-        inputs[k, m:, ahead : ahead + p] = np.eye(p)
-    total = np.zeros((size, size))
-    for k, span in enumerate(np.diff(times)):
-        held = hold(a, b, np.zeros((0, n)), np.zeros((0, both)), float(span))
-        states[k + 1] = held.transition @ states[k]
-        states[k + 1] += held.earlier @ inputs[k] + held.later @ inputs[k + 1]
-        stage = np.vstack([states[k], inputs[k], inputs[k + 1]])
-        total += stage.T @ span_cost((a, b), weight, float(span)) @ stage
-        for row, size in enumerate(smooth):
-            change = (inputs[k + 1, row] - inputs[k, row]) / size
-            total += np.outer(change, change) / span
-    last = np.vstack([states[-1], inputs[-1, m:]])
-    total += last.T @ terminal @ last
-    return Condensed(total[given:, given:], total[given:, :given], states, inputs[:, :m])
+        if "rate" in rows:
+            rate, acceleration = list(rows).index("rate"), rows["rate"] + 3
+            c[acceleration, states] = mode.filter.c[rate] @ mode.filter.a
+            d[acceleration, inputs] = mode.filter.c[rate] @ mode.filter.b
+            d[acceleration, inputs + 6] = mode.filter.d[rate]
+    return Optimal(Filter.of(hold(a, b, c, d, interval)), interval)
 
 
 @allocating
-def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
-    """One sample; arguments as for `move_classical`."""
-    inputs, out = np.empty(12), np.empty(18)
-    inputs[:3], inputs[3:6], inputs[6:9] = euler_rates, force, slopes
+def _move(optimal, sample, head):  # type: ignore[no-untyped-def]
+    inputs, motion = np.empty(12), np.empty(18)
+    inputs[:3], inputs[3:6], inputs[6:9] = sample.euler_rates, sample.force, sample.slopes
     inputs[5] += STANDARD_GRAVITY
     inputs[9:] = (inputs[3:6] - optimal.filter.inputs[3:6]) / optimal.interval
-    push_sample(optimal.filter, inputs, out)
-    angular[:] = out[:9].reshape(3, 3)
-    linear[:] = out[9:].reshape(3, 3)
+    push_sample(optimal.filter, inputs, motion)
+    head.angular[:] = motion[:9].reshape(3, 3)
+    head.linear[:] = motion[9:].reshape(3, 3)

@@ -177,18 +177,3 @@ def cueing_error(aircraft: PilotMotion, simulator: PilotMotion) -> CueingError:
     flown, felt = sense(aircraft), sense(simulator)
     force, rate = flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate
     return CueingError(flown, felt, np.hstack([force, rate]), load_senses().thresholds.si)
-
-
-def otoliths_ahead(times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What otoliths with states x_0 (2,) sense at t_1 .. t_N of a force f straight between times.
-
-    Returns the rows S of s = S (x_0, f_0 .. f_N), (N, N + 3), and those of x_1, (2, N + 3).
-    """
-    a, b, c, d = control.ssdata(state_space(otolith_response(load_senses().otoliths)))
-    states = np.zeros((len(times), 2, len(times) + 2))
-    states[0, :, :2] = np.eye(2)
-    for k, span in enumerate(np.diff(times)):
-        held = hold(a, b, c, d, float(span))
-        states[k + 1] = held.transition @ states[k]
-        states[k + 1, :, 2 + k : 4 + k] += np.hstack([held.earlier, held.later])
-    return np.asarray(c @ states[1:])[:, 0], states[1]

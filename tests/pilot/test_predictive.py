@@ -3,26 +3,19 @@
 import numpy as np
 import pytest
 from cab_motions import G, level, pushed, sustained, turn_entry
-from scipy import integrate, linalg
 from scipy.optimize import nnls
 
-from cmf_mj.core.filters import hold
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.kinematics import about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, excursion, within_limits
 from cmf_mj.pilot.drives import drive
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.optimal import condense, knots, parts, span_cost, washout_modes
-from cmf_mj.pilot.perception import load_senses, otoliths_ahead, sense
-from cmf_mj.pilot.predictive import along
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import load_washout
 from scripts.judgement import judge
 
 SETTINGS = load_washout("predictive")
-MODES = washout_modes(SETTINGS)
 LIMITS = load_motion_limits()
 BOUNDS = ("blower", "bupper")
 
@@ -40,101 +33,18 @@ def changed(mode=(), sizes=1.0, **prediction):
     return type(SETTINGS)(**tables)
 
 
-@pytest.mark.parametrize("name", MODES)
-def test_unconstrained_over_a_long_horizon_it_is_the_discrete_riccati_solution(name):
-    """State (x, u), input the next u: SciPy's equation has u+ = -K (x, u)."""
-    mode, span, count = MODES[name], 0.1, 150
-    a, both, weight, _ = parts(mode)
-    n, m = len(a), mode.plant[1].shape[1]
-    b = both[:, :m]
-    held = hold(a, b, np.zeros((0, n)), np.zeros((0, m)), span)
-    w = span_cost((a, b), weight[: n + m, : n + m], span)
-    moved = np.block([[held.transition, held.earlier], [np.zeros((m, n + m))]])
-    driven = np.vstack([held.later, np.eye(m)])
-    q, s, r = w[: n + m, : n + m], w[: n + m, n + m :], w[n + m :, n + m :]
-    p = linalg.solve_discrete_are(moved, driven, q, r, s=s)
-    gain = np.linalg.solve(r + driven.T @ p @ driven, driven.T @ p @ moved + s.T)
-    whole = condense(mode, knots(count, span, 0.0))
-    plan = -np.linalg.solve(whole.hessian, whole.gradient[:, : n + m])
-    np.testing.assert_allclose(plan[:m], -gain, atol=1e-7 * np.abs(gain).max())
-
-
-def test_cost_of_a_span_is_the_integral():
-    """Against adaptive quadrature of the simulated motion."""
-    draw = np.random.default_rng(4)
-    mode = MODES["pitch_surge"]
-    a, both, weight, _ = parts(mode)
-    x, w0, w1 = draw.normal(size=len(a)), draw.normal(size=4), draw.normal(size=4)
-    span = 0.3
-    whole = np.concatenate([x, w0, w1])
-    actual = whole @ span_cost((a, both), weight, span) @ whole
-
-    def rate(t, y):
-        w = w0 + (w1 - w0) * t / span
-        z = np.concatenate([y[:-1], w])
-        return np.concatenate([a @ y[:-1] + both @ w, [z @ weight @ z]])
-
-    run = integrate.solve_ivp(rate, (0, span), np.append(x, 0.0), rtol=1e-11, atol=1e-12)
-    assert actual == pytest.approx(run.y[-1, -1], rel=1e-8)
-
-
-def test_knots_begin_with_a_frame_and_end_at_the_horizon():
-    times = knots(16, 0.0125, 3.0)
-    assert (times[0], times[1], times[-1]) == pytest.approx((0.0, 0.0125, 3.0))
-    ratio = np.diff(times)[1:] / np.diff(times)[:-1]
-    np.testing.assert_allclose(ratio, ratio[0])
-
-
-def test_legs_and_pose_along_a_motion_are_those_of_the_centroid():
-    """Central differences of the kinematics along a path of the head."""
-    station, shape = load_cab().station, load_machine().geometry
-    q0, rate = (
-        np.array([0.2, -0.1, 0.1, 0.1, -0.12, 0.2]),
-        np.array([0.3, 0.2, -0.1, 0.1, 0.2, 0.1]),
-    )
-    head, h = about(station, "cmf"), 1e-4
-
-    def legs(t):
-        return pose_to_legs(q0 + t * rate, head)
-
-    reached, jacobian, turning = np.empty((1, 12)), np.empty((1, 12, 6)), np.empty((1, 12, 6))
-    along(head, station, q0[None], rate[None], reached, jacobian, turning)
-    np.testing.assert_allclose(reached[0, :6], pose_to_legs(reached[0, 6:], shape), atol=1e-12)
-    np.testing.assert_allclose(jacobian[0, :6] @ rate, (legs(h) - legs(-h)) / (2 * h), atol=1e-7)
-    second = (legs(h) - 2 * legs(0.0) + legs(-h)) / h**2
-    np.testing.assert_allclose((turning[0] @ rate)[:6], second, atol=1e-6)
-    # J' q' is square in q': the straight line from q'* misses (1.5 - 1)^2 of it.
-    more = np.empty_like(turning)
-    along(head, station, q0[None], 1.5 * rate[None], reached, jacobian, more)
-    linear = turning[0] @ (2.0 * 1.5 * rate - rate)
-    np.testing.assert_allclose(more[0] @ (1.5 * rate), linear + turning[0] @ rate / 4.0, atol=1e-6)
-    there = [np.empty((1, 12)) for _ in range(2)]
-    for sign, row in zip((1, -1), there, strict=True):
-        along(
-            head,
-            station,
-            q0[None] + sign * h * rate,
-            rate[None],
-            row,
-            jacobian.copy(),
-            turning.copy(),
-        )
-    moved = (there[0] - there[1])[0] / (2 * h)
-    np.testing.assert_allclose(jacobian[0] @ rate, moved, atol=1e-6)
-
-
 def test_one_axis_is_the_dense_solution_of_the_same_programme():
     """Least distance by Lawson and Hanson's NNLS: z = -f + A^T y, y >= 0 of active rows."""
     washout = Washout(changed(false_price=0.0))
     own, seen = washout.predictive, []
-    solve = own._solve
+    solve = own.solver.solve
 
     def solving(programme):
         z, count = solve(programme)
         seen.append((programme, z))
         return z, count
 
-    own._solve = solving
+    own.solver.solve = solving
     washout.run(pushed(2, sustained(12.0, seconds=2.0, at=0.2)))
     active = 0
     for programme, z in seen[::7]:
@@ -216,7 +126,7 @@ def test_a_plan_goes_on_when_the_solver_does_not_end_and_then_fades_to_a_washout
     own = washout.predictive
     for _ in range(80):
         washout.frame([2.0, 0.0, -G], np.zeros(3))
-    own._solve = lambda programme: (None, 0)
+    own.solver.solve = lambda programme: (None, 0)
     frames = [washout.frame([0.0, 0.0, -G], np.zeros(3)) for _ in range(4000)]
     pose, speed = (
         np.array([getattr(frame, name) for frame in frames]) for name in ("pose", "velocity")
@@ -283,24 +193,6 @@ def test_the_first_frame_takes_no_longer_than_the_others():
     assert min(firsts) < 5.0 * min(others)
 
 
-def test_otoliths_ahead_sense_what_the_senses_do():
-    """Of a force that runs straight between the knots, next to the samples of `sense`."""
-    times = np.array([0.0, 0.05, 0.1, 0.25, 0.4])
-    force = np.array([0.4, 0.7, -0.2, 1.0, 0.3])
-    fine = np.arange(0.0, 0.4 + 1e-9, 0.001)
-    flown = np.zeros((fine.size, 3))
-    flown[:, 0] = np.interp(fine, times, force)
-    told = sense(PilotMotion(fine, flown, 0.0 * flown, 0.0 * flown)).specific_force[:, 0]
-    rows, on = otoliths_ahead(times)
-    # At rest with the first force, x_0 gives what a constant force does.
-    constant = rows[:, 2:].sum(axis=1) * force[0]
-    gain = load_senses().otoliths.gain.si * force[0]
-    start, *_ = np.linalg.lstsq(rows[:, :2], gain - constant, rcond=None)
-    ahead = rows @ np.concatenate([start, force])
-    np.testing.assert_allclose(ahead, np.interp(times[1:], fine, told), atol=1e-9)
-    assert on.shape == (2, rows.shape[1])
-
-
 def test_a_price_on_false_cues_makes_them_fewer():
     """Braking to rest: what is sensed against the car's force, with the price and without."""
     flown = drive("braking")
@@ -350,7 +242,7 @@ def test_a_guess_leads_by_its_slope_and_constant_cannot():
     np.testing.assert_array_equal(poses["constant", 0.0], poses["constant", 0.1])
     own = SETTINGS.prediction.guess_time.si
     expected = own * (1.0 - np.exp(-0.1 / own))
-    ahead = [runs["guess", lead].predictive._v[3] for lead in (0.1, 0.0)]
+    ahead = [runs["guess", lead].predictive.forecast.first[3] for lead in (0.1, 0.0)]
     slope = SETTINGS.gains[0] * (1.0 - np.exp(-3.99 / SETTINGS.prediction.guess_lag.si))
     assert ahead[0] - ahead[1] == pytest.approx(expected * slope, rel=0.02)
 
