@@ -39,15 +39,10 @@ from cmf_mj.machine.machine import load_machine
 from cmf_mj.record.columns import POSES, read_mapped
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior import effects
+from cmf_mj.report_2014.posterior.effect_run import effects_of, machines_of, run_effects
 from cmf_mj.report_2014.posterior.run import Task
-from cmf_mj.report_2014.posterior.weighing import (
-    Bank,
-    effects_of,
-    load_effects,
-    machines_of,
-    run_effects,
-    settings_of,
-)
+from cmf_mj.report_2014.posterior.study import effect_settings, load_effects
+from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.signals import stepped_sines
 from cmf_mj.studies.fit.sampling import (
     effective_size,
@@ -157,7 +152,7 @@ def plan() -> list[Sine]:
 def draw(study: Path, out: Path) -> Path:
     """Machines of all plants with at most one effect, in proportion to weight and evidence."""
     bank = run_effects(load_effects("effects"), study)
-    settings, shares = settings_of(bank.study), bank.shares()
+    settings, shares = effect_settings(bank.study), bank.shares()
     pooled = np.concatenate([share * bank.weights(plant) for plant, share in shares.items()])
     chosen = resampled(pooled, settled()["machines"], settled()["seed"])
     rows, known = [], len(settings.unknowns)
@@ -208,8 +203,8 @@ def by_prior(name: str, count: int) -> list[Drawn]:
         }
         law = bound(known.apply(values, load_law(sheet.law)), plant)
         one = Drawn(Linear(plant), law, present, 1.0)
-        part = effects.changed(effects.Part.of(one.linear), present, _QUIET)
-        if are_stable(closed_loop(law, part.held).poles()):
+        part = effects.with_effects(effects.LinearPlant.of(one.linear), present, _QUIET)
+        if are_stable(closed_loop(law, part.in_frames).poles()):
             found.append(one)
     return found
 
@@ -223,7 +218,7 @@ def drawn_plant(known: Unknowns, values: Mapping[str, Any], name: str) -> Hexapo
 
 def describing(one: Drawn, sines: Sequence[Sine]) -> Complex:
     """Response of a machine along the axis of each sine, (n,)."""
-    part, jacobian = effects.Part.of(one.linear), one.linear.jacobian
+    part, jacobian = effects.LinearPlant.of(one.linear), one.linear.jacobian
     moving = bool(one.effects.keys() & {"coulomb", "lap", "flow_shape"})
     speeds, delay = SPEEDS if moving else SPEEDS[:1], one.effects.get("reading_delay", 0.0)
     hertz = np.array([sine.frequency for sine in sines])
@@ -232,7 +227,7 @@ def describing(one: Drawn, sines: Sequence[Sine]) -> Complex:
     z = np.exp(2j * np.pi * lines * one.law.frame)[:, None, None]
     legs = np.empty((len(speeds), len(sines), 6), dtype=complex)
     for k, speed in enumerate(speeds):
-        loop = closed_loop(one.law, effects.changed(part, one.effects, speed).held)
+        loop = closed_loop(one.law, effects.with_effects(part, one.effects, speed).in_frames)
         inside = z * np.eye(loop.nstates) - loop.A
         answers = loop.C @ np.linalg.solve(inside, (loop.B @ jacobian).astype(complex))
         legs[k] = answers[where, :, axes]

@@ -54,10 +54,11 @@ def study_command(
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     from cmf_mj.report_2014.posterior.answers import posterior_tables
+    from cmf_mj.report_2014.posterior.effect_run import run_effects
+    from cmf_mj.report_2014.posterior.effect_tables import effect_tables
     from cmf_mj.report_2014.posterior.figures import posterior_figures
-    from cmf_mj.report_2014.posterior.run import load_posterior, run_posterior
-    from cmf_mj.report_2014.posterior.weighed import effect_tables
-    from cmf_mj.report_2014.posterior.weighing import load_effects, run_effects
+    from cmf_mj.report_2014.posterior.run import run_posterior
+    from cmf_mj.report_2014.posterior.study import load_effects, load_posterior
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.engine import RESULTS, run_study

@@ -11,11 +11,10 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
 from cmf_mj.analysis.measures import Measures, measure_loop
-from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field, Result, fields_of
-from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
+from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity, printed_table_4_1
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
 
@@ -34,6 +33,13 @@ class LawLoop(NamedTuple):
     measures: Measures
 
 
+class LoopFigures(NamedTuple):
+    """Figures of a law around the models."""
+
+    bode: Figure  #: Bode diagram, as Figure 4-13.
+    step: Figure  #: Steps, as Figures 4-6, 4-9 and 4-12.
+
+
 LOOPS = (
     Field("law", of="law.name"),
     Field("model", form="#{}".format),
@@ -41,13 +47,14 @@ LOOPS = (
     Field("gain_bandwidth_hz", "-3 dB", ".2f", of="measures.gain_bandwidth_hz"),
     Field("peak_gain_db", "peak dB", ".2f", of="measures.peak_gain_db"),
     Field("static_gain", "static", ".2f", of="measures.static_gain"),
-    Field(
-        *("", "zeta step", ".2f"),
-        of=lambda row: row.measures.damping_ratio if row.measures.stable else "unstable",
-    ),
+    Field("", "zeta step", ".2f", of=lambda row: _step_damping(row.measures)),
     Field("mode_damping_ratio", "zeta pole", ".2f", of="measures.mode_damping_ratio"),
 )
 """Bandwidths and damping of laws around the hardware models."""
+
+
+def _step_damping(measures: Measures) -> float | str:
+    return measures.damping_ratio if measures.stable else "unstable"
 
 
 def law_loops(laws: str | Sequence[str]) -> Result[LawLoop]:
@@ -80,7 +87,7 @@ TABLE_4_1 = (
     Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
 )
 
-_LEGEND = (
+_CAPTION = (
     "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
     "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg "
     "{0.phase_bandwidth_hz} Hz, -3 dB {0.gain_bandwidth_hz} Hz, damping {0.damping_ratio}"
@@ -92,59 +99,65 @@ def table_4_1() -> Result[TableRow]:
 
     The damping ratio stands in all three readings, the hardware under the same law in the caption.
     """
-    rows = []
-    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for number, equation in HARDWARE_MODELS.items():
-        ours = measure_loop(closed_loop("velocity", hardware_velocity(number)))
+    rows, printed = list[TableRow](), printed_table_4_1()
+    for number in HARDWARE_MODELS:
+        loop = measure_loop(closed_loop("velocity", hardware_velocity(number)))
         row = printed[f"linear_{number}"]
-        entries = [
-            ("-90 deg", "Hz", row.phase_bandwidth_hz, ours.phase_bandwidth_hz),
-            ("-3 dB", "Hz", row.gain_bandwidth_hz, ours.gain_bandwidth_hz),
-            ("damping, step", "1", row.damping_ratio, ours.damping_ratio),
-            ("damping, demand", "1", row.damping_ratio, ours.demand_damping_ratio),
-            ("damping, peak", "1", row.damping_ratio, ours.peak_damping_ratio),
+        damping = row.damping_ratio
+        rows += [
+            _table_row(number, "-90 deg", "Hz", row.phase_bandwidth_hz, loop.phase_bandwidth_hz),
+            _table_row(number, "-3 dB", "Hz", row.gain_bandwidth_hz, loop.gain_bandwidth_hz),
+            _table_row(number, "damping, step", "1", damping, loop.damping_ratio),
+            _table_row(number, "damping, demand", "1", damping, loop.demand_damping_ratio),
+            _table_row(number, "damping, peak", "1", damping, loop.peak_damping_ratio),
         ]
-        for quantity, unit, stated, computed in entries:
-            value = float("nan") if stated is None else stated
-            tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
-            off = computed - value
-            judged = (value, computed, off, tolerance, abs(off) <= tolerance)
-            rows.append(TableRow(number, equation, quantity, unit, *judged))
     title = "Table 4-1: velocity law around linear models 1 to 3"
-    return Result(rows, TABLE_4_1, title, _LEGEND.format(printed["hardware"]), grouped=True)
+    return Result(rows, TABLE_4_1, title, _CAPTION.format(printed["hardware"]), grouped=True)
 
 
-def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
-    """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
+def _table_row(
+    number: int, quantity: str, unit: str, printed: float | None, computed: float
+) -> TableRow:
+    """A quantity of a linear model by its number."""
+    published = float("nan") if printed is None else printed
+    deviation, equation = computed - published, HARDWARE_MODELS[number]
+    tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
+    within = abs(deviation) <= tolerance
+    judgement = (published, computed, deviation, tolerance, within)
+    return TableRow(number, equation, quantity, unit, *judgement)
+
+
+def loop_figures(loops: Sequence[LawLoop]) -> LoopFigures:
+    """Bode diagram and step of a law around the models; the step of an unstable loop is empty."""
     if not loops:
         raise InputError("loops: none given; at least one is needed")
     bode, gain, phase = look.bode_axes(limits=True)
     step = look.new_figure(8.0, 7.0)
-    axis, circles = step.subplots(), ""
-    printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
-    for item in loops:
-        stable, label = item.measures.stable, f"linear model #{item.model}"
-        label += f", Eq {HARDWARE_MODELS[item.model]}" + ("" if stable else ", unstable")
-        response = loop_response(item.loop, _FREQUENCIES)
+    step_axes, circles, printed = step.subplots(), "", printed_table_4_1()
+    for loop in loops:
+        stable, label = loop.measures.stable, f"linear model #{loop.model}"
+        label += f", Eq {HARDWARE_MODELS[loop.model]}" + ("" if stable else ", unstable")
+        response = loop_response(loop.loop, _FREQUENCIES)
         colour = look.plot_bode(gain, phase, response, label=label, stable=stable)
-        axis.plot(*(loop_step(item.loop, 2.0) if stable else ((), ())), label=label, color=colour)
-        row = printed[f"linear_{item.model}"]
-        if item.law.name == row.law and look.plot_printed(gain, phase, row, colour):
+        times, positions = loop_step(loop.loop, 2.0) if stable else ((), ())
+        step_axes.plot(times, positions, label=label, color=colour)
+        row = printed[f"linear_{loop.model}"]
+        if loop.law.name == row.law and look.plot_printed(gain, phase, row, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")
-    axis.axhline(1.0, color=look.GREY, linewidth=0.8)
-    axis.set(
+    step_axes.axhline(1.0, color=look.GREY, linewidth=0.8)
+    step_axes.set(
         xlabel="time after the step [s]", ylabel="leg position over demand", title=f"Step, {law}"
     )
     look.legend(bode, step)
-    return bode, step
+    return LoopFigures(bode, step)
 
 
 def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     files: dict[str, Any] = {"table_4_1.csv": rows.save}
-    for law in dict.fromkeys(item.law.name for item in loops):
-        figures = loop_figures([item for item in loops if item.law.name == law])
-        files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures
+    for law in dict.fromkeys(loop.law.name for loop in loops):
+        figures = loop_figures([loop for loop in loops if loop.law.name == law])
+        files |= {f"bode_{law}.png": figures.bode, f"step_{law}.png": figures.step}
     return look.save_files(files, folder)

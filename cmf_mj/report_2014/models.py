@@ -7,6 +7,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import BeforeValidator, Field
 
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
+from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 
@@ -96,6 +97,11 @@ def report_model(number: str, variant: Variant = "corrected") -> UnitTransferFun
 
 HARDWARE_MODELS = {1: "4.12", 2: "4.15", 3: "4.18"}
 """Linear models 1 to 3 of Table 4-1: equations of leg velocity per command."""
+
+
+def printed_table_4_1() -> dict[str, Published]:
+    """Results of Table 4-1: of the hardware and, as `linear_1` to `linear_3`, of these models."""
+    return {str(row.of): row for row in published_results() if row.table == "4-1"}
 
 
 def hardware_velocity(number: int) -> UnitTransferFunction:

@@ -27,15 +27,10 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.report_2014.posterior import effects
 from cmf_mj.report_2014.posterior.answers import LEVELS, chance, interval, probability_text
+from cmf_mj.report_2014.posterior.effect_run import effects_of, machines_of, run_effects
 from cmf_mj.report_2014.posterior.run import Task
-from cmf_mj.report_2014.posterior.weighing import (
-    Bank,
-    effects_of,
-    load_effects,
-    machines_of,
-    run_effects,
-    settings_of,
-)
+from cmf_mj.report_2014.posterior.study import effect_settings, load_effects
+from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.studies.certificate import QUICK, certify
 from cmf_mj.studies.certificate_family import load_box
 from cmf_mj.studies.fit.sampling import effective_size, quantiles
@@ -60,7 +55,7 @@ class Drawn(NamedTuple):
 def drawn(bank: Bank, count: int) -> list[Task]:
     """Machines of the average, with the plant each belongs to."""
     shares, size = bank.shares(), len(bank.study.settings.unknowns)
-    used = settings_of(bank.study).used
+    used = effect_settings(bank.study).used
     generator = np.random.default_rng(bank.study.settings.seed)
     tasks = []
     for plant in generator.choice(list(shares), count, p=list(shares.values())):
@@ -77,14 +72,14 @@ def drawn(bank: Bank, count: int) -> list[Task]:
 
 def made(task: Task) -> Drawn:
     """A machine linearised with each cab."""
-    return Drawn(machines_of(task, task.about), effects_of(task, task.about), task)
+    return Drawn(machines_of(task, task.subject), effects_of(task, task.subject), task)
 
 
 def read(one: Drawn, cab: str, law: Law) -> list[float]:
     """-90 deg [Hz] of each axis, the least damping ratio and whether it is stable."""
     linear, own = one.machines[cab], one.law(law)
     damped = effects.damping(linear, one.present, own)
-    loop = closed_loop(bound(own, linear.plant), effects.carried(linear, one.present))
+    loop = closed_loop(bound(own, linear.plant), effects.flown_plant(linear, one.present))
     b, c = loop.B @ linear.jacobian, np.linalg.inv(linear.jacobian) @ loop.C
     pose = control.ss(loop.A, b, c, 0.0, loop.dt)
     response = pose(np.exp(2j * np.pi * LINES * FRAME))

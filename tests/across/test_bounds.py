@@ -18,7 +18,7 @@ from cmf_mj.core.units import from_si
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.report_2014.ledger import load_ledger
-from cmf_mj.report_2014.posterior.run import load_posterior
+from cmf_mj.report_2014.posterior.study import load_posterior
 from cmf_mj.studies.fit.campaign import load_campaign
 from cmf_mj.studies.settings import load_study
 from tests.across.test_fuzz_files import loaders, refused

@@ -29,7 +29,7 @@ from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.record.record import Record
-from cmf_mj.report_2014.posterior.run import load_posterior
+from cmf_mj.report_2014.posterior.study import load_posterior
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]

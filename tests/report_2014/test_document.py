@@ -66,7 +66,7 @@ def test_figures_are_readable_and_say_where_the_machine_is_a_stand_in(
 ) -> None:
     for figure in content.figures:
         caption = page_figure(figure, content.runs).caption
-        on_machine = any(need.on == "machine" for need in figure.needs)
+        on_machine = any(need.plant == "machine" for need in figure.needs)
         assert ("stand-in" in caption) == on_machine, figure.number
         assert figure.title in drawn["figure.svg"]
 
@@ -98,14 +98,14 @@ def test_contents_lead_to_every_figure_and_table(page: Path) -> None:
 
 def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
     rows = tables.result_rows(content.runs, "2-4")
-    assert [(row.of, row.quantity) for row in rows] == [
+    assert [(row.source, row.quantity) for row in rows] == [
         (of, quantity)
         for of in ("hardware", "model")
         for quantity in ("-90 deg", "-3 dB", "damping ratio")
     ]
     allowed = {"-90 deg": 0.1, "-3 dB": 0.12, "damping ratio": 0.1}
     for row in rows:
-        limit = 0.1 if row.of == "hardware" else allowed[row.quantity]
+        limit = 0.1 if row.source == "hardware" else allowed[row.quantity]
         off = row.computed - row.printed
         expected = abs(off if row.quantity == "damping ratio" else off / row.printed) <= limit
         assert row.within == expected
@@ -242,7 +242,7 @@ def test_what_rings_on_shows_its_mark_and_does_not_agree(content: Content) -> No
     """The same runs, the steps of the stand-in called unstable."""
     results: dict[RunSpec, Any] = dict(content.runs.results)
     for key, result in results.items():
-        if isinstance(result, CaseResult) and key.on == "machine":
+        if isinstance(result, CaseResult) and key.plant == "machine":
             results[key] = result._replace(measures=Measures())
     ringing = Runs(results, content.runs.quick)
     table = result_table(ringing, "2-4").table

@@ -10,7 +10,7 @@ import pytest
 from cmf_mj.analysis.published import published, published_results
 from cmf_mj.report_2014.page import document as accounting
 from cmf_mj.report_2014.page import tables
-from cmf_mj.report_2014.page.document import first_screen
+from cmf_mj.report_2014.page.document import summary_blocks
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
@@ -26,7 +26,7 @@ from cmf_mj.studies.case import CaseResult
 def runs() -> Runs:
     """All runs of the result tables; of the stand-in those alone that are compared with a print."""
     needs = {need for table in TITLES for need in tables.table_needs(table)}
-    shown = {need for need in needs if need.on == "machine" and need.dof != "heave"}
+    shown = {need for need in needs if need.plant == "machine" and need.dof != "heave"}
     made = perform(needs - shown, quick=True)
     results: dict[RunSpec, Any] = dict(made.results)
     for need in shown:  # of the column that stands beside, and is judged by nothing
@@ -35,7 +35,7 @@ def runs() -> Runs:
 
 
 def rows_of(runs: Runs, *names: str) -> list[ResultRow]:
-    return [row for name in names for row in result_rows(runs, name) if row.read]
+    return [row for name in names for row in result_rows(runs, name) if row.is_as_read]
 
 
 def test_single_legs_reproduce_tables_3_5_d_1_and_d_2_regression(runs: Runs) -> None:
@@ -50,7 +50,7 @@ def test_single_legs_reproduce_tables_3_5_d_1_and_d_2_regression(runs: Runs) -> 
             assert row.stable and np.isnan(row.computed)
         else:
             limit = 0.10 if row.quantity == "-90 deg" else 0.12
-            assert abs(row.swept / row.printed - 1.0) <= limit
+            assert abs(row.sweep_value / row.printed - 1.0) <= limit
     every = [row for name in TITLES for row in result_rows(runs, name)]
     other = next(row for row in widths if row.printed != row.printed)._replace(quantity="-90 deg")
     assert accounting.not_available([*every, other]) == (5, 5)  # N/A of -3 dB alone
@@ -58,7 +58,7 @@ def test_single_legs_reproduce_tables_3_5_d_1_and_d_2_regression(runs: Runs) -> 
 
 def test_shares_of_agreement_regression(runs: Runs) -> None:
     """Of 44 bandwidths four lie beyond 10 %, of two laws that ring; read all the same, none."""
-    table = {one.what: one for one in accounting.agreements(runs)}
+    table = {one.number_class: one for one in accounting.agreements(runs)}
     whole = table["bandwidths"]
     assert whole.printed == 44
     assert whole.printed == sum(table[f"of them {kind}"].printed for kind in BANDWIDTHS)
@@ -67,7 +67,7 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
     )
     beyond = {
         (row.law, row.label, row.quantity)
-        for row in accounting.once(rows_of(runs, *TITLES))
+        for row in accounting.distinct_numbers(rows_of(runs, *TITLES))
         if row.quantity in BANDWIDTHS
         and row.printed == row.printed
         and not abs(row.computed / row.printed - 1.0) <= 0.10
@@ -85,7 +85,7 @@ def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
     """Ten of equal legs, six of linear models, two next to a fitted row, two that ring."""
     left = Counter(
         row.law
-        for row in accounting.once(rows_of(runs, *TITLES))
+        for row in accounting.distinct_numbers(rows_of(runs, *TITLES))
         if row.quantity in BANDWIDTHS and row.printed == row.printed and not row.calibrated
     )
     named = {"position_error_rate": 10, "velocity": 6, "velocity_integral": 2, "force": 2}
@@ -112,8 +112,8 @@ def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
 
 def test_what_is_printed_twice_counts_once(runs: Runs) -> None:
     rows = rows_of(runs, "2-6", "4-1")
-    again = [row for row in rows if row.of == "hardware" and row.quantity == "-90 deg"]
-    assert len(again) == 2 and len(accounting.once(again)) == 1
+    again = [row for row in rows if row.source == "hardware" and row.quantity == "-90 deg"]
+    assert len(again) == 2 and len(accounting.distinct_numbers(again)) == 1
     assert all(row.calibrated for row in again)
 
 
@@ -132,15 +132,15 @@ def test_a_law_that_rings_agrees_with_nothing(runs: Runs) -> None:
     assert [row.within for row in before] == [True, True, False]
     assert [row.within for row in after] == [False, False, False]
     assert all(np.isnan(row.computed) for row in after)
-    assert after[0].swept == before[0].computed
-    assert f"{after[0].swept:.2f} Hz" in after[0].note
+    assert after[0].sweep_value == before[0].computed
+    assert f"{after[0].sweep_value:.2f} Hz" in after[0].note
 
 
 def test_a_crossing_where_n_a_is_printed_is_outside(runs: Runs) -> None:
     """Behind Eq 3.6 all five -3 dB are there, and the report prints none."""
     rows = [r for r in result_rows(runs, "D-2") if r.quantity == "-3 dB"]
-    assert [row.within for row in rows] == [row.read for row in rows]
-    assert all(np.isnan(row.computed) == row.read for row in rows)
+    assert [row.within for row in rows] == [row.is_as_read for row in rows]
+    assert all(np.isnan(row.computed) == row.is_as_read for row in rows)
 
 
 def test_force_feedback_is_judged_by_its_3_g_and_25_hz(runs: Runs) -> None:
@@ -168,7 +168,7 @@ def test_printed_rows_are_compared_with_the_law_that_they_are_of() -> None:
 
 def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     """76 numbers, read from the publication alone."""
-    lead, agreed = first_screen(runs)
+    lead, agreed = summary_blocks(runs)
     fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
     fields += ("oscillation_hz", "acceleration_g")
     printed = {
@@ -183,7 +183,7 @@ def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
     classes = accounting.agreements(runs)
     assert agreed.table.cells == classes.table.cells
     counts = {
-        one.what: [one.printed, *(round(share * one.printed) for share in one[2:5])]
+        one.number_class: [one.printed, *(round(share * one.printed) for share in one[2:5])]
         for one in classes
     }
     parts = (counts[f"of them {role}"] for role in ("calibrated", "predicted"))

@@ -7,7 +7,13 @@ from cmf_mj import Hexapod, Linear, load_hydraulics, load_law
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.cylinder import friction_slope, stiffness
 from cmf_mj.report_2014.posterior import effects, evidence
-from cmf_mj.report_2014.posterior.effects import EFFECTS, SPEEDS, Part, changed, lap_gain
+from cmf_mj.report_2014.posterior.effects import (
+    EFFECTS,
+    SPEEDS,
+    LinearPlant,
+    lap_gain,
+    with_effects,
+)
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +21,7 @@ def linear() -> Linear:
     return Linear(Hexapod("gfd"))
 
 
-def response(part: Part, hertz: float, kind: int = 1) -> np.ndarray:
+def response(part: LinearPlant, hertz: float, kind: int = 1) -> np.ndarray:
     """From commands to one kind of feedback, (6, 6)."""
     s = 2j * np.pi * hertz
     inside = s * np.eye(part.a.shape[0]) - part.a
@@ -31,20 +37,22 @@ def test_a_loop_without_effects_is_that_of_the_linear_room(linear: Linear, law: 
 
 def test_a_machine_without_effects_shows_what_evidence_predicts(linear: Linear) -> None:
     expected = evidence.fit_features(linear.model("heave")["heave_rate", :])
-    for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
+    for law in (*evidence.ROW_TABLES, evidence.HELD_OUT):
         heave = linear.measures(law)[DOFS.index("heave")]
-        for name in evidence.FIELDS:
+        for name in evidence.ROW_FIELDS:
             expected[f"{law}_{name}"] = getattr(heave, name)
-    shown = effects.shown({"gfd": linear}, {})
+    shown = effects.observed({"gfd": linear}, {})
     assert {name: shown[name] for name in expected} == pytest.approx(expected, rel=2e-3)
     assert shown["flown"] is True
 
 
 def test_every_effect_of_no_size_changes_nothing(linear: Linear) -> None:
-    plain = effects.shown({"gfd": linear}, {})
+    plain = effects.observed({"gfd": linear}, {})
     for name in EFFECTS:
         none = 1.0 if name == "measured_mass" else 0.0
-        assert effects.shown({"gfd": linear}, {name: none}) == pytest.approx(plain, rel=5e-3), name
+        assert effects.observed({"gfd": linear}, {name: none}) == pytest.approx(plain, rel=5e-3), (
+            name
+        )
 
 
 def test_lap_halves_doubles_and_shuts_a_valve() -> None:
@@ -61,14 +69,14 @@ def test_lap_halves_doubles_and_shuts_a_valve() -> None:
 
 
 def test_dead_time_and_lags_turn_the_phase(linear: Linear) -> None:
-    part, hertz, time = Part.of(linear), 3.0, 0.004
+    part, hertz, time = LinearPlant.of(linear), 3.0, 0.004
     s = 2j * np.pi * hertz
     for name, ratio in (
         ("dead_time", (1.0 - 0.5 * s * time) / (1.0 + 0.5 * s * time)),
         ("second_lag", 1.0 / (1.0 + s * time)),
         ("velocity_filter", 1.0 / (1.0 + s * time)),
     ):
-        later = response(changed(part, {name: time}, 0.1), hertz)
+        later = response(with_effects(part, {name: time}, 0.1), hertz)
         np.testing.assert_allclose(later, ratio * response(part, hertz), rtol=1e-6)
     assert np.angle((1.0 - 0.5 * s * time) / (1.0 + 0.5 * s * time)) == pytest.approx(
         -abs(s) * time, rel=1e-3
@@ -89,19 +97,19 @@ def test_coulomb_damps_as_the_describing_function_of_sliding() -> None:
     rubbed = Linear(Hexapod("gfd", oil), friction=speed)
     slope = friction_slope(rubbed.plant.hydraulics.friction, speed).damping
     np.testing.assert_allclose(slope, 4.0 * force / (np.pi * speed))
-    mine = changed(Part.of(Linear(Hexapod("gfd"))), {"coulomb": force}, speed)
-    np.testing.assert_allclose(mine.a, Part.of(rubbed).a, rtol=1e-6, atol=1e-3)
+    mine = with_effects(LinearPlant.of(Linear(Hexapod("gfd"))), {"coulomb": force}, speed)
+    np.testing.assert_allclose(mine.a, LinearPlant.of(rubbed).a, rtol=1e-6, atol=1e-3)
 
 
 def test_give_in_series_softens_the_oil(linear: Linear) -> None:
     """Springs in series: 1 / K' = (1 + x) / K, read off what a piston that moves presses."""
-    part, share = Part.of(linear), 0.5
+    part, share = LinearPlant.of(linear), 0.5
     areas = part.areas
-    rows = [part.at("cap_pressure")[0], part.at("rod_pressure")[0]]
-    speed = part.at("leg_velocity")[0]
+    rows = [part.states("cap_pressure")[0], part.states("rod_pressure")[0]]
+    speed = part.states("leg_velocity")[0]
     oil = stiffness(linear.plant.hydraulics.cylinder[0], 100000.0 * 6894.757, 0.0)
     assert -areas @ part.a[rows, speed] == pytest.approx(float(oil), rel=1e-2)
-    soft = changed(part, {"compliance": share}, 0.1)
+    soft = with_effects(part, {"compliance": share}, 0.1)
     ratio = (areas @ soft.a[rows, speed]) / (areas @ part.a[rows, speed])
     assert ratio == pytest.approx(1.0 / (1.0 + share))
     still = response(soft, 0.05, 0) / response(part, 0.05, 0)
@@ -110,10 +118,10 @@ def test_give_in_series_softens_the_oil(linear: Linear) -> None:
 
 def test_mass_and_air_move_the_pair_in_heave(linear: Linear) -> None:
     """As the root of stiffness over mass; air in one of two chambers softens half of the oil."""
-    plain = effects.shown({"gfd": linear}, {})["pair_hz"]
-    heavy = effects.shown({"gfd": linear}, {"measured_mass": 1.2})["pair_hz"]
+    plain = effects.observed({"gfd": linear}, {})["pair_hz"]
+    heavy = effects.observed({"gfd": linear}, {"measured_mass": 1.2})["pair_hz"]
     assert heavy == pytest.approx(plain / np.sqrt(1.2), rel=0.02)
-    airy = effects.shown({"gfd": linear}, {"soft_cap": 0.5})["pair_hz"]
+    airy = effects.observed({"gfd": linear}, {"soft_cap": 0.5})["pair_hz"]
     assert np.sqrt(1.0 / 1.5) * plain < airy < plain
 
 

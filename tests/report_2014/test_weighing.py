@@ -9,16 +9,11 @@ import pytest
 from scipy import stats
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.report_2014.posterior import weighed as tables
+from cmf_mj.report_2014.posterior import effect_tables as tables
+from cmf_mj.report_2014.posterior.effect_run import effect_points, run_effects
 from cmf_mj.report_2014.posterior.evidence import observations, printed_numbers
-from cmf_mj.report_2014.posterior.weighing import (
-    AVERAGE,
-    NONE,
-    Bank,
-    effect_points,
-    load_effects,
-    run_effects,
-)
+from cmf_mj.report_2014.posterior.study import AVERAGE, NONE, load_effects
+from cmf_mj.report_2014.posterior.weighing import Bank
 
 SMALL = {"rounds": 2, "draws": 32, "kept": 4, "pairs": 2, "cabs": ["gfd", "ifd"]}
 FEW = ["coulomb", "viscous", "flow_shape", "second_lag", "pressure_filter", "measured_mass"]
@@ -48,7 +43,7 @@ def linear_bank(moved: float = 1.0) -> Bank:
 def gaussian(bank: Bank, plant: str) -> float:
     """Ln Z of numbers with the covariance of the samples, a Gaussian density."""
     printed, s = (each[:-1] for each in printed_numbers())
-    made = bank.shown[plant][:, :-1]
+    made = bank.observed[plant][:, :-1]
     spread = np.cov(made.T) + np.diag(s**2)
     density = stats.multivariate_normal(made.mean(axis=0), spread).logpdf(printed)
     return float(density + 0.5 * np.log(2.0 * np.pi * s**2).sum())
@@ -62,10 +57,10 @@ def test_evidence_is_the_density_of_the_report_in_closed_form() -> None:
     assert bank.log_evidence(NONE) == bank.log_evidence(NONE, kinds=())
 
 
-def test_the_guess_is_the_posterior_of_a_linear_machine() -> None:
+def test_the_moments_are_the_posterior_of_a_linear_machine() -> None:
     """Mean and deviations of the machines weighed, which a first round of drawing aims at."""
     bank = linear_bank()
-    mean, spread = bank.guess()
+    mean, spread = bank.moments()
     points, weights = bank.points[:, : mean.size], bank.weights(NONE)
     error = 4.0 / np.sqrt(1.0 / (weights**2).sum())
     np.testing.assert_allclose(mean, weights @ points, atol=error)
@@ -76,12 +71,12 @@ def test_the_guess_is_the_posterior_of_a_linear_machine() -> None:
 def test_the_effect_that_explains_a_number_has_the_evidence() -> None:
     """It moves a number by the three deviations that are missing."""
     bank = linear_bank()
-    first, second = tables.weighed(bank)
+    first, second = tables.plant_evidence(bank)
     assert (first.plant, second.plant) == ("lap", NONE)
     assert first.evidence > 1.0 > first.error
     assert first.share + second.share == pytest.approx(1.0)
     assert first.share == pytest.approx(1.0 / (1.0 + np.exp(-first.evidence)))
-    idle = tables.weighed(linear_bank(0.0))
+    idle = tables.plant_evidence(linear_bank(0.0))
     assert [one.evidence for one in idle] == [0.0, 0.0]
 
 
@@ -109,8 +104,8 @@ def test_reports_made_up_find_their_effect_as_often_as_it_shows() -> None:
 
 def test_without_evidence_the_medians_lie_in_the_middle() -> None:
     bank = linear_bank()
-    idle = replace(bank, shown={NONE: 0.0 * bank.shown[NONE] + printed_numbers()[0]})
-    (row,) = tables.weighed(idle)
+    idle = replace(bank, observed={NONE: 0.0 * bank.observed[NONE] + printed_numbers()[0]})
+    (row,) = tables.plant_evidence(idle)
     assert 0.45 < row.edge <= 0.5
     assert row.at in bank.study.settings.unknowns
 
@@ -154,9 +149,9 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
     own = {"dead": more | {"effect": "value", "source": "test"}, "lap": every["lap"]}
     study = load_effects("effects", changes=SMALL | {"effects": own})
     bank = run_effects(study, tmp_path / "one", jobs=1, backend="threading")
-    assert list(bank.shown) == [NONE, "dead", "lap", "dead+lap"]
-    assert all(made.shape == (64, 12) for made in bank.shown.values())
-    assert not np.array_equal(bank.shown["dead"], bank.shown[NONE], equal_nan=True)
+    assert list(bank.observed) == [NONE, "dead", "lap", "dead+lap"]
+    assert all(made.shape == (64, 12) for made in bank.observed.values())
+    assert not np.array_equal(bank.observed["dead"], bank.observed[NONE], equal_nan=True)
     again = tmp_path / "again"
     again.mkdir()
     for name in ("study.json", "journal.jsonl"):
@@ -164,7 +159,7 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
         (again / name).write_bytes(b"".join(lines[: 9 if name != "study.json" else None]))
     other = run_effects(study, again, jobs=1, backend="threading")
     assert other.verdicts == bank.verdicts
-    assert np.array_equal(other.shown["lap"], bank.shown["lap"], equal_nan=True)
+    assert np.array_equal(other.observed["lap"], bank.observed["lap"], equal_nan=True)
     assert {row.plant for row in tables.verdicts(bank)} == {NONE, "dead", "lap", AVERAGE}
     every = tables.effect_tables(bank)
     assert all(len(table.table.cells) >= 3 for table in every.values())

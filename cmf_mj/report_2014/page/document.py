@@ -1,8 +1,8 @@
-"""The page: one HTML file with everything in it, first of all how many printed results are met.
+"""The page: one HTML file with its sections, first of all how many printed results are met.
 
 Every printed number counts once, however often the report prints it. A law whose step rings on has
-no bandwidth and no damping ratio, and so agrees with no printed one. Deviations are relative, those
-of damping ratios too.
+no bandwidth and no damping ratio, and so agrees with no printed one. All deviations of the shares
+of agreement are relative, also those of damping ratios.
 """
 
 import base64
@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib import rc_context
@@ -20,7 +20,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table, fields_of
 from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.report_2014.page.figures import FIGURES, ReportFigure
-from cmf_mj.report_2014.page.runs import CAB, HYDRAULICS, PLANTS, Runs, perform
+from cmf_mj.report_2014.page.runs import CAB, HYDRAULICS, PLANT_KINDS, Runs, perform
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     CONTENTS,
@@ -65,7 +65,7 @@ class Content(NamedTuple):
     tables: tuple[str, ...]  #: Result tables of the page.
 
     @property
-    def whole(self) -> bool:
+    def has_all_tables(self) -> bool:
         """Whether it has all result tables, and so shares of agreement."""
         return self.tables == tuple(TITLES)
 
@@ -73,7 +73,7 @@ class Content(NamedTuple):
 def provenance() -> PageTable:
     """What made the page: models and versions."""
     packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control")
-    plants = {name: make_plant(name, CAB, HYDRAULICS[on]) for on, name in PLANTS.items()}
+    plants = {kind: make_plant(kind, CAB, HYDRAULICS[plant]) for plant, kind in PLANT_KINDS.items()}
     rows = [
         ("cab of the hexapod", CAB.upper()),
         *((f"model digest, {name}", plant.digest) for name, plant in plants.items()),
@@ -84,36 +84,40 @@ def provenance() -> PageTable:
 
 def page_figure(figure: ReportFigure, runs: Runs) -> PageFigure:
     """A figure of the report as the page has it."""
-    drawn, caption = figure.draw(runs)
+    drawing, caption = figure.draw(runs)
     with TemporaryDirectory() as folder, rc_context({"svg.fonttype": "none"}):
-        image = save_figure(drawn, Path(folder) / "figure.svg").read_bytes()
+        image = save_figure(drawing, Path(folder) / "figure.svg").read_bytes()
     title = f"Figure {figure.number}: {figure.title}"
     return PageFigure(f"figure-{figure.number}", title, base64.b64encode(image).decode(), caption)
 
 
 def sections_of(content: Content) -> tuple[Section, ...]:
-    """The sections that have something to say; the summary only with all result tables."""
-    runs, figures = content.runs, content.figures
-    summary = first_screen(runs) if content.whole else []
+    """The sections that have a block; the summary only with all result tables."""
+    runs = content.runs
+    summary = summary_blocks(runs) if content.has_all_tables else []
     about: list[Block] = [*texts("about"), *(texts("quick") if runs.quick else [])]
     if content.tables:
         about.append(verdict_table(runs, content.tables))
-    every = [Section("summary", "In short", summary), Section("about", "About this page", about)]
-    for one in CONTENTS["section"]:
+    sections = [Section("summary", "In short", summary), Section("about", "About this page", about)]
+    for entry in CONTENTS["section"]:
         blocks: list[Block] = [
-            result_table(runs, name) for name in one["tables"] if name in content.tables
+            result_table(runs, name) for name in entry["tables"] if name in content.tables
         ]
-        blocks += [page_figure(f, runs) for f in figures if f.number.startswith(one["figures"])]
-        every.append(Section(one["anchor"], one["title"], blocks))
-    every.append(Section("provenance", "Models and versions", [provenance()]))
-    return tuple(section for section in every if section.blocks)
+        blocks += [
+            page_figure(figure, runs)
+            for figure in content.figures
+            if figure.number.startswith(entry["figures"])
+        ]
+        sections.append(Section(entry["anchor"], entry["title"], blocks))
+    sections.append(Section("provenance", "Models and versions", [provenance()]))
+    return tuple(section for section in sections if section.blocks)
 
 
-def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
+def _selected(field: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
     """Those of `known` that are in `numbers`; all for None."""
-    for one in numbers or ():
-        check_name(name, one, known)
-    return tuple(one for one in known if numbers is None or one in numbers)
+    for number in numbers or ():
+        check_name(field, number, known)
+    return tuple(number for number in known if numbers is None or number in numbers)
 
 
 def make_content(
@@ -129,12 +133,13 @@ def make_content(
     With all tables, the default, the page also has its summary. An argument out of range is refused
     before anything runs.
     """
-    numbers = _chosen("figures", figures, [figure.number for figure in FIGURES])
-    chosen = tuple(figure for figure in FIGURES if figure.number in numbers)
-    results = _chosen("tables", tables, tuple(TITLES))
-    needs = [need for figure in chosen for need in figure.needs]
-    needs += [need for table in results for need in table_needs(table)]
-    return Content(perform(needs, jobs=jobs, quick=quick, progress=progress), chosen, results)
+    numbers = _selected("figures", figures, [figure.number for figure in FIGURES])
+    report_figures = tuple(figure for figure in FIGURES if figure.number in numbers)
+    table_names = _selected("tables", tables, tuple(TITLES))
+    needs = [need for figure in report_figures for need in figure.needs]
+    needs += [need for name in table_names for need in table_needs(name)]
+    runs = perform(needs, jobs=jobs, quick=quick, progress=progress)
+    return Content(runs, report_figures, table_names)
 
 
 def render(content: Content) -> str:
@@ -151,25 +156,25 @@ def render(content: Content) -> str:
 def verdict_tables(content: Content) -> list[PageTable]:
     """Verdicts by table, and with all tables the shares of agreement."""
     tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    if content.whole:
+    if content.has_all_tables:
         tables.append(PageTable("agreement", agreements(content.runs).table))
     return tables
 
 
 def save_page(content: Content, folder: Path) -> Path:
-    """Write `report.html`, complete when it appears, and its verdicts as `verdicts.md` and on."""
-    for part in verdict_tables(content):
-        part.table.save(folder / f"{part.anchor}.md")
+    """Write `report.html`, complete when it appears, and its tables of verdicts as Markdown."""
+    for page_table in verdict_tables(content):
+        page_table.table.save(folder / f"{page_table.anchor}.md")
     return write_text(folder / "report.html", render(content))
 
 
 class Agreement(NamedTuple):
     """What of a class of printed numbers is met."""
 
-    what: Annotated[str, Field(title="")]
+    number_class: Annotated[str, Field(title="")]
     printed: Annotated[int, Field(form="d")]  #: How many numbers are printed.
     within_5: Annotated[float, Field(title="within 5 %", form=".0f %", unit="%")]
-    """Share of them that is off by at most so much; likewise those that follow."""
+    """Share of them that is off by at most 5 %; likewise those that follow."""
     within_10: Annotated[float, Field(title="10 %", form=".0f %", unit="%")]
     within_15: Annotated[float, Field(title="15 %", form=".0f %", unit="%")]
     median: Annotated[float, Field(title="median deviation", form="+.1f %", unit="%")]
@@ -177,50 +182,68 @@ class Agreement(NamedTuple):
     """Share of those computed that lie below the print."""
 
 
-def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
+def distinct_numbers(rows: Iterable[ResultRow]) -> list[ResultRow]:
     """The rows without the numbers that the report prints once more."""
-    seen = {(r.law, r.label, r.of, r.quantity, r.printed, r.read): r for r in reversed([*rows])}
-    return [*reversed(seen.values())]
+    first_rows: dict[tuple[Any, ...], ResultRow] = {}
+    for row in rows:
+        number = (row.law, row.label, row.source, row.quantity, row.printed, row.is_as_read)
+        first_rows.setdefault(number, row)
+    return list(first_rows.values())
 
 
-def share_met(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
-    """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
-    off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
-    known = off[np.isfinite(off)]
-    values = [np.mean(np.abs(off) <= limit + 1e-9) for limit in (0.05, 0.10, 0.15)]
-    values += [np.median(known), np.mean(known < 0.0)]
-    return Agreement(what, len(rows), *map(float, values))
+def agreement_of(
+    number_class: str, rows: Collection[ResultRow], *, from_sweeps: bool = False
+) -> Agreement:
+    """Shares of a class; `from_sweeps` counts the bandwidths of sweeps of laws that ring on."""
+    values = np.array([row.sweep_value if from_sweeps else row.computed for row in rows])
+    deviation = values / np.array([row.printed for row in rows]) - 1.0
+    known = deviation[np.isfinite(deviation)]
+
+    def share_within(limit: float) -> float:
+        return float(np.mean(np.abs(deviation) <= limit + 1e-9))
+
+    return Agreement(
+        number_class=number_class,
+        printed=len(rows),
+        within_5=share_within(0.05),
+        within_10=share_within(0.10),
+        within_15=share_within(0.15),
+        median=float(np.median(known)),
+        below=float(np.mean(known < 0.0)),
+    )
 
 
 def agreements(runs: Runs) -> Result[Agreement]:
     """All classes, from all result tables."""
-    every = [row for table in TITLES for row in result_rows(runs, table)]
-    rows = once(every)
-
-    def of(quantities: Collection[str], keep: Callable[[ResultRow], bool]) -> list[ResultRow]:
-        numbers = [r for r in rows if r.quantity in quantities and r.printed == r.printed]
-        return [row for row in numbers if keep(row)]
-
-    widths = of(BANDWIDTHS, lambda row: row.read)
-    literal = of(BANDWIDTHS, lambda row: not row.read)
-    literal += [row for row in widths if row.law not in {other.law for other in literal}]
+    all_rows = [row for table in TITLES for row in result_rows(runs, table)]
+    printed = [row for row in distinct_numbers(all_rows) if row.printed == row.printed]
+    as_read = [row for row in printed if row.is_as_read]
+    bandwidths = [row for row in as_read if row.quantity in BANDWIDTHS]
+    as_printed = [row for row in printed if not row.is_as_read and row.quantity in BANDWIDTHS]
+    laws_as_printed = {row.law for row in as_printed}
+    as_printed += [row for row in bandwidths if row.law not in laws_as_printed]
     classes = [
-        share_met("bandwidths", widths),
-        share_met("of them calibrated", [row for row in widths if row.calibrated]),
-        share_met("of them predicted", [row for row in widths if not row.calibrated]),
-        *(share_met(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
-        share_met("bandwidths, sweeps that ring read too", widths, swept=True),
-        share_met("bandwidths, gains and filter as printed", literal),
-        share_met("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
+        agreement_of("bandwidths", bandwidths),
+        agreement_of("of them calibrated", [row for row in bandwidths if row.calibrated]),
+        agreement_of("of them predicted", [row for row in bandwidths if not row.calibrated]),
+        *(
+            agreement_of(f"of them {name}", [row for row in bandwidths if row.quantity == name])
+            for name in BANDWIDTHS
+        ),
+        agreement_of("bandwidths, sweeps that ring read too", bandwidths, from_sweeps=True),
+        agreement_of("bandwidths, gains and filter as printed", as_printed),
+        agreement_of(
+            "damping ratios, all predicted", [row for row in as_read if row.quantity == RATIO]
+        ),
     ]
-    printed, met = not_available(every)
-    (note,) = texts("agreement", printed=printed, met=met)
+    blank, met = not_available(all_rows)
+    (note,) = texts("agreement", printed=blank, met=met)
     return Result(classes, fields_of(Agreement), "Share of the printed numbers that are met", note)
 
 
 def not_available(rows: Iterable[ResultRow]) -> tuple[int, int]:
     """How many -3 dB are printed as N/A, and how many of these ours does not reach either."""
-    widths = (row for row in rows if row.read and row.quantity == "-3 dB")
+    widths = (row for row in rows if row.is_as_read and row.quantity == "-3 dB")
     blank = [row for row in widths if row.printed != row.printed]
     return len(blank), sum(row.within for row in blank)
 
@@ -229,15 +252,15 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
     """Verdicts by result table; of laws as read, not of their gains as printed."""
     rows = []
     for name in names:
-        verdicts = [row.within for row in result_rows(runs, name) if row.read]
+        verdicts = [row.within for row in result_rows(runs, name) if row.is_as_read]
         rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
     header = ("table", "within", "outside")
     return PageTable("verdicts", Table("Verdicts by table", header, rows, TOLERANCES))
 
 
-def first_screen(runs: Runs) -> list[Block]:
+def summary_blocks(runs: Runs) -> list[Block]:
     """The first screen of a page with all result tables."""
-    rows = [row for name in TITLES for row in result_rows(runs, name) if row.read]
+    rows = [row for name in TITLES for row in result_rows(runs, name) if row.is_as_read]
     blank, met = not_available(rows)
-    lead = texts("summary", numbers=len(once(rows)), blank=blank, met=met)
-    return [*lead, PageTable("agreement", agreements(runs).table)]
+    paragraphs = texts("summary", numbers=len(distinct_numbers(rows)), blank=blank, met=met)
+    return [*paragraphs, PageTable("agreement", agreements(runs).table)]

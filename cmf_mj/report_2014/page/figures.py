@@ -13,9 +13,10 @@ from cmf_mj.show.comparison import responses_figure, step_figure
 from cmf_mj.studies.case import CaseResult
 
 
-def _step_text(one: CaseResult) -> str:
+def _step_text(result: CaseResult) -> str:
     """What the step of a law shows."""
-    measures, name = one.measures, f"{one.case.law.title}, {one.case.plant.replace('_', ' ')}"
+    measures, case = result.measures, result.case
+    name = f"{case.law.title}, {case.plant.replace('_', ' ')}"
     if not measures.stable:
         return f"{name}: rings on"
     error = number(100.0 * measures.steady_state_error, ".2f %")
@@ -25,11 +26,11 @@ def _step_text(one: CaseResult) -> str:
     )
 
 
-_DRAWN: Mapping[str, Callable[[Sequence[CaseResult]], Figure]] = {
+_DRAW: Mapping[str, Callable[[Sequence[CaseResult]], Figure]] = {
     "responses": responses_figure,
     "steps": step_figure,
-    "linear_responses": lambda _: loop_figures(law_loops("velocity"))[0],
-    "linear_steps": lambda _: loop_figures(law_loops("velocity"))[1],
+    "linear_responses": lambda _: loop_figures(law_loops("velocity")).bode,
+    "linear_steps": lambda _: loop_figures(law_loops("velocity")).step,
 }
 
 
@@ -38,31 +39,34 @@ class ReportFigure(NamedTuple):
 
     number: str
     title: str
-    kind: str  #: One of `_DRAWN`, and its caption.
+    kind: str  #: One of `_DRAW`, and its caption.
     needs: tuple[RunSpec, ...]  #: Runs it is drawn from.
     note: str = ""  #: At the end of its caption.
 
     def draw(self, runs: Runs) -> tuple[Figure, str]:
         """The figure and its caption."""
-        cases = [runs.results[need] for need in self.needs]
-        figure = _DRAWN[self.kind](cases)
+        results = [runs.results[need] for need in self.needs]
+        figure = _DRAW[self.kind](results)
         figure.axes[0].set_title(self.title)
         dof = self.needs[0].dof if self.needs else "heave"
         values: dict[str, Any] = {
             "axis": dof.capitalize(),
             "size": "0.33 in" if dof in ("surge", "sway", "heave") else "0.2 deg",
-            "steps": "; ".join(map(_step_text, cases)) if self.kind == "steps" else "",
+            "steps": "; ".join(map(_step_text, results)) if self.kind == "steps" else "",
         }
-        plants = dict.fromkeys(need.on for need in self.needs)
         caption = CONTENTS["caption"][self.kind].format(**values)
-        parts = [caption, *(CONTENTS["words"][on] for on in plants), self.note]
-        return figure, " ".join(filter(None, parts))
+        plants = dict.fromkeys(need.plant for need in self.needs)
+        sentences = [caption, *(CONTENTS["words"][plant] for plant in plants), self.note]
+        return figure, " ".join(filter(None, sentences))
 
 
 FIGURES = tuple(
     ReportFigure(
-        *(entry["number"], entry["title"], entry["draw"]),
-        *(specs(*entry.get("runs", ())), entry.get("note", "")),
+        number=entry["number"],
+        title=entry["title"],
+        kind=entry["draw"],
+        needs=specs(*entry.get("runs", ())),
+        note=entry.get("note", ""),
     )
     for entry in CONTENTS["figure"]
 )

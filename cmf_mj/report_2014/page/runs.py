@@ -14,12 +14,12 @@ from typing import Literal, NamedTuple
 from cmf_mj.core.threads import on_threads
 from cmf_mj.studies.case import CaseResult, make_case, run_case
 
-On = Literal["model", "machine"]
+PlantName = Literal["model", "machine"]
 
-HYDRAULICS: Mapping[On, str] = {"model": "report", "machine": "hardware"}
+HYDRAULICS: Mapping[PlantName, str] = {"model": "report", "machine": "hardware"}
 """Hydraulic sets of the two plants."""
 
-PLANTS: Mapping[On, str] = {"model": "single_legs", "machine": "hexapod"}  #: The two plants.
+PLANT_KINDS: Mapping[PlantName, str] = {"model": "single_legs", "machine": "hexapod"}
 
 CAB = "gfd"  #: Cab of the machine.
 
@@ -27,7 +27,7 @@ CAB = "gfd"  #: Cab of the machine.
 class RunSpec(NamedTuple):
     """Chirp and step of a law along one degree of freedom."""
 
-    on: On
+    plant: PlantName
     law: str
     dof: str = "heave"
 
@@ -35,9 +35,9 @@ class RunSpec(NamedTuple):
 def specs(*lines: str) -> tuple[RunSpec, ...]:
     """Runs from lines of `plant law dof`: commas between several; the last is heave by default."""
     return tuple(
-        RunSpec(*chosen)  # type: ignore[arg-type]
+        RunSpec(*fields)  # type: ignore[arg-type]
         for line in lines
-        for chosen in product(*(part.split(",") for part in line.split()))
+        for fields in product(*(part.split(",") for part in line.split()))
     )
 
 
@@ -48,9 +48,9 @@ class Runs:
     results: Mapping[RunSpec, CaseResult]
     quick: bool
 
-    def case(self, on: On, law: str, dof: str = "heave") -> CaseResult:
+    def case(self, plant: PlantName, law: str, dof: str = "heave") -> CaseResult:
         """Chirp and step."""
-        return self.results[RunSpec(on, law, dof)]
+        return self.results[RunSpec(plant, law, dof)]
 
 
 def perform(
@@ -65,10 +65,10 @@ def perform(
     Results do not depend on the number of threads, `jobs`; `quick` sweeps 30 s for 100 s.
     """
 
-    def made(need: RunSpec) -> CaseResult:
-        machine = PLANTS[need.on], CAB, HYDRAULICS[need.on]
-        return run_case(make_case(need.law, need.dof, *machine, quick=quick))
+    def run(spec: RunSpec) -> CaseResult:
+        kind, hydraulics = PLANT_KINDS[spec.plant], HYDRAULICS[spec.plant]
+        return run_case(make_case(spec.law, spec.dof, kind, CAB, hydraulics, quick=quick))
 
     # The longest first, so that no thread is left with one at the end.
-    order = sorted(set(needs), key=lambda need: (need.on != "machine", need))
-    return Runs(dict(zip(order, on_threads(made, order, jobs, progress), strict=True)), quick)
+    order = sorted(set(needs), key=lambda spec: (spec.plant != "machine", spec))
+    return Runs(dict(zip(order, on_threads(run, order, jobs, progress), strict=True)), quick)

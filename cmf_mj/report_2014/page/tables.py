@@ -15,7 +15,7 @@ from cmf_mj.core import units
 from cmf_mj.core.result import Field, Result, Table, number
 from cmf_mj.core.settings import read_toml
 from cmf_mj.report_2014.model_tables import table_4_1
-from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
+from cmf_mj.report_2014.page.runs import PlantName, Runs, RunSpec
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.fit.campaign import load_campaign
 
@@ -24,14 +24,14 @@ CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"
 
 
 class PageTable(NamedTuple):
-    """A table of the page; the verdict of a row stands in the column of this name."""
+    """A table of the page."""
 
     anchor: str
     table: Table
 
 
 def texts(name: str, **values: Any) -> list[str]:
-    """The paragraphs of this name."""
+    """The paragraphs of a name, with values put in."""
     return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
 
 
@@ -47,17 +47,20 @@ BANDWIDTHS, RATIO = ("-90 deg", "-3 dB"), "damping ratio"
 """Quantities that shares of agreement are counted of."""
 
 _NAN = float("nan")
-_ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
-_OF = {"hardware": "hardware", "nonlinear": "model"}
+_ROUNDING = 1e-9  #: Of deviations on their way through decimals.
+_PLANTS: dict[str, PlantName] = {"hardware": "machine", "nonlinear": "model"}
+"""The plant that stands for what a printed row was measured on."""
+_SOURCE_TITLES: dict[str, str] = {"hardware": "hardware", "nonlinear": "model"}
 _LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
+"""Quantities of the linear models, as the other tables name them."""
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
 }
 _FITTED = {
-    (one.at[0], one.at[1], of, one.field, one.value)
-    for name, of in (("report", "nonlinear"), ("hardware", "hardware"))
-    for one in load_campaign(name).evidence.statements
-    if not one.held_back
+    (statement.at[0], statement.at[1], source, statement.field, statement.value)
+    for name, source in (("report", "nonlinear"), ("hardware", "hardware"))
+    for statement in load_campaign(name).evidence.statements
+    if not statement.held_back
 }
 """Printed numbers that the two shipped campaigns fitted, wherever they are printed."""
 
@@ -85,7 +88,7 @@ class ResultRow(NamedTuple):
 
     law: str  #: As the report names it.
     label: str  #: Law or degree of freedom, or linear model.
-    of: str  #: What was measured.
+    source: str  #: What was measured.
     quantity: str
     unit: str
     printed: float  #: NaN where the report prints N/A.
@@ -94,17 +97,22 @@ class ResultRow(NamedTuple):
     tolerance: float  #: Allowed deviation, likewise.
     within: bool  #: N/A agrees with no crossing alone.
     calibrated: bool  #: Whether a number of ours was fitted to the printed one.
-    read: bool  #: Whether the law is the report's as read here; False for its gains as printed.
+    is_as_read: bool  #: Whether the law is the report's as read here; else its gains as printed.
     stable: bool = True  #: Verdict on the step.
-    swept: float = _NAN  #: Bandwidth of the sweep whatever the step does.
+    sweep_value: float = _NAN  #: Bandwidth of the sweep whatever the step does.
     hexapod: float | str = ""
     """The same quantity on the machine's stand-in in tables of Appendix D."""
     note: str = ""
 
 
-def _share(row: ResultRow, value: float, sign: str = "+") -> str:
+def _deviation_text(row: ResultRow, value: float, sign: str = "+") -> str:
     """A deviation: of a quantity with a unit in %, of others as it is."""
     return number(100.0 * value, f"{sign}.1f %") if row.unit else number(value, f"{sign}.2f")
+
+
+def _allowed_text(row: ResultRow) -> str:
+    """The tolerance, without a decimal that is 0."""
+    return _deviation_text(row, row.tolerance, "").replace(".0 %", " %")
 
 
 def computed_text(row: ResultRow) -> str:
@@ -116,12 +124,12 @@ def computed_text(row: ResultRow) -> str:
 
 RESULTS = (
     Field("label", "law or axis"),
-    Field("of", "source"),
+    Field("source"),
     Field("", "quantity", of=lambda row: f"{row.quantity} [{row.unit}]".removesuffix(" []")),
     Field("printed", form=lambda value: f"{value:g}" if value == value else "N/A"),
     Field("", "computed", of=computed_text),
-    Field("", "deviation", of=lambda row: _share(row, row.deviation)),
-    Field("", "allowed", of=lambda row: _share(row, row.tolerance, "").replace(".0 %", " %")),
+    Field("", "deviation", of=lambda row: _deviation_text(row, row.deviation)),
+    Field("", "allowed", of=lambda row: _allowed_text(row)),
     Field("within", "verdict", lambda within: "within" if within else "outside"),
     Field("calibrated", "role", lambda fitted: "calibrated" if fitted else "predicted"),
     Field("hexapod", form=".2f"),
@@ -134,58 +142,87 @@ def _remark(law: str, table: str, quantity: str) -> str:
     return _REMARKS.get((law, table, quantity), _REMARKS.get((law, table, ""), ""))
 
 
-def _computed(result: CaseResult, quantity: PrintedQuantity) -> tuple[float, float]:
-    """A quantity of a law, NaN where its step rings on, and that of its sweep in any case."""
-    stable, field = result.measures.stable, quantity.field
-    if field == "oscillation_hz":
-        return limit_cycle(result.step).frequency, _NAN
-    if field == "acceleration_g":
-        largest = float(np.abs(result.step["leg_acceleration"]).max())
-        return largest / units.STANDARD_GRAVITY, _NAN
-    value = float(getattr(result.measures, field)) if stable else _NAN
-    swept = value
-    if quantity.title in BANDWIDTHS and result.response is not None:
-        widths = bandwidths(result.response)
-        swept = widths.phase_hz if quantity.title == "-90 deg" else widths.gain_hz
-    return value, swept
+def _computed(result: CaseResult, quantity: PrintedQuantity) -> float:
+    """A quantity of a law, NaN where its step rings on; force feedback is measured in its step."""
+    if quantity.field == "oscillation_hz":
+        return limit_cycle(result.step).frequency
+    if quantity.field == "acceleration_g":
+        return float(np.abs(result.step["leg_acceleration"]).max()) / units.STANDARD_GRAVITY
+    return float(getattr(result.measures, quantity.field)) if result.measures.stable else _NAN
 
 
-def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
-    """The numbers of a printed row beside those of a law."""
-    rows = []
-    appendix, read = row.table.startswith("D-"), law == row.read_as
+def _sweep_value(result: CaseResult, quantity: PrintedQuantity, computed: float) -> float:
+    """Bandwidth of the sweep, of other quantities what is computed from both."""
+    if quantity.field in ("oscillation_hz", "acceleration_g"):
+        return _NAN
+    if quantity.title not in BANDWIDTHS or result.response is None:
+        return computed
+    widths = bandwidths(result.response)
+    return widths.phase_hz if quantity.title == "-90 deg" else widths.gain_hz
+
+
+def _is_calibrated(row: Published, quantity: PrintedQuantity, printed: float) -> bool:
+    """Whether a number of ours was fitted to a printed one, NaN for N/A."""
+    if row.read_as not in (row.law, row.printed_as):  # its gain is derived from this row
+        return printed == printed and quantity.title in BANDWIDTHS
+    return (row.law, row.dof, row.of, quantity.field, printed) in _FITTED
+
+
+def _hexapod_value(runs: Runs, row: Published, quantity: PrintedQuantity) -> float | str:
+    """A quantity on the machine's stand-in, for the column of Appendix D."""
+    measures = runs.case("machine", row.read_as, row.dof).measures
+    return float(getattr(measures, quantity.field)) if measures.stable else "unstable"
+
+
+def _is_in_appendix_d(table: str) -> bool:
+    return table.startswith("D-")
+
+
+def _label(row: Published, law: str) -> str:
+    """Law, or in Appendix D degree of freedom, with the law where its gains are as printed."""
     title = load_law(law).title
-    label = title if not appendix else row.dof if read else f"{row.dof}, {title}"
-    result = runs.case(_ON[row.of], law, row.dof)
-    machine = runs.case("machine", law, row.dof).measures if appendix and read else None
-    for quantity in _QUANTITIES:
-        value = getattr(row, quantity.field)
-        if value is None and quantity.field not in row.not_available:
-            continue
-        printed = _NAN if value is None else float(value)
-        computed, swept = _computed(result, quantity)
-        off = computed - printed if quantity.title == RATIO else computed / printed - 1.0
-        allowed = PHASE if row.of == "hardware" and quantity.unit == "Hz" else quantity.tolerance
-        within, stable = abs(off) <= allowed + 1e-9, result.measures.stable
-        if value is None:
-            within = stable and np.isnan(computed)
-        elif quantity.field == "acceleration_g":
-            within = off >= 0.0
-        hexapod: float | str = ""
-        if machine is not None:
-            ours = float(getattr(machine, quantity.field))
-            hexapod = ours if machine.stable else "unstable"
-        fitted = (row.law, row.dof, row.of, quantity.field, printed) in _FITTED
-        if row.read_as not in (row.law, row.printed_as):  # its gain is derived from this row
-            fitted = value is not None and quantity.title in BANDWIDTHS
-        note = "" if within else _remark(row.law, row.table, quantity.title)
-        if not (stable or note) and swept == swept:
-            note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
-        of_what = (row.law, label, _OF[row.of], quantity.title, quantity.unit)
-        judged = ResultRow(*of_what, printed, computed, off, allowed, bool(within), False, read)
-        judged = judged._replace(calibrated=fitted and read, stable=stable, swept=swept)
-        rows.append(judged._replace(hexapod=hexapod, note=note))
-    return rows
+    if not _is_in_appendix_d(row.table):
+        return title
+    return row.dof if law == row.read_as else f"{row.dof}, {title}"
+
+
+def _result_row(runs: Runs, row: Published, law: str, quantity: PrintedQuantity) -> ResultRow:
+    """A number of a printed row beside that of a law."""
+    result, is_as_read = runs.case(_PLANTS[row.of], law, row.dof), law == row.read_as
+    value, stable = getattr(row, quantity.field), result.measures.stable
+    printed = _NAN if value is None else float(value)
+    computed = _computed(result, quantity)
+    sweep_value = _sweep_value(result, quantity, computed)
+    deviation = computed - printed if quantity.title == RATIO else computed / printed - 1.0
+    is_hardware_bandwidth = row.of == "hardware" and quantity.unit == "Hz"
+    tolerance = PHASE if is_hardware_bandwidth else quantity.tolerance
+    within = abs(deviation) <= tolerance + _ROUNDING
+    if value is None:
+        within = stable and np.isnan(computed)
+    elif quantity.field == "acceleration_g":
+        within = deviation >= 0.0
+    note = "" if within else _remark(row.law, row.table, quantity.title)
+    if not (stable or note) and sweep_value == sweep_value:
+        note = f"the step rings on; its sweep has {sweep_value:.2f} Hz all the same"
+    has_hexapod = _is_in_appendix_d(row.table) and is_as_read
+    return ResultRow(
+        law=row.law,
+        label=_label(row, law),
+        source=_SOURCE_TITLES[row.of],
+        quantity=quantity.title,
+        unit=quantity.unit,
+        printed=printed,
+        computed=computed,
+        deviation=deviation,
+        tolerance=tolerance,
+        within=bool(within),
+        calibrated=is_as_read and _is_calibrated(row, quantity, printed),
+        is_as_read=is_as_read,
+        stable=stable,
+        sweep_value=sweep_value,
+        hexapod=_hexapod_value(runs, row, quantity) if has_hexapod else "",
+        note=note,
+    )
 
 
 @cache
@@ -195,41 +232,58 @@ def _linear_rows() -> tuple[ResultRow, ...]:
     for row in table_4_1():
         if row.quantity not in _LOOP_QUANTITIES:
             continue
-        unit, scale = ("", 1.0) if row.unit == "1" else ("Hz", row.published)
-        quantity = _LOOP_QUANTITIES[row.quantity]
-        note = "" if row.within else _remark("velocity", "4-1", quantity)
-        of_what = ("velocity", f"linear model #{row.model}", f"Eq {row.equation}", quantity, unit)
-        off = (row.deviation / scale, row.tolerance / scale, row.within)
-        judged = ResultRow(*of_what, row.published, row.computed, *off, False, True)
-        rows.append(judged._replace(swept=row.computed, note=note))
+        quantity, has_unit = _LOOP_QUANTITIES[row.quantity], row.unit != "1"
+        scale = row.published if has_unit else 1.0
+        linear_row = ResultRow(
+            law="velocity",
+            label=f"linear model #{row.model}",
+            source=f"Eq {row.equation}",
+            quantity=quantity,
+            unit=row.unit if has_unit else "",
+            printed=row.published,
+            computed=row.computed,
+            deviation=row.deviation / scale,
+            tolerance=row.tolerance / scale,
+            within=row.within,
+            calibrated=False,
+            is_as_read=True,
+            sweep_value=row.computed,
+            note="" if row.within else _remark("velocity", "4-1", quantity),
+        )
+        rows.append(linear_row)
     return tuple(rows)
 
 
-def _readings(table: str) -> list[tuple[Published, str]]:
+def _compared_laws(table: str) -> list[tuple[Published, str]]:
     """Printed rows of a table, each with the law as read and, if that differs, as printed."""
-    rows = [row for row in published_results() if row.table == table and row.of in _ON]
+    rows = [row for row in published_results() if row.table == table and row.of in _PLANTS]
     return [(row, law) for row in rows for law in dict.fromkeys((row.read_as, row.printed_as))]
 
 
 def table_needs(table: str) -> tuple[RunSpec, ...]:
     """Runs a result table is made from."""
-    rows = _readings(table)
-    needs = [RunSpec(_ON[row.of], law, row.dof) for row, law in rows]
-    if table.startswith("D-"):
+    rows = _compared_laws(table)
+    needs = [RunSpec(_PLANTS[row.of], law, row.dof) for row, law in rows]
+    if _is_in_appendix_d(table):
         needs += [RunSpec("machine", row.read_as, row.dof) for row, _ in rows]
     return tuple(dict.fromkeys(needs))
 
 
 def result_rows(runs: Runs, table: str) -> list[ResultRow]:
-    """All rows of a result table."""
+    """All rows of a result table; a quantity that its printed row lacks has none."""
     rows = list(_linear_rows()) if table == "4-1" else []
-    return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
+    for row, law in _compared_laws(table):
+        for quantity in _QUANTITIES:
+            is_printed = getattr(row, quantity.field) is not None
+            if is_printed or quantity.field in row.not_available:
+                rows.append(_result_row(runs, row, law, quantity))
+    return rows
 
 
 def result_table(runs: Runs, name: str) -> PageTable:
     """A result table as the page has it."""
-    appendix = name.startswith("D-")
-    title = f"Table {name}" if name[0] != "s" else name.capitalize()
-    fields = [field for field in RESULTS if appendix or field.name != "hexapod"]
-    shown = Result(result_rows(runs, name), fields, f"{title}: {TITLES[name]}", TOLERANCES).table
-    return PageTable(f"table-{name.replace(' ', '-')}", shown)
+    title = name.capitalize() if name.startswith("section") else f"Table {name}"
+    has_hexapod = _is_in_appendix_d(name)
+    fields = [field for field in RESULTS if has_hexapod or field.name != "hexapod"]
+    result = Result(result_rows(runs, name), fields, f"{title}: {TITLES[name]}", TOLERANCES)
+    return PageTable(f"table-{name.replace(' ', '-')}", result.table)

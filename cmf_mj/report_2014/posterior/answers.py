@@ -1,7 +1,7 @@
-"""What a study of the unknown says: probabilities, differences and intervals under its weights.
+"""Tables of a study of the unknown: probabilities, differences and intervals under its weights.
 
 Every statement is made under the prior, under all evidence, and with each group of evidence left
-out: what survives them all does not depend on one reading of the report.
+out: a statement that holds under all of them does not depend on one reading of the report.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,18 +20,20 @@ from cmf_mj.studies.fit.sampling import effective_size, normalised, weighted_qua
 Array = NDArray[np.float64]
 
 LEVELS = np.array([0.05, 0.5, 0.95])
-"""Of all quantiles."""
+"""Levels of all quantiles: the ends of the 90 % interval about the median."""
 
 REFERENCE = "position_error_rate"
 """The law that acceleration feedback is added to."""
 
-_FEWEST = 5  # machines that have an interval
+_FEWEST_MACHINES = 5  #: That measures have an interval of.
+_ERROR_COUNT = 41  #: Errors of reading that a prediction is spread over.
 
-_ERRORS = 41
-"""Errors of reading that a prediction is spread over."""
-
-EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
-"""What a reader calls each of `GROUPS`."""
+_GROUP_TITLES = {
+    "rows": "hardware rows",
+    "fits": "hardware fits",
+    "three_g": "3 g",
+    "flown": "flown",
+}
 
 
 def interval(span: Array, form: str = ".2f") -> str:
@@ -60,14 +62,14 @@ def probability_text(span: Array) -> str:
     return f"{middle} % ({low} to {high})"
 
 
-def _span(title: str | None = None, form: str = ".2f", name: str = "") -> Field:
-    """Quantiles at `LEVELS`."""
+def _interval_field(name: str = "", title: str | None = None, form: str = ".2f") -> Field:
+    """A field of quantiles at `LEVELS`."""
     return Field(name, title, partial(interval, form=form))
 
 
-def _without(form: Callable[[Array], str]) -> Iterator[Field]:
-    """What holds with each group of evidence left out."""
-    for group, title in EVIDENCE.items():
+def _fields_without(form: Callable[[Array], str]) -> Iterator[Field]:
+    """Fields of a statement with each group of evidence left out."""
+    for group, title in _GROUP_TITLES.items():
         yield Field(f"without_{group}", f"without {title}", form, of=f"without.{group}")
 
 
@@ -81,14 +83,14 @@ class Stability(NamedTuple):
     without: dict[str, Array]  #: Likewise with each of `GROUPS` left out.
     simulated: int  #: Machines found unstable by simulation.
     machines: int  #: Machines simulated.
-    agreeing: int  #: Of these, the ones with the verdict of the linear loop.
+    agreeing: int  #: Simulated machines with the verdict of the linear loop.
 
 
 STABILITY = (
     *map(Field, ("law", "cab")),
     Field("prior", form=probability_text),
     Field("posterior", "all evidence", form=probability_text),
-    *_without(probability_text),
+    *_fields_without(probability_text),
     Field("", "simulated", of=lambda row: f"{row.simulated} of {row.machines}"),
     Field("", "same verdict", of=lambda row: f"{row.agreeing} of {row.machines}"),
     *(Field(name, printed=False) for name in ("simulated", "machines", "agreeing")),
@@ -109,14 +111,14 @@ class DampingChange(NamedTuple):
 
 CHANGES = (
     *map(Field, ("law", "cab")),
-    _span(form="+.3f", name="prior"),
-    _span("all evidence", "+.3f", "posterior"),
+    _interval_field("prior", form="+.3f"),
+    _interval_field("posterior", "all evidence", "+.3f"),
     Field("same_sign", form=probability_text),
-    *_without(partial(interval, form="+.3f")),
+    *_fields_without(partial(interval, form="+.3f")),
 )
 
 
-class Span(NamedTuple):
+class LawMeasures(NamedTuple):
     """Measures of a law along an axis on machines drawn from the posterior, at `LEVELS`."""
 
     cab: str
@@ -124,13 +126,16 @@ class Span(NamedTuple):
     dof: str
     stable: Annotated[Array, Field(form=probability_text)]
     """Share of the machines, and its interval; the others have no measures."""
-    phase_bandwidth_hz: Annotated[Array, _span("-90 deg [Hz]")]
-    gain_bandwidth_hz: Annotated[Array, _span("-3 dB [Hz]")]
-    peak_gain_db: Annotated[Array, _span("peak [dB]", ".1f")]
-    damping_ratio: Annotated[Array, _span("zeta")]
+    phase_bandwidth_hz: Annotated[Array, _interval_field(title="-90 deg [Hz]")]
+    gain_bandwidth_hz: Annotated[Array, _interval_field(title="-3 dB [Hz]")]
+    peak_gain_db: Annotated[Array, _interval_field(title="peak [dB]", form=".1f")]
+    damping_ratio: Annotated[Array, _interval_field(title="zeta")]
 
 
-class Moved(NamedTuple):
+_MEASURES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "damping_ratio")
+
+
+class Sensitivity(NamedTuple):
     """Least damping ratio of a law at both ends of the range of an unknown."""
 
     unknown: str
@@ -154,7 +159,7 @@ class GainStep(NamedTuple):
     ]  #: [Hz], 0 for no filter.
     stable: Annotated[Array, Field(title="stable with every cab", form=probability_text)]
     """Share of the machines on which it is stable with every cab, and its interval."""
-    damping: Annotated[Array, _span("least damping ratio", ".3f")]
+    damping: Annotated[Array, _interval_field(title="least damping ratio", form=".3f")]
     """Least damping ratio of any cab, at `LEVELS`."""
 
 
@@ -165,20 +170,21 @@ class EvidenceCheck(NamedTuple):
     observed: Annotated[float, Field(title="printed", form=".3g")]
     deviation: Annotated[float, Field(title="s", form=".2g")]
     """Of the printed value, see `evidence`."""
-    prior: Annotated[Array, _span(form=".3g")]
-    posterior: Annotated[Array, _span("all evidence", ".3g")]
+    prior: Annotated[Array, _interval_field(form=".3g")]
+    posterior: Annotated[Array, _interval_field(title="all evidence", form=".3g")]
 
     @property
     def inside(self) -> bool:
-        """Whether the 90 % interval holds it."""
-        return bool(self.posterior[0] <= self.observed <= self.posterior[-1])
+        """Whether the printed value lies in the 90 % interval under all evidence."""
+        low, _, high = self.posterior
+        return bool(low <= self.observed <= high)
 
 
 UNKNOWNS = (
     Field("unknown"),
     Field("unit", of="range.unit"),
     Field("", "prior", of=lambda row: f"{row['range'].low:g} to {row['range'].high:g}"),
-    _span("all evidence", ".3g", "posterior"),
+    _interval_field("posterior", "all evidence", ".3g"),
     Field("source", "source of the bounds", of="range.source"),
     Field("low", of="range.low", printed=False),
     Field("high", of="range.high", printed=False),
@@ -187,81 +193,99 @@ UNKNOWNS = (
 
 def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
     """Weights of the machines by groups of evidence, sum 1."""
-    stated = [column(results.machines, f"log_{group}") for group in groups]
-    return normalised(np.sum([column(results.machines, "log_ratio"), *stated], axis=0))
+    likelihoods = [column(results.machines, f"log_{group}") for group in groups]
+    return normalised(np.sum([column(results.machines, "log_ratio"), *likelihoods], axis=0))
 
 
-def _both(results: Results, values: Array) -> list[Array]:
-    """Quantiles under prior and posterior of the values of all machines."""
-    return [weighted_quantiles(values, weights(results, each), LEVELS) for each in ((), GROUPS)]
-
-
-def predicted(made: Array, deviation: float, weights: Array) -> Array:
-    """Quantiles at `LEVELS` of what machines make of a number, read with its deviation."""
-    errors = deviation * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
-    read = (made[:, None] + errors).ravel()
-    return weighted_quantiles(read, np.repeat(weights, _ERRORS), LEVELS)
-
-
-def _reduced(results: Results) -> dict[str, Array]:
+def _weights_without(results: Results) -> dict[str, Array]:
     """Weights with each group of evidence left out."""
-    return {g: weights(results, [one for one in GROUPS if one != g]) for g in GROUPS}
+    return {
+        group: weights(results, [other for other in GROUPS if other != group]) for group in GROUPS
+    }
 
 
-def _chance(event: Array, weights: Array) -> Array:
+def predicted(values: Array, deviation: float, weights: Array) -> Array:
+    """Quantiles at `LEVELS` of what machines make of a number, read with its deviation."""
+    errors = deviation * stats.norm.ppf((np.arange(_ERROR_COUNT) + 0.5) / _ERROR_COUNT)
+    readings = (values[:, None] + errors).ravel()
+    return weighted_quantiles(readings, np.repeat(weights, _ERROR_COUNT), LEVELS)
+
+
+def _probability(event: Array, weights: Array) -> Array:
     """Probability of an event, and its interval."""
     return chance(float(weights @ event) / weights.sum(), effective_size(weights))
 
 
 def stability(results: Results) -> Result[Stability]:
     """How often each law is unstable with each cab."""
-    every, without, rows = weights(results), _reduced(results), []
+    prior, posterior, rows = weights(results, ()), weights(results), []
+    reduced = _weights_without(results)
     for (law, cab), machines in groups(results.damping, "law", "cab"):
-        unstable, run = 1.0 - column(machines, "stable"), where(results.simulated, law=law, cab=cab)
-        simulated = 1.0 - column(run, "stable")
-        agreeing = int((simulated == unstable[run["machine"].to_numpy()]).sum())
-        prior, posterior = _chance(unstable, weights(results, ())), _chance(unstable, every)
-        reduced = {group: _chance(unstable, some) for group, some in without.items()}
-        counts = (int(simulated.sum()), run.num_rows, agreeing)
-        rows.append(Stability(law, cab, prior, posterior, reduced, *counts))
+        unstable = 1.0 - column(machines, "stable")
+        simulated = where(results.simulated, law=law, cab=cab)
+        simulated_unstable = 1.0 - column(simulated, "stable")
+        linear_unstable = unstable[simulated["machine"].to_numpy()]
+        row = Stability(
+            law=law,
+            cab=cab,
+            prior=_probability(unstable, prior),
+            posterior=_probability(unstable, posterior),
+            without={group: _probability(unstable, w) for group, w in reduced.items()},
+            simulated=int(simulated_unstable.sum()),
+            machines=simulated.num_rows,
+            agreeing=int((simulated_unstable == linear_unstable).sum()),
+        )
+        rows.append(row)
     drawn = f"{results.machines.num_rows} machines drawn"
-    title = f"how often each law is unstable: {drawn}, effective {effective_size(every):.0f}"
+    title = f"how often each law is unstable: {drawn}, effective {effective_size(posterior):.0f}"
     return Result(rows, STABILITY, title)
 
 
-def changes(results: Results) -> Result[DampingChange]:
+def damping_changes(results: Results) -> Result[DampingChange]:
     """What each law changes in the pair's damping against `REFERENCE`."""
-    every, without, rows = weights(results), _reduced(results), []
+    prior, posterior, rows = weights(results, ()), weights(results), []
+    reduced = _weights_without(results)
     pairs = {at: column(machines, "pair") for at, machines in groups(results.damping, "law", "cab")}
     for (law, cab), damping in pairs.items():
         if law == REFERENCE or (REFERENCE, cab) not in pairs:
             continue
         change = damping - pairs[REFERENCE, cab]
-        prior, posterior = _both(results, change)
-        same = _chance(np.sign(change) == np.sign(posterior[1]), every)
-        rest = {group: weighted_quantiles(change, w, LEVELS) for group, w in without.items()}
-        rows.append(DampingChange(law, cab, prior, posterior, same, rest))
+        quantiles = weighted_quantiles(change, posterior, LEVELS)
+        row = DampingChange(
+            law=law,
+            cab=cab,
+            prior=weighted_quantiles(change, prior, LEVELS),
+            posterior=quantiles,
+            same_sign=_probability(np.sign(change) == np.sign(quantiles[1]), posterior),
+            without={g: weighted_quantiles(change, w, LEVELS) for g, w in reduced.items()},
+        )
+        rows.append(row)
     return Result(rows, CHANGES)
 
 
-def spans(results: Results) -> Result[Span]:
+def law_measures(results: Results) -> Result[LawMeasures]:
     """Measures of all laws on machines drawn from the posterior."""
     rows = []
     for (law, cab, dof), machines in groups(results.measures, "law", "cab", "dof"):
         count, stable = column(machines, "count"), column(machines, "stable")
-        some = count * stable if stable.sum() >= _FEWEST else np.zeros_like(count)
-        values = (column(machines, name) for name in Span._fields[4:])
-        quantiles = (weighted_quantiles(each, some, LEVELS) for each in values)
-        rows.append(Span(cab, law, dof, _chance(stable, count), *quantiles))
-    return Result(rows, fields_of(Span))
+        is_enough = stable.sum() >= _FEWEST_MACHINES
+        stable_count = count * stable if is_enough else np.zeros_like(count)
+        quantiles = {
+            name: weighted_quantiles(column(machines, name), stable_count, LEVELS)
+            for name in _MEASURES
+        }
+        rows.append(LawMeasures(cab, law, dof, _probability(stable, count), **quantiles))
+    return Result(rows, fields_of(LawMeasures))
 
 
-def moved(results: Results) -> list[Moved]:
+def sensitivities(results: Results) -> list[Sensitivity]:
     """Least damping ratio of each law at both ends of each unknown, the others at their medians."""
-    at = {(row["about"], row["law"]): row["least"] for row in results.points.to_pylist()}
+    least = {(row["about"], row["law"]): row["least"] for row in results.points.to_pylist()}
     laws = [law.name for law in results.study.laws]
     return [
-        Moved(name, law, *(at[key, law] for key in (f"{name} low", "median", f"{name} high")))
+        Sensitivity(
+            name, law, least[f"{name} low", law], least["median", law], least[f"{name} high", law]
+        )
         for name in results.study.settings.unknowns
         for law in laws
     ]
@@ -271,40 +295,50 @@ def gain_steps(results: Results) -> Result[GainStep]:
     """All gains of acceleration tried, behind all filters."""
     steps = []
     for (corner, gain), rows in groups(results.gains, "corner", "gain"):
-        cabs = [("count", "min"), ("stable", "all"), ("least", "min")]
-        machines = rows.group_by("machine", use_threads=False).aggregate(cabs)
+        of_all_cabs = [("count", "min"), ("stable", "all"), ("least", "min")]
+        machines = rows.group_by("machine", use_threads=False).aggregate(of_all_cabs)
         counts, stable = column(machines, "count_min"), column(machines, "stable_all")
-        least = weighted_quantiles(column(machines, "least_min"), counts, LEVELS)
-        steps.append(GainStep(gain, corner, _chance(stable, counts), least))
+        damping = weighted_quantiles(column(machines, "least_min"), counts, LEVELS)
+        steps.append(GainStep(gain, corner, _probability(stable, counts), damping))
     return Result(steps, fields_of(GainStep))
 
 
-def checks(results: Results) -> Result[EvidenceCheck]:
+def evidence_checks(results: Results) -> Result[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
     What is predicted includes the error of what is printed.
     """
+    weights_of = {"prior": weights(results, ()), "posterior": weights(results)}
     rows = []
-    for one in observations():
-        made = one.counted(column(results.machines, one.name))
-        both = [predicted(made, one.deviation, weights(results, each)) for each in ((), GROUPS)]
-        both = [np.exp(span) if one.relative else span for span in both]
-        rows.append(EvidenceCheck(one.name, one.value, one.deviation, *both))
+    for stated in observations():
+        values = stated.counted(column(results.machines, stated.name))
+        spans = {
+            name: predicted(values, stated.deviation, known) for name, known in weights_of.items()
+        }
+        if stated.relative:
+            spans = {name: np.exp(span) for name, span in spans.items()}
+        rows.append(EvidenceCheck(stated.name, stated.value, stated.deviation, **spans))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
     return Result(rows, (*fields_of(EvidenceCheck), inside))
 
 
-def unknowns(results: Results) -> Result[dict[str, Any]]:
+def unknown_ranges(results: Results) -> Result[dict[str, Any]]:
     """Range and posterior of each unknown."""
     rows = []
-    for name, one in results.study.settings.unknowns.items():
-        posterior = _both(results, column(results.machines, name))[1]
-        rows.append({"unknown": name, "range": one, "posterior": posterior})
+    for name, unknown in results.study.settings.unknowns.items():
+        values = column(results.machines, name)
+        quantiles = weighted_quantiles(values, weights(results), LEVELS)
+        rows.append({"unknown": name, "range": unknown, "posterior": quantiles})
     return Result(rows, UNKNOWNS)
 
 
 def posterior_tables(results: Results) -> dict[str, Result[Any]]:
     """All tables by the name of their file."""
-    tables: dict[str, Result[Any]] = {"stability": stability(results), "changes": changes(results)}
-    tables |= {"spans": spans(results), "gains": gain_steps(results)}
-    return tables | {"unknowns": unknowns(results), "evidence": checks(results)}
+    return {
+        "stability": stability(results),
+        "changes": damping_changes(results),
+        "spans": law_measures(results),
+        "gains": gain_steps(results),
+        "unknowns": unknown_ranges(results),
+        "evidence": evidence_checks(results),
+    }

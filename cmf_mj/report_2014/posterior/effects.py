@@ -39,12 +39,12 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior.evidence import (
-    FIELDS,
     FLOWN,
     HELD_OUT,
-    ROWS,
+    ROW_FIELDS,
+    ROW_TABLES,
     fit_features,
-    shipped,
+    shipped_law,
 )
 from cmf_mj.studies.engine import Row
 from cmf_mj.studies.fit.evidence import LINES
@@ -55,28 +55,29 @@ SPEEDS = {"original": 0.063, "velocity": 0.103, HELD_OUT: 0.103, "fits": 0.133}
 """Amplitudes of leg speeds [m/s]: 0.33 in times the leg's cosine 0.832 and the gain of 0.8 at the
 printed -90 deg; 1 in at 1 Hz."""
 
-_STEP = 1.0 / 0.33  #: Speeds of a step of 1 in over those of the sweep.
-_TIMES = np.arange(8, 2048, 8)  # of steps [frames]
+_STEP_SPEED_RATIO = 1.0 / 0.33  #: Leg speeds in a step of 1 in over those of the sweep.
+_STEP_FRAMES = np.arange(8, 2048, 8)  #: Frames after a step at which its response is computed.
 _LEGS, _HEAVE = len(DOFS), DOFS.index("heave")
-_LEAST = 0.05  # gain that is left of a valve
-_INSTANT = 1e-5  # shortest lag [s]
+_PRESSURES = ("cap_pressure", "rod_pressure")
+_LEAST_GAIN = 0.05  #: Gain that every valve keeps.
+_SHORTEST_LAG = 1e-5  #: [s].
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class LinearPlant:
     """A linear plant that effects change: leg by leg within a kind of state or output."""
 
-    linear: Linear  #: Without effects; their states stand behind its own.
+    linear: Linear  #: Without effects; states that effects add stand behind its own.
     a: Array  #: (n, n).
     b: Array  #: From commands, (n, 6).
     c: Array  #: To `FEEDBACK`, (30, n).
 
     @classmethod
-    def of(cls, linear: Linear) -> "Part":
+    def of(cls, linear: Linear) -> "LinearPlant":
         """The plant of a linearised machine."""
-        a, b, c = (np.asarray(m) for m in (linear.system.A, linear.system.B, linear.system.C))
-        order = [linear.system.output_labels.index(name) for name in labels(FEEDBACK, _LEGS)]
-        return cls(linear, a, b, c[order])
+        system = linear.system
+        rows = [system.output_labels.index(label) for label in labels(FEEDBACK, _LEGS)]
+        return cls(linear, np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)[rows])
 
     @property
     def areas(self) -> Array:
@@ -86,31 +87,35 @@ class Part:
 
     @property
     def full_speed(self) -> float:
-        """Of the legs, k [m/s]."""
+        """Speed of a leg at full command, k [m/s]."""
         return float(self.linear.plant.parameters.leg_speed.si)
 
     @cached_property
-    def held(self) -> control.StateSpace:
-        """In frames, see `at_frames`."""
+    def in_frames(self) -> control.StateSpace:
+        """The plant at the control frames, see `at_frames`."""
         names = {"inputs": labels(("command",), _LEGS), "outputs": labels(FEEDBACK, _LEGS)}
         return at_frames(control.ss(self.a, self.b, self.c, 0.0, **names), FRAME)
 
-    def at(self, kind: str) -> list[int]:
-        """States of a kind, leg by leg."""
-        return [self.linear.system.state_labels.index(name) for name in labels((kind,), _LEGS)]
+    def states(self, kind: str) -> list[int]:
+        """Indices of the states of a kind, leg by leg."""
+        return [self.linear.system.state_labels.index(label) for label in labels((kind,), _LEGS)]
 
-    def scaled(self, kind: str, factor: float) -> "Part":
-        """With the derivatives of some states times a factor."""
+    def outputs(self, kind: str) -> list[int]:
+        """Indices of the outputs of a kind, leg by leg."""
+        return [FEEDBACK.index(kind) * _LEGS + leg for leg in range(_LEGS)]
+
+    def scaled(self, kind: str, factor: float) -> "LinearPlant":
+        """The plant with the derivatives of a kind of state times a factor."""
         a = self.a.copy()
-        a[self.at(kind)] *= factor
+        a[self.states(kind)] *= factor
         return replace(self, a=a)
 
 
-def _damped(part: Part, damping: float) -> Part:
-    a, speed = part.a.copy(), part.at("leg_velocity")
-    inverse = a[np.ix_(speed, part.at("cap_pressure"))] / part.areas[0]
-    a[np.ix_(speed, speed)] -= damping * inverse
-    return replace(part, a=a)
+def _with_damping(plant: LinearPlant, damping: float) -> LinearPlant:
+    a, speeds = plant.a.copy(), plant.states("leg_velocity")
+    inverse_mass = a[np.ix_(speeds, plant.states("cap_pressure"))] / plant.areas[0]
+    a[np.ix_(speeds, speeds)] -= damping * inverse_mass
+    return replace(plant, a=a)
 
 
 def lap_gain(ratio: float) -> float:
@@ -120,127 +125,140 @@ def lap_gain(ratio: float) -> float:
     return float(1.0 - np.sign(ratio) * lost)
 
 
-def _gain(part: Part, factor: float) -> Part:
-    return replace(part, b=part.b * max(factor, _LEAST))
+def _with_valve_gain(plant: LinearPlant, factor: float) -> LinearPlant:
+    return replace(plant, b=plant.b * max(factor, _LEAST_GAIN))
 
 
-def _before(part: Part, time: float, direct: float) -> Part:
+def _with_command_lag(plant: LinearPlant, time: float, direct: float) -> LinearPlant:
     """Commands behind (1 + n s) / (1 + d s), d = `time`, n / d = `direct`."""
-    time, size = max(time, _INSTANT), part.a.shape[0]
-    one = np.eye(_LEGS)
-    a = np.block([[part.a, (1.0 - direct) * part.b], [np.zeros((_LEGS, size)), -one / time]])
-    b, c = np.vstack([direct * part.b, one / time]), np.pad(part.c, ((0, 0), (0, _LEGS)))
-    return replace(part, a=a, b=b, c=c)
+    lag, size, identity = max(time, _SHORTEST_LAG), plant.a.shape[0], np.eye(_LEGS)
+    a = np.block([[plant.a, (1.0 - direct) * plant.b], [np.zeros((_LEGS, size)), -identity / lag]])
+    b = np.vstack([direct * plant.b, identity / lag])
+    return replace(plant, a=a, b=b, c=np.pad(plant.c, ((0, 0), (0, _LEGS))))
 
 
-def _behind(part: Part, kinds: tuple[str, ...], time: float) -> Part:
+def _with_sensor_lag(plant: LinearPlant, kinds: tuple[str, ...], time: float) -> LinearPlant:
     """Outputs of some kinds behind 1 / (1 + s t)."""
-    time = max(time, _INSTANT)
-    rows = [FEEDBACK.index(kind) * _LEGS + leg for kind in kinds for leg in range(_LEGS)]
-    size, more = part.a.shape[0], len(rows)
-    one = np.eye(more)
-    a = np.block([[part.a, np.zeros((size, more))], [part.c[rows] / time, -one / time]])
-    c = np.pad(part.c, ((0, 0), (0, more)))
-    c[rows] = np.hstack([np.zeros((more, size)), one])
-    return replace(part, a=a, b=np.vstack([part.b, np.zeros((more, _LEGS))]), c=c)
+    lag = max(time, _SHORTEST_LAG)
+    rows = [row for kind in kinds for row in plant.outputs(kind)]
+    size, added = plant.a.shape[0], len(rows)
+    identity = np.eye(added)
+    a = np.block([[plant.a, np.zeros((size, added))], [plant.c[rows] / lag, -identity / lag]])
+    c = np.pad(plant.c, ((0, 0), (0, added)))
+    c[rows] = np.hstack([np.zeros((added, size)), identity])
+    return replace(plant, a=a, b=np.vstack([plant.b, np.zeros((added, _LEGS))]), c=c)
 
 
-def _in_series(part: Part, share: float) -> Part:
-    a, c = part.a.copy(), part.c.copy()
-    areas = part.areas
-    kinds = [part.at(kind) for kind in ("leg_velocity", "cap_pressure", "rod_pressure")]
-    for leg, (speed, *chambers) in enumerate(zip(*kinds, strict=True)):
-        gain = a[chambers, speed]
+def _with_compliance(plant: LinearPlant, share: float) -> LinearPlant:
+    a, c, areas = plant.a.copy(), plant.c.copy(), plant.areas
+    speeds = plant.states("leg_velocity")
+    chambers = np.transpose([plant.states("cap_pressure"), plant.states("rod_pressure")])
+    positions, velocities = plant.outputs("leg_position"), plant.outputs("leg_velocity")
+    for leg, pressures in enumerate(chambers):
+        gain = a[pressures, speeds[leg]]
         spring = -areas @ gain / share
-        a[chambers] = np.linalg.solve(np.eye(2) - np.outer(gain, areas) / spring, a[chambers])
-        c[leg, chambers] += areas / spring
-        c[_LEGS + leg] += areas @ a[chambers] / spring
-    return replace(part, a=a, c=c)
+        softening = np.eye(2) - np.outer(gain, areas) / spring
+        a[pressures] = np.linalg.solve(softening, a[pressures])
+        c[positions[leg], pressures] += areas / spring
+        c[velocities[leg]] += areas @ a[pressures] / spring
+    return replace(plant, a=a, c=c)
 
 
-_Change = Callable[[Part, float, float], Part]  # of a plant, by a value and the speed V
+_Change = Callable[[LinearPlant, float, float], LinearPlant]  # by a value and the speed V
 
 EFFECTS: Mapping[str, _Change] = {
-    "coulomb": lambda part, force, v: _damped(part, 4.0 * force / (np.pi * v)),
-    "viscous": lambda part, damping, v: _damped(part, damping),
-    "lap": lambda part, lap, v: _gain(part, lap_gain(lap * part.full_speed / v)),
-    "flow_shape": lambda part, n, v: _gain(part, (v / SPEEDS["velocity"]) ** n),
-    "dead_time": lambda part, time, v: _before(part, 0.5 * time, -1.0),
-    "second_lag": lambda part, time, v: _before(part, time, 0.0),
-    "velocity_filter": lambda part, time, v: _behind(part, ("leg_velocity",), time),
-    "pressure_filter": lambda part, time, v: _behind(part, FEEDBACK[3:], time),
-    "compliance": lambda part, share, v: _in_series(part, max(share, 1e-6)),
-    "soft_cap": lambda part, more, v: part.scaled("cap_pressure", 1.0 / (1.0 + more)),
-    "measured_mass": lambda part, mass, v: part.scaled("leg_velocity", 1.0 / mass),
-    "reading_delay": lambda part, time, v: part,
+    "coulomb": lambda plant, force, v: _with_damping(plant, 4.0 * force / (np.pi * v)),
+    "viscous": lambda plant, damping, v: _with_damping(plant, damping),
+    "lap": lambda plant, lap, v: _with_valve_gain(plant, lap_gain(lap * plant.full_speed / v)),
+    "flow_shape": lambda plant, n, v: _with_valve_gain(plant, (v / SPEEDS["velocity"]) ** n),
+    "dead_time": lambda plant, time, v: _with_command_lag(plant, 0.5 * time, -1.0),
+    "second_lag": lambda plant, time, v: _with_command_lag(plant, time, 0.0),
+    "velocity_filter": lambda plant, time, v: _with_sensor_lag(plant, ("leg_velocity",), time),
+    "pressure_filter": lambda plant, time, v: _with_sensor_lag(plant, _PRESSURES, time),
+    "compliance": lambda plant, share, v: _with_compliance(plant, max(share, 1e-6)),
+    "soft_cap": lambda plant, give, v: plant.scaled("cap_pressure", 1.0 / (1.0 + give)),
+    "measured_mass": lambda plant, mass, v: plant.scaled("leg_velocity", 1.0 / mass),
+    "reading_delay": lambda plant, time, v: plant,
 }
-"""What `effect.NAME` of an unknown does, in SI; what any other path does its plant shows."""
+"""How each `effect.NAME` of an unknown, in SI, changes a plant whose legs move at V."""
 
-_BY_SPEED = {"coulomb", "lap", "flow_shape"}
+_SPEED_DEPENDENT = {"coulomb", "lap", "flow_shape"}
 NOT_FLOWN = {"measured_mass", "reading_delay"}
 
 
-def changed(part: Part, effects: Mapping[str, float], speed: float) -> Part:
+def with_effects(plant: LinearPlant, effects: Mapping[str, float], speed: float) -> LinearPlant:
     """A plant with effects, by name and value in SI."""
     for name, value in effects.items():
-        part = EFFECTS[name](part, value, speed)
-    return part
+        plant = EFFECTS[name](plant, value, speed)
+    return plant
 
 
-def read(part: Part, law: Law, delay: float = 0.0) -> Row:
-    """What a sweep and a step in heave show under a law, the demand read so much earlier [s].
+def heave_measures(plant: LinearPlant, law: Law, delay: float = 0.0) -> dict[str, float]:
+    """`ROW_FIELDS` by name of a sweep and a step in heave under a law.
 
-    `FIELDS` by name, all from the loop's poles; NaN of one that is unstable.
+    The demand is read `delay` [s] before the law receives it. All come from the loop's poles; they
+    are NaN where the loop is unstable.
     """
-    loop, jacobian = closed_loop(law, part.held), part.linear.jacobian
+    loop, jacobian = closed_loop(law, plant.in_frames), plant.linear.jacobian
     poles, right = np.linalg.eig(loop.A)
     if not are_stable(poles):
-        return dict.fromkeys(FIELDS, float("nan"))
+        return dict.fromkeys(ROW_FIELDS, float("nan"))
     entry = np.linalg.solve(right, (loop.B @ jacobian[:, _HEAVE]).astype(complex))
     residue = (np.linalg.inv(jacobian)[_HEAVE] @ loop.C @ right) * entry
     z = np.exp(2j * np.pi * FRAME * LINES)
     response = (residue / (z[:, None] - poles)).sum(axis=1)
     widths = line_bandwidths(LINES, response * np.exp(-2j * np.pi * delay * LINES))
-    each = residue / (1.0 - poles)
-    moved = (1.0 - poles ** _TIMES[:, None]) @ each
-    over = float(moved.real.max() / each.sum().real - 1.0)
-    zeta = damping_from_overshoot(over if over >= NO_OVERSHOOT else 0.0)
-    return dict(zip(FIELDS, (widths.phase_hz, widths.gain_hz, zeta), strict=True))
+    final = residue / (1.0 - poles)
+    step = (1.0 - poles ** _STEP_FRAMES[:, None]) @ final
+    overshoot = float(step.real.max() / final.sum().real - 1.0)
+    return {
+        "phase_bandwidth_hz": widths.phase_hz,
+        "gain_bandwidth_hz": widths.gain_hz,
+        "damping_ratio": damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
+    }
 
 
-def shown(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
+def observed(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
     """What a machine with effects makes of all observations, and whether it can be flown.
 
     `machines` are its linear plants by cab, the first the one that was measured.
     """
-    first, *others = machines.values()
-    moving, row = bool(_BY_SPEED & effects.keys()), Row()
-    still = changed(Part.of(first), effects, SPEEDS["fits"])
+    measured, *others = machines.values()
+    is_speed_dependent = bool(_SPEED_DEPENDENT & effects.keys())
+    fitted = with_effects(LinearPlant.of(measured), effects, SPEEDS["fits"])
 
-    def at(speed: float) -> Part:
-        return changed(Part.of(first), effects, speed) if moving else still
+    def plant_at(speed: float) -> LinearPlant:
+        if not is_speed_dependent:
+            return fitted
+        return with_effects(LinearPlant.of(measured), effects, speed)
 
-    for name in (*(law for _, law in ROWS), HELD_OUT):
-        law = shipped(name)
-        sweep = read(at(SPEEDS[name]), law, effects.get("reading_delay", 0.0))
-        step = read(at(_STEP * SPEEDS[name]), law) if moving else sweep
-        sweep["damping_ratio"] = step["damping_ratio"]
-        row |= {f"{name}_{field}": value for field, value in sweep.items()}
-    jacobian = first.jacobian
-    heave = np.linalg.inv(jacobian)[[_HEAVE]] @ still.c[_LEGS : 2 * _LEGS]
-    row |= fit_features(control.ss(still.a, still.b @ jacobian[:, [_HEAVE]], heave, 0.0))
-    flights = (closed_loop(shipped(FLOWN), carried(one, effects)) for one in (*others[::-1], first))
-    return row | {"flown": all(are_stable(one.poles()) for one in flights)}
+    row = Row()
+    for name in (*ROW_TABLES, HELD_OUT):
+        law, speed = shipped_law(name), SPEEDS[name]
+        measures = heave_measures(plant_at(speed), law, effects.get("reading_delay", 0.0))
+        if is_speed_dependent:
+            step = heave_measures(plant_at(_STEP_SPEED_RATIO * speed), law)
+            measures["damping_ratio"] = step["damping_ratio"]
+        row |= {f"{name}_{field}": value for field, value in measures.items()}
+    jacobian = measured.jacobian
+    heave_command = jacobian[:, [_HEAVE]]
+    heave_rate = np.linalg.inv(jacobian)[[_HEAVE]] @ fitted.c[fitted.outputs("leg_velocity")]
+    row |= fit_features(control.ss(fitted.a, fitted.b @ heave_command, heave_rate, 0.0))
+    flights = (
+        closed_loop(shipped_law(FLOWN), flown_plant(machine, effects))
+        for machine in (*reversed(others), measured)
+    )
+    return row | {"flown": all(are_stable(loop.poles()) for loop in flights)}
 
 
-def carried(linear: Linear, effects: Mapping[str, float]) -> control.StateSpace:
+def flown_plant(linear: Linear, effects: Mapping[str, float]) -> control.StateSpace:
     """A machine with effects as it flies, in frames."""
     flown = {name: value for name, value in effects.items() if name not in NOT_FLOWN}
-    return changed(Part.of(linear), flown, SPEEDS[FLOWN]).held
+    return with_effects(LinearPlant.of(linear), flown, SPEEDS[FLOWN]).in_frames
 
 
 def damping(linear: Linear, effects: Mapping[str, float], law: Law) -> dict[str, float]:
     """Damping ratios of a machine with effects under a law, see `loop_damping`."""
-    loop = closed_loop(bound(law, linear.plant), carried(linear, effects))
+    loop = closed_loop(bound(law, linear.plant), flown_plant(linear, effects))
     b, c = loop.B @ linear.jacobian, np.linalg.inv(linear.jacobian) @ loop.C
     return loop_damping(control.ss(loop.A, b, c, 0.0, law.frame))

@@ -3,13 +3,18 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior.run import Results
 from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
 
-ROTATIONS = DOFS[3:]
+_ROTATIONS = ("roll", "pitch", "yaw")
 _TITLES = {"cab_height": "centre of mass, up [m]"}
+_MEASURE_TITLES = {
+    "phase_bandwidth_hz": "-90 deg [Hz]",
+    "gain_bandwidth_hz": "-3 dB [Hz]",
+    "peak_gain_db": "peak [dB]",
+    "damping_ratio": "damping ratio of a step",
+}
 
 
 def _title(results: Results, name: str) -> str:
@@ -21,27 +26,27 @@ def _title(results: Results, name: str) -> str:
 def tornado_figure(results: Results) -> Figure:
     """Least damping ratio of each law with one unknown at the ends of its range; dotted, none."""
     laws = [law.name for law in results.study.laws]
-    moved = answers.moved(results)
-    swing: dict[str, float] = {}
-    for one in moved:
-        swing[one.unknown] = max(swing.get(one.unknown, 0.0), one.swing)
-    names = sorted(swing, key=lambda name: swing[name])
+    rows = {(row.unknown, row.law): row for row in answers.sensitivities(results)}
+    unknowns = results.study.settings.unknowns
+    largest_swing = {name: max(rows[name, law].swing for law in laws) for name in unknowns}
+    names = sorted(largest_swing, key=lambda name: largest_swing[name])
     figure = new_figure(2.1 * len(laws) + 1.4, 0.26 * len(names) + 1.2)
     axes = figure.subplots(1, len(laws), sharey=True, squeeze=False)[0]
-    at = np.arange(len(names))
+    bars = np.arange(len(names))
     for axis, law in zip(axes, laws, strict=True):
-        mine = {one.unknown: one for one in moved if one.law == law}
-        low, high = (np.array([getattr(mine[n], end) for n in names]) for end in ("low", "high"))
-        ends = np.array([low, high, np.full(len(names), mine[names[0]].median)])
-        left, right = ends.min(axis=0), ends.max(axis=0)
-        axis.barh(at, right - left, left=left, height=0.5, color=PALE, edgecolor=GREY)
-        axis.plot(low, at, "o", color=COLOURS[0], markersize=4, label="low")
-        axis.plot(high, at, "s", color=COLOURS[1], markersize=4, label="high")
+        of_law = [rows[name, law] for name in names]
+        low, high = np.array([row.low for row in of_law]), np.array([row.high for row in of_law])
+        median = np.array([row.median for row in of_law])
+        damping = np.array([low, high, median])
+        left, right = damping.min(axis=0), damping.max(axis=0)
+        axis.barh(bars, right - left, left=left, height=0.5, color=PALE, edgecolor=GREY)
+        axis.plot(low, bars, "o", color=COLOURS[0], markersize=4, label="low")
+        axis.plot(high, bars, "s", color=COLOURS[1], markersize=4, label="high")
         axis.axvline(0.0, color=DARK, linewidth=0.9)
         axis.margins(x=0.12)
-        axis.axvline(mine[names[0]].median, color=GREY, linewidth=0.9, linestyle=":")
+        axis.axvline(median[0], color=GREY, linewidth=0.9, linestyle=":")
         axis.set_title(law.replace("_", "\n", 1), fontsize=8)
-    axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
+    axes[0].set_yticks(bars, [_title(results, name) for name in names], fontsize=8)
     legend(figure)
     cab = results.study.cabs[0].name.upper()
     axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}; unstable left of 0")
@@ -52,31 +57,25 @@ def tornado_figure(results: Results) -> Figure:
     return figure
 
 
-def span_figure(results: Results) -> Figure:
+def bandwidth_figure(results: Results) -> Figure:
     """Measures in rotation on machines drawn from the posterior: median and 90 % interval."""
-    fields = {
-        "phase_bandwidth_hz": "-90 deg [Hz]",
-        "gain_bandwidth_hz": "-3 dB [Hz]",
-        "peak_gain_db": "peak [dB]",
-        "damping_ratio": "damping ratio of a step",
-    }
     laws = [law.name for law in results.study.laws]
     cab = results.study.cabs[0].name
-    every = {(one.law, one.dof): one for one in answers.spans(results) if one.cab == cab}
-    figure = new_figure(11.0, 0.34 * len(laws) * len(ROTATIONS) + 1.4)
-    axes = figure.subplots(len(ROTATIONS), len(fields), sharex="col", sharey=True, squeeze=False)
-    at = np.arange(len(laws))[::-1]
-    for dof, line in zip(ROTATIONS, axes, strict=True):
-        for (field, title), axis in zip(fields.items(), line, strict=True):
-            for place, law, colour in zip(at, laws, (*COLOURS, GREY, DARK), strict=False):
-                one = every[law, dof]
-                low, middle, high = getattr(one, field)
-                axis.plot([low, high], [place, place], color=colour, linewidth=3, alpha=0.5)
-                axis.plot([middle], [place], "o", color=colour, markersize=5)
-            axis.set_xlabel(title if dof == ROTATIONS[-1] else "")
-        line[0].set_ylabel(dof)
-        shares = [f"{law}, {answers.percent(every[law, dof].stable[1])}" for law in laws]
-        line[0].set_yticks(at, shares, fontsize=7)
+    rows = {(row.law, row.dof): row for row in answers.law_measures(results) if row.cab == cab}
+    figure = new_figure(11.0, 0.34 * len(laws) * len(_ROTATIONS) + 1.4)
+    size = len(_ROTATIONS), len(_MEASURE_TITLES)
+    panels = figure.subplots(*size, sharex="col", sharey=True, squeeze=False)
+    bars = np.arange(len(laws))[::-1]
+    for dof, panels_of_dof in zip(_ROTATIONS, panels, strict=True):
+        for (field, title), axis in zip(_MEASURE_TITLES.items(), panels_of_dof, strict=True):
+            for bar, law, colour in zip(bars, laws, (*COLOURS, GREY, DARK), strict=False):
+                low, middle, high = getattr(rows[law, dof], field)
+                axis.plot([low, high], [bar, bar], color=colour, linewidth=3, alpha=0.5)
+                axis.plot([middle], [bar], "o", color=colour, markersize=5)
+            axis.set_xlabel(title if dof == _ROTATIONS[-1] else "")
+        shares = [f"{law}, {answers.percent(rows[law, dof].stable[1])}" for law in laws]
+        panels_of_dof[0].set_ylabel(dof)
+        panels_of_dof[0].set_yticks(bars, shares, fontsize=7)
     figure.suptitle(
         f"Small motion in rotation: median and 90 % of machines, cab {cab.upper()}, no friction; "
         "after each law the share that it leaves stable",
@@ -90,20 +89,19 @@ def gain_figure(results: Results) -> Figure:
     figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
     steps = answers.gain_steps(results)
-    for corner, colour in zip(dict.fromkeys(one.corner for one in steps), COLOURS, strict=False):
-        mine = sorted((one for one in steps if one.corner == corner), key=lambda one: one.gain)
-        gains = [one.gain for one in mine]
+    for corner, colour in zip(dict.fromkeys(step.corner for step in steps), COLOURS, strict=False):
+        curve = sorted((step for step in steps if step.corner == corner), key=lambda s: s.gain)
+        gains = [step.gain for step in curve]
         name = "no filter" if corner == 0.0 else f"filter {corner:.3g} Hz"
-        low, middle, high = 100.0 * np.array([one.stable for one in mine]).T
-        left.plot(gains, middle, "o-", color=colour, label=name)
-        left.fill_between(gains, low, high, color=colour, alpha=0.2)
-        low, middle, high = np.array([one.damping for one in mine]).T
-        right.plot(gains, middle, "o-", color=colour, label=name)
-        right.fill_between(gains, low, high, color=colour, alpha=0.2)
+        stable_percent = 100.0 * np.array([step.stable for step in curve])
+        damping = np.array([step.damping for step in curve])
+        for axis, spans in ((left, stable_percent), (right, damping)):
+            low, middle, high = spans.T
+            axis.plot(gains, middle, "o-", color=colour, label=name)
+            axis.fill_between(gains, low, high, color=colour, alpha=0.2)
     right.axhline(0.0, color=DARK, linewidth=0.9)
-    for place, side in ((0.98, "stable"), (0.02, "unstable")):
-        edge = "top" if side == "stable" else "bottom"
-        right.text(0.02, place, side, transform=right.transAxes, va=edge)
+    right.text(0.02, 0.98, "stable", transform=right.transAxes, va="top")
+    right.text(0.02, 0.02, "unstable", transform=right.transAxes, va="bottom")
     left.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="stable with every cab [%]")
     right.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="least damping ratio of any cab")
     for axis in (left, right):
@@ -120,6 +118,6 @@ def posterior_figures(results: Results) -> dict[str, Figure]:
     """All figures by the name of their file."""
     return {
         "tornado.png": tornado_figure(results),
-        "bandwidths.png": span_figure(results),
+        "bandwidths.png": bandwidth_figure(results),
         "gains.png": gain_figure(results),
     }
