@@ -49,7 +49,7 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.plant import native
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.plant.native import quiet
-from cmf_mj.studies.engine import CASES, attempt
+from cmf_mj.studies.engine import CASES, evaluate_tasks
 from cmf_mj.studies.settings import StudyCase, load_study
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -205,7 +205,7 @@ def studying(repeat: int) -> dict[str, float]:
 
 def _attempted(machine: list[StudyCase]) -> float:
     begin = time.process_time()
-    attempt(machine, CASES)
+    evaluate_tasks(machine, CASES)
     return time.process_time() - begin
 
 

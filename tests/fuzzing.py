@@ -33,7 +33,7 @@ SEAMS = (
     "signals.peaks:peaks",
     "pilot.airframe:Airframe.__init__",
     "studies.certificate:Family",
-    "studies.engine:_started",
+    "studies.engine:_start_workers",
     "studies.tuning.search:cost",
     "studies.fit.evidence:Linear",
 )

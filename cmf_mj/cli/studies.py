@@ -160,43 +160,39 @@ def certify_command(
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
-    from cmf_mj.core.result import Result
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.plant.cylinder import contact_text
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies import certificate as run
-    from cmf_mj.studies.certificate_family import load_box
-    from cmf_mj.studies.engine import libraries
+    from cmf_mj.studies.certificate_box import load_box
+    from cmf_mj.studies.engine import one_library_thread
 
-    unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
-    contacts = [friction_option(one.strip()) for one in friction.split(",")] if friction else [None]
+    unit_box, effort = load_box(box), run.QUICK if quick else run.Effort()
+    words = friction.split(",") if friction else []
+    contacts = [friction_option(word.strip()) for word in words] or [None]
     plants = [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs]
-    chosen = [cmf_mj.load_law(law) for law in laws]
-    check_distinct("laws", [law.name for law in chosen])
+    loaded = [cmf_mj.load_law(law) for law in laws]
+    check_distinct("laws", [law.name for law in loaded])
     check_distinct("cabs", [plant.cab for plant in plants])
+    certificates = []
     with progress_bar() as update:
-        cases = list(product(chosen, plants, contacts))
+        cases = list(product(loaded, plants, contacts))
         update(0, len(cases))
         for law, plant, contact in cases:
             folder = out / law.name / plant.cab
             if len(contacts) > 1:
                 folder /= contact_text(contact).replace(" m/s", "")
-            with libraries().limit(limits=1):  # so that the same seed gives the same bits
-                one = run.certify(plant, law, folder, unit, effort, seed=seed, friction=contact)
-            rows.append(one)
-            update(len(rows), len(cases))
-    proofs = [
-        {"law": c.law, "cab": c.cab, "friction": c.friction} | p._asdict()
-        for c in rows
-        for p in c.proofs
-    ]
-    tables: dict[str, Result[Any]] = {
-        "certificates": Result(rows, run.CERTIFICATES, *run.ABOUT_CERTIFICATES),
-        "proofs": Result(proofs, run.PROOFS, *run.ABOUT_PROOFS),
+            how: dict[str, Any] = {"seed": seed, "friction": contact}
+            with one_library_thread():  # so that the same seed gives the same bits
+                certificates.append(run.certify(plant, law, folder, unit_box, effort, **how))
+            update(len(certificates), len(cases))
+    tables: dict[str, Any] = {
+        "certificates": run.certificate_table(certificates),
+        "proofs": run.proof_table(certificates),
     }
-    files = {f"{name}.{end}": one for name, one in tables.items() for end in ("md", "csv")}
-    figure = {"certificates.png": report.certificate_figure(rows)}
+    files = {f"{name}.{end}": table for name, table in tables.items() for end in ("md", "csv")}
+    figure = {"certificates.png": report.certificate_figure(certificates)}
     show(*tables.values(), written(save_files(files | figure, out), out))
 
 

@@ -1,19 +1,19 @@
 """The engine: runs the tasks of a study that have no result yet, on threads, processes or Dask.
 
 Results are the same bits whatever runs them, and stand in the order of the tasks. The process that
-was asked keeps the journal; workers only compute, so they need no shared disk. A task that fails is
-a row with its error. A worker that dies takes no result with it: its tasks run again, and one that
-kills its worker every time is a row with an error too.
+was called keeps the journal; workers only compute, so they need no shared disk. A task that fails
+is a row with its error. A worker that dies takes no result with it: its tasks run again, and one
+that kills its worker every time is a row with an error too.
 
 The folder of a study: what it is, the results so far, the finished table.
 
     study.json        what the study runs, with versions and a digest of the sources
-    journal.jsonl     a line a finished task with its checksum, written in one piece and flushed
+    journal.jsonl     a line for each finished task, with its checksum, written in one piece
     results.parquet   all rows in the order of the tasks, once all are finished
 
 A line that a killed process left half-written, or that is damaged, is dropped and its task runs
-again; of damaged lines it reports how many. Numbers survive the journal to the bit: JSON holds the
-shortest digits that read back the same.
+again; the number of damaged lines is printed. Numbers survive the journal to the bit: JSON holds
+the shortest digits that read back the same.
 """
 
 import hashlib
@@ -49,8 +49,9 @@ SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parque
 
 Row = dict[str, Any]  #: One result: JSON values by the name of their column.
 
-_SUM = 9  # characters of a line's checksum
-
+_LIBRARIES = ("mujoco", "numpy", "scipy", "numba")  #: Their versions belong to a study.
+_CHECKSUM = slice(None, 9)  #: Characters of a line that hold its checksum.
+_ENTRY = slice(9, None)  #: Those that hold number and rows of a task.
 _ROOT = Path(__file__).resolve().parents[1]
 _SOURCES = (("*.py", _ROOT), ("*.toml", _ROOT), ("*.xml", models.directory()))
 
@@ -66,61 +67,68 @@ class Journal:
         of other sources.
         """
         self.folder = folder
-        libraries = ("mujoco", "numpy", "scipy", "numba")
         identity = {
             **json.loads(json.dumps(study)),
-            "sources": _sources(),
-            "versions": {name: version(name) for name in libraries},
+            "sources": _source_digest(),
+            "versions": {name: version(name) for name in _LIBRARIES},
         }
         self.identity = json.dumps(identity, sort_keys=True)
         """What the study is, as JSON."""
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / SPECIFICATION
-        if path.exists():
-            try:
-                content = parsed_json(path.read_bytes(), str(path))
-            except OSError as error:
-                raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-            if not isinstance(content, dict):
-                raise InputError(f"{path}: is not the specification of a study")
-            there, here = _entries(content), _entries(identity)
-            names = sorted((there.keys() | here.keys()) - {"settings.title"})  # changes no result
-            text = partial(json.dumps, sort_keys=True)  # where NaN is NaN
-            differing = [name for name in names if text(there.get(name)) != text(here.get(name))]
-            if differing:
-                raise InputError(
-                    f"{folder}: holds a study that differs in {', '.join(differing)}; "
-                    "allowed: the same study, or another folder"
-                )
-        elif (folder / JOURNAL).exists():
-            raise InputError(f"{folder}: holds a journal without its {SPECIFICATION}")
-        else:
-            write_text(path, json.dumps(identity, indent=1))
         self.results: dict[int, list[Row]] = {}
         """Rows of the finished tasks, by number."""
-        path = folder / JOURNAL
+        folder.mkdir(parents=True, exist_ok=True)
+        self._check_study(identity)
+        self._read_results()
+
+    def _check_study(self, identity: dict[str, Any]) -> None:
+        """Refuse a folder of another study; write what the study is to a new one."""
+        path = self.folder / SPECIFICATION
+        if not path.exists():
+            if (self.folder / JOURNAL).exists():
+                raise InputError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
+            write_text(path, json.dumps(identity, indent=1))
+            return
+        try:
+            content = parsed_json(path.read_bytes(), str(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: is not the specification of a study")
+        written, own = _entries_by_path(content), _entries_by_path(identity)
+        names = sorted((written.keys() | own.keys()) - {"settings.title"})  # changes no result
+        text = partial(json.dumps, sort_keys=True)  # where NaN is NaN
+        differing = [name for name in names if text(written.get(name)) != text(own.get(name))]
+        if differing:
+            raise InputError(
+                f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
+                "allowed: the same study, or another folder"
+            )
+
+    def _read_results(self) -> None:
+        """Read the sound lines of the journal, and drop all others from its file."""
+        path = self.folder / JOURNAL
         content = path.read_bytes() if path.exists() else b""
-        *lines, torn = content.split(b"\n")
-        sound = [line for line in lines if self._keep(line)]
-        if torn or len(sound) < len(lines):
-            write_text(path, b"".join(line + b"\n" for line in sound).decode())
-        if len(sound) < len(lines):
-            damaged = f"{len(lines) - len(sound)} of {len(lines)} lines are damaged"
-            print(f"cmf: {path}: {damaged}; their tasks run again", file=sys.stderr)
+        *lines, unfinished_line = content.split(b"\n")
+        sound_lines = [line for line in lines if self._keep(line)]
+        damaged = len(lines) - len(sound_lines)
+        if unfinished_line or damaged:
+            write_text(path, b"".join(line + b"\n" for line in sound_lines).decode())
+        if damaged:
+            text = f"{damaged} of {len(lines)} lines are damaged; their tasks run again"
+            print(f"cmf: {path}: {text}", file=sys.stderr)
 
     def _keep(self, line: bytes) -> bool:
-        """Keep the result of a line, if it is as it was written."""
-        text = line[_SUM:]
-        if line[:_SUM] != _checksum(text):
+        """Keep the result of a line; false where it is not as it was written."""
+        if line[_CHECKSUM] != _checksum(line[_ENTRY]):
             return False
-        entry = json.loads(text)
+        entry = json.loads(line[_ENTRY])
         self.results[entry["task"]] = entry["rows"]
         return True
 
     def add(self, number: int, rows: Sequence[Row]) -> None:
-        """Keep what a task gave."""
-        text = json.dumps({"task": number, "rows": rows}).encode()
-        line = _checksum(text) + text
+        """Add the rows of a task."""
+        entry = json.dumps({"task": number, "rows": rows}).encode()
+        line = _checksum(entry) + entry
         with (self.folder / JOURNAL).open("ab") as file:
             file.write(line + b"\n")
             file.flush()  # all of it, or an error where the disk is full
@@ -128,26 +136,32 @@ class Journal:
         self._keep(line)
 
 
-def _checksum(text: bytes) -> bytes:
-    """What stands before a line, `_SUM` characters."""
-    return b"%08x " % zlib.crc32(text)
+def _checksum(entry: bytes) -> bytes:
+    """What stands before an entry in its line."""
+    return b"%08x " % zlib.crc32(entry)
 
 
-def _entries(identity: Any) -> dict[str, Any]:
-    """What an identity says, the entries of its tables by path."""
-    return {
-        f"{name}.{key}" if key else name: entry
-        for name, value in identity.items()
-        for key, entry in (value.items() if isinstance(value, dict) else [("", value)])
-    }
+def _entries_by_path(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of an identity and of the tables in it, by path."""
+    entries: dict[str, Any] = {}
+    for name, value in identity.items():
+        if isinstance(value, dict):
+            entries |= {f"{name}.{key}": entry for key, entry in value.items()}
+        else:
+            entries[name] = value
+    return entries
 
 
 @lru_cache
-def _sources() -> str:
+def _source_digest() -> str:
     """Digest of all sources that results can depend on: not of those that draw and print them."""
+    paths = {
+        path.relative_to(root).as_posix(): path
+        for pattern, root in _SOURCES
+        for path in root.rglob(pattern)
+    }
     digest = hashlib.sha256()
-    found = [(root, path) for kind, root in _SOURCES for path in root.rglob(kind)]
-    for name, path in sorted((path.relative_to(root).as_posix(), path) for root, path in found):
+    for name, path in sorted(paths.items()):
         if path.parent.name not in ("cli", "ready") and not name.startswith("show/"):
             digest.update(json.dumps([name, path.read_text(encoding="utf-8")]).encode())
     return digest.hexdigest()
@@ -156,14 +170,13 @@ def _sources() -> str:
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
 
-_ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?([^/:\s]+):([0-9]{1,5})")
-
-_PATIENCE = 5.0  #: Time that a scheduler has to answer [s].
+_ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?(?P<host>[^/:\s]+):(?P<port>[0-9]{1,5})")
+_ANSWER_TIME = 5.0  #: Time that a scheduler has to answer [s].
 
 Progress = Callable[[int, int], None]  #: Called with (tasks done, tasks in all).
 
-_DEATHS = {"TerminatedWorkerError", "KilledWorker", "FutureCancelledError"}
-"""What joblib and Dask raise where a worker dies."""
+_DEATH_ERRORS = {"TerminatedWorkerError", "KilledWorker", "FutureCancelledError"}
+"""Classes of what joblib and Dask raise where a worker dies."""
 
 
 class WorkerDied(RuntimeError):
@@ -175,8 +188,8 @@ class Work(NamedTuple):
 
     evaluate: Callable[[Any, dict[str, Any]], list[Row]]
     """Rows of a task; the dictionary is shared by tasks that run together."""
-    failed: Callable[[BaseException], list[Row]]  #: Rows of a task that cannot be run.
-    machine: Callable[[Any], Hashable]
+    error_rows: Callable[[BaseException], list[Row]]  #: Rows of a task that cannot be run.
+    machine_of: Callable[[Any], Hashable]
     """Neighbouring tasks of the same machine go to one worker together."""
 
 
@@ -197,18 +210,18 @@ def one_library_thread() -> Iterator[None]:
         yield
 
 
-def attempt(tasks: Sequence[Any], work: Work) -> list[tuple[int, list[Row]]]:
-    """Run tasks one after the other; what one raises becomes its rows.
+def evaluate_tasks(tasks: Sequence[Any], work: Work) -> list[tuple[int, list[Row]]]:
+    """Number and rows of tasks that run one after the other; an error becomes rows too.
 
     With one thread of linear algebra, since sums in another order have other bits.
     """
     results, shared = [], dict[str, Any]()
     for task in tasks:
         try:
-            with libraries().limit(limits=1):
+            with one_library_thread():
                 rows = work.evaluate(task, shared)
         except Exception as error:  # whatever it is, the study goes on
-            rows = work.failed(error)
+            rows = work.error_rows(error)
         results.append((task.number, rows))
     return results
 
@@ -223,24 +236,25 @@ class Workers:
     """Address of a running Dask scheduler; default a local cluster of `jobs`."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not go together."""
+        """Refuse what does not go together, or a scheduler that does not answer."""
         whole("jobs", self.jobs, 1, MOST_JOBS)
         check_name("backend", self.backend, get_args(Backend))
         if self.backend == "dask":
             require("distributed", "cluster")
-        if self.scheduler is not None:
-            if self.backend != "dask":
-                raise InputError(
-                    f"scheduler: {self.scheduler} needs backend dask, not {self.backend}"
-                )
-            if not (address := _ADDRESS.fullmatch(self.scheduler)):
-                allowed = "allowed: an address such as tcp://host:8786"
-                raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
-            try:
-                socket.create_connection((address[1], int(address[2])), _PATIENCE).close()
-            except (OSError, OverflowError) as error:
-                allowed = "allowed: the address of a Dask scheduler that runs"
-                raise InputError(f"scheduler: {self.scheduler}: {error}; {allowed}") from error
+        if self.scheduler is None:
+            return
+        if self.backend != "dask":
+            raise InputError(f"scheduler: {self.scheduler} needs backend dask, not {self.backend}")
+        address = _ADDRESS.fullmatch(self.scheduler)
+        if address is None:
+            allowed = "allowed: an address such as tcp://host:8786"
+            raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
+        try:
+            place = address["host"], int(address["port"])
+            socket.create_connection(place, _ANSWER_TIME).close()
+        except (OSError, OverflowError) as error:
+            allowed = "allowed: the address of a Dask scheduler that runs"
+            raise InputError(f"scheduler: {self.scheduler}: {error}; {allowed}") from error
 
 
 def run_tasks(
@@ -252,38 +266,38 @@ def run_tasks(
 ) -> None:
     """Run the tasks that the journal has no result of."""
 
-    def pending() -> list[Any]:
+    def unfinished() -> list[Any]:
         return [task for task in tasks if task.number not in journal.results]
 
     def report() -> None:
         if progress is not None:
-            progress(len(tasks) - len(pending()), len(tasks))
+            progress(len(tasks) - len(unfinished()), len(tasks))
 
     report()
-    if not pending():
+    if not unfinished():
         return
-    alone = False
-    how: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
-    with libraries().limit(limits=1), _started(workers) as count:
-        while left := pending():
-            chosen = left[:1] if alone else left
-            together = [list(group) for _, group in groupby(chosen, work.machine)]
-            pool = Parallel(n_jobs=count, return_as="generator_unordered", **how)
+    runs_alone = False  # the first task without a result, on a worker of its own
+    options: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
+    with one_library_thread(), _start_workers(workers) as count:
+        while remaining := unfinished():
+            candidates = remaining[:1] if runs_alone else remaining
+            groups = [list(group) for _, group in groupby(candidates, work.machine_of)]
+            pool = Parallel(n_jobs=count, return_as="generator_unordered", **options)
             try:
-                results = pool(delayed(attempt)(group, work) for group in together)
+                results = pool(delayed(evaluate_tasks)(group, work) for group in groups)
                 for number, rows in chain.from_iterable(results):
                     journal.add(number, rows)
                     report()
-                alone = False
+                runs_alone = False
             except Exception as error:
-                if type(error).__name__ not in _DEATHS:
+                if type(error).__name__ not in _DEATH_ERRORS:
                     raise
-                if alone:
+                if runs_alone:
                     text = f"its worker died again, running alone: {type(error).__name__}"
-                    journal.add(chosen[0].number, work.failed(WorkerDied(text)))
+                    journal.add(candidates[0].number, work.error_rows(WorkerDied(text)))
                     report()
                 # A death that let nothing finish: find the task that brings it.
-                alone = not alone and len(pending()) == len(left)
+                runs_alone = not runs_alone and len(unfinished()) == len(remaining)
 
 
 @dataclass
@@ -291,23 +305,24 @@ class Asker:
     """Runs one list of tasks after the other, numbered through, each with what went before."""
 
     journal: Journal
-    task: Callable[..., Any]  #: Makes one of its number, kind and case.
+    make_task: Callable[..., Any]  #: Makes a task of its number, kind and case.
     work: Work
-    how: Workers
+    workers: Workers
     progress: Progress | None
     every: int  #: Tasks in all.
-    done: int = 0
+    done: int = 0  #: Tasks that are finished.
 
     def __call__(self, kind: str, cases: Sequence[tuple[Any, ...]]) -> list[list[Row]]:
         """Rows of each case."""
-        tasks = [self.task(self.done + i, kind, *case) for i, case in enumerate(cases)]
-        before, self.done = self.done, self.done + len(tasks)
+        first = self.done
+        tasks = [self.make_task(number, kind, *case) for number, case in enumerate(cases, first)]
+        self.done += len(tasks)
 
-        def tell(count: int, _: int) -> None:
+        def report(done: int, _: int) -> None:
             if self.progress is not None:
-                self.progress(before + count, self.every)
+                self.progress(first + done, self.every)
 
-        run_tasks(self.journal, tasks, self.work, self.how, tell)
+        run_tasks(self.journal, tasks, self.work, self.workers, report)
         return [self.journal.results[task.number] for task in tasks]
 
 
@@ -320,22 +335,21 @@ def row_table(rows: Sequence[Row]) -> pa.Table:
 def run_study(
     study: Study, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> pa.Table:
-    """Run what is left of a study.
+    """Run the cases of a study that have no result in `folder`; `workers` as for `Workers`.
 
-    Finished cases in `folder` are not run again; `workers` as for `Workers`. The rows, in the order
-    of the cases, also go to `results.parquet`.
+    The rows, in the order of the cases, also go to `results.parquet`.
     """
-    how, cases = Workers(**workers), study.cases
+    pool, cases = Workers(**workers), study.cases
     journal = Journal(Path(folder), study.identity())
-    run_tasks(journal, cases, CASES, how, progress)
+    run_tasks(journal, cases, CASES, pool, progress)
     rows = [case.columns | row for case in cases for row in journal.results[case.number]]
     table = row_table(rows).replace_schema_metadata({"study": journal.identity})
     write_parquet(table, journal.folder / RESULTS)
     return table
 
 
-def _machine(case: StudyCase) -> Hashable:
-    """The laws of a machine that is linearised run together: it is linearised once."""
+def _machine_of(case: StudyCase) -> Hashable:
+    """What cases of one machine share that is linearised once; other cases share nothing."""
     if case.study.method != "linear":
         return case.number
     return case.rung, case.case.cab, case.case.pose, case.draw
@@ -344,24 +358,27 @@ def _machine(case: StudyCase) -> Hashable:
 CASES = Work(
     lambda case, shared: [row.columns for row in evaluate(case, shared)],
     lambda error: [failed(error).columns],
-    _machine,
+    _machine_of,
 )
 """Work of a study of cases."""
 
 
 @contextmanager
-def _started(workers: Workers) -> Iterator[int]:
+def _start_workers(workers: Workers) -> Iterator[int]:
     """Choose what runs joblib's tasks; gives their number."""
-    backend, jobs = workers.backend, workers.jobs
-    options: dict[str, Any] = {"inner_max_num_threads": 1} if backend == "loky" else {}
-    if backend != "dask":
-        with parallel_config(backend=backend, n_jobs=jobs, **options):
-            yield jobs
+    if workers.backend != "dask":
+        threads: dict[str, Any] = {"inner_max_num_threads": 1} if workers.backend == "loky" else {}
+        with parallel_config(backend=workers.backend, n_jobs=workers.jobs, **threads):
+            yield workers.jobs
         return
-    options = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
-    if workers.scheduler:
+    options: dict[str, Any] = {
+        "n_workers": workers.jobs,
+        "threads_per_worker": 1,
+        "dashboard_address": None,
+    }
+    if workers.scheduler is not None:
         options = {"address": workers.scheduler}
     with require("distributed", "cluster").Client(**options) as client:
         count = max(1, sum(client.nthreads().values()))
-        with parallel_config(backend=backend, n_jobs=count, client=client):
+        with parallel_config(backend=workers.backend, n_jobs=count, client=client):
             yield count

@@ -11,12 +11,12 @@ The final state is one of these:
 
     running        legs follow the demand to the end, at most twice as far off as before the event,
                    or as without it where it comes before the manoeuvre is faded in
-    degraded       legs follow it within `FOLLOWING` half strokes
+    degraded       legs follow it within `LARGEST_ERROR` half strokes
     holding        legs stand still off their stops
     moving         legs neither follow nor stand still when the run ends
-    settled        all legs stand on their lower stops, the first met its at most at `FALL` times
-                   the settle speed of the hydraulic set
-    fallen         the same, the first came faster
+    settled        all legs stand on their lower stops, the first of which met its stop at most at
+                   `FALL_RATIO` times the settle speed of the hydraulic set
+    fallen         the same, but the first leg came faster
     against_stop   some legs stand on a stop
     out_of_bounds  the state left its physical bounds; the message says which and where
 """
@@ -46,22 +46,22 @@ from cmf_mj.signals.signal import Command, check_positive, commanded
 from cmf_mj.signals.single import sine
 from cmf_mj.studies.case import Case, frames_a_row, make_case
 
-REST = 2.0  #: Rest after the manoeuvre [s].
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rank = Callable[[Array], Array]
 
-FADE = 1.0  #: Fade of the manoeuvre at both ends [s].
-
-FALL = 2.5
+FADE, REST = 1.0, 2.0  #: Fade of the manoeuvre at both ends, and rest after it [s].
+FALL_RATIO = 2.5
 """Speed of the first leg at a stop, over the settle speed, above which the platform has fallen;
 assumed: 10 in/s at the CMF."""
-
-FOLLOWING = 6.0 / 38.0
+LARGEST_ERROR = 6.0 / 38.0
 """Distance of a leg from its demand, over its half stroke, at which it no longer follows: 6 in of
-the CMF, at which its protection finds a fault; of other machines nobody states one."""
+the CMF, where its protection finds a fault."""
 
-_STILL = 1e-3
-"""Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
+_STILL = 1e-3  #: Swing over the last second, or distance from the demand, that is none [m].
 _AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
-_ROWS = 256  #: Rows of the record kept a second, at least [Hz].
+_RECORD_RATE = 256  #: Rows of the record that is kept, a second, at least [Hz].
+_ROW_LATE = ("stop_force", "crew_accelerometer")  #: Channels that stand a row after their frame.
 
 
 class Peak(NamedTuple):
@@ -83,16 +83,15 @@ class Phases(NamedTuple):
 class FailureResult(NamedTuple):
     """What an event did."""
 
-    event: Event  #: What failed.
-    size: float  #: How much, in SI; 0 for kinds without a size.
+    event: Event
+    size: float  #: How much fails, in SI; 0 for kinds without a size.
     dof: str  #: Degree of freedom of the manoeuvre.
     protected: bool  #: Whether a detected fault made an emergency stop.
-    static_load: NDArray[np.float64]  #: Axial loads at the start [N], (6,).
+    static_load: Array  #: Axial loads at the start [N], (6,).
     load: Phases  #: Largest axial leg load [N], by size; negative pulls.
     acceleration: Phases  #: Largest crew acceleration [m/s^2].
     detected_by: str | None  #: First fault detected; None if there was none.
-    detection_time: float | None
-    """Time from the event to the fault [s]; negative for a false alarm."""
+    detection_time: float | None  #: From event to fault [s]; negative for a false alarm.
     state: str  #: How it ends, see the module.
     message: str  #: What left its bounds; empty otherwise.
     pressure_peak: Peak  #: Largest chamber pressure from the event on [Pa].
@@ -100,18 +99,16 @@ class FailureResult(NamedTuple):
     supply_least: Peak  #: Least pressure of the supply manifold from the event on [Pa].
     contact_speed: Peak | None  #: Speed at which the first leg met a stop [m/s]; none if none did.
     impact_speed: Peak | None
-    """Largest speed at which a leg met a stop [m/s]. Legs that come later may come faster: the
-    platform tips on those that stand."""
+    """Largest speed at which a leg met a stop [m/s]; the platform tips on legs that stand."""
     record: Record
-    """The run at 256 Hz, or as few more as make whole frames, with the channels of `simulate`, and
-    `axial_load` and `crew_acceleration` (world axes, z up) among them."""
+    """The run at `_RECORD_RATE`, with `axial_load` and `crew_acceleration` (world axes, z up)."""
 
     @property
     def label(self) -> str:
         """The event in a few words, fit for a file name."""
         places = {"leg": self.event.leg, "valve": self.event.valve}
-        known = (f"{name}_{place}" for name, place in places.items() if place is not None)
-        return "-".join([self.event.kind, *known])
+        numbered = (f"{name}_{number}" for name, number in places.items() if number is not None)
+        return "-".join([self.event.kind, *numbered])
 
     @property
     def setting(self) -> str:
@@ -136,7 +133,7 @@ _LEGEND = (
 )
 
 
-def _loads(phase: str, title: str) -> list[Field]:
+def _load_fields(phase: str, title: str) -> list[Field]:
     return [
         Field(f"load_{phase}_n", title, ".1f", "kN", of=f"load.{phase}.value"),
         Field(f"load_{phase}_multiple", "\nx", ".2f", of=f"multiples.{phase}"),
@@ -144,7 +141,7 @@ def _loads(phase: str, title: str) -> list[Field]:
     ]
 
 
-def _crew(phase: str, title: str) -> Field:
+def _crew_field(phase: str, title: str) -> Field:
     return Field(
         f"crew_acceleration_{phase}_m_s2", title, ".2f", "g", of=f"acceleration.{phase}.value"
     )
@@ -157,18 +154,16 @@ FAILURES = (
     Field("valve", of="event.valve", printed=False),
     Field("size_si", of="size", printed=False),
     Field("at_s", of="event.at", printed=False),
-    *(
-        Field(name, of=f"record.metadata.{name}", printed=False)
-        for name in ("law", "cab", "hydraulics")
-    ),
-    Field("dof", printed=False),
-    Field("protected", printed=False),
-    *_loads("before", "load\nbefore"),
-    *_loads("free", "\nafter"),
-    *_loads("after", "\nall"),
-    _crew("before", "crew\nbefore"),
-    _crew("free", "\nafter"),
-    _crew("after", "\nall"),
+    Field("law", of="record.metadata.law", printed=False),
+    Field("cab", of="record.metadata.cab", printed=False),
+    Field("hydraulics", of="record.metadata.hydraulics", printed=False),
+    *(Field(name, printed=False) for name in ("dof", "protected")),
+    *_load_fields("before", "load\nbefore"),
+    *_load_fields("free", "\nafter"),
+    *_load_fields("after", "\nall"),
+    _crew_field("before", "crew\nbefore"),
+    _crew_field("free", "\nafter"),
+    _crew_field("after", "\nall"),
     Field("detected_by", "found\nby"),
     Field("detection_time_s", "\nafter", ".4f", of="detection_time"),
     Field("state", "ends"),
@@ -189,42 +184,30 @@ def measure_failure(
     record: Record,
     *,
     message: str = "",
-    usual: float | None = None,
+    usual_error: float | None = None,
 ) -> FailureResult:
     """All measures of a run recorded at every frame.
 
-    The record is as `simulate` returns it; `message` says what left its bounds; `usual` is how far
-    legs are off their demand without the event [m], by default before it.
+    The record is as `simulate` returns it; `message` says what left its bounds; `usual_error` is
+    how far legs are off their demand without the event [m], by default before it.
     """
-    extension = record["leg_extension"][:-1]
-    # MuJoCo's accelerometers and stop forces of t[k] stand in row k + 1.
-    stop = record["stop_force"][1:]
-    load = record["leg_force"][:-1] - np.sign(extension) * stop
-    force = record["crew_accelerometer"][1:]
-    start = plant.model.joint("platform").qposadr[0] + 3
-    position = record["generalised_position"][:-1, start : start + 4]
-    turn = Rotation.from_quat(position, scalar_first=True)
-    acceleration = turn.apply(force.copy()) + plant.model.opt.gravity
     time = record.time[:-1]
-    after = time >= event.at
-    chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
-    fault = record.metadata["fault"]
+    load, acceleration = _axial_load(record), _crew_acceleration(record, plant)
     contact, impact = _contacts(record, plant)
-    free = after & (time < contact.time) if contact is not None else after
+    after = time >= event.at
+    free = after if contact is None else after & (time < contact.time)
 
-    def phases(values: NDArray[np.float64]) -> Phases:
-        parts = (~after, after, free)
-        return Phases(*(extreme(time, values, where, np.abs) for where in parts))
+    def phases(values: Array) -> Phases:
+        before, since, off_stops = (extreme(time, values, t, np.abs) for t in (~after, after, free))
+        return Phases(before=before, after=since, free=off_stops)
 
-    every = frames_a_row(plant.machine, _ROWS)
-    rows = slice(0, load.shape[0], every)
-    channels = {name: values[rows] for name, values in record.channels.items()}
-    channels |= {"axial_load": load[rows], "crew_acceleration": acceleration[rows]}
-    named = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
-    metadata = {**record.metadata, "sample_rate": record.rate / every}
-    if usual is None:
-        usual = float(_off(record)[record.time < event.at].max(initial=0.0))
-    state = "out_of_bounds" if message else _final_state(record, plant, event.at, usual, contact)
+    chambers = np.stack([_frames(record, f"{side}_pressure") for side in ("cap", "rod")], axis=2)
+    fault = record.metadata["fault"]
+    if usual_error is None:
+        usual_error = float(_demand_error(record)[record.time < event.at].max(initial=0.0))
+    state = "out_of_bounds"
+    if not message:
+        state = _final_state(record, plant, event.at, usual_error, contact)
     return FailureResult(
         event=event,
         size=event.magnitude(plant.machine.half_stroke),
@@ -233,89 +216,109 @@ def measure_failure(
         static_load=record["leg_force"][0].copy(),
         load=phases(load),
         acceleration=phases(np.linalg.norm(acceleration, axis=1)),
-        detected_by=fault and fault["name"],
-        detection_time=fault and fault["time"] - event.at,
+        detected_by=fault["name"] if fault else None,
+        detection_time=fault["time"] - event.at if fault else None,
         state=state,
         message=message,
         pressure_peak=extreme(time, chambers.max(axis=2), after),
         pressure_least=extreme(time, chambers.min(axis=2), after, np.negative),
-        supply_least=extreme(time, record["supply_pressure"][:-1], after, np.negative),
+        supply_least=extreme(time, _frames(record, "supply_pressure"), after, np.negative),
         contact_speed=contact,
         impact_speed=impact,
-        record=Record(record.time[rows], channels, named, metadata),
+        record=_kept_record(record, plant, load, acceleration),
     )
 
 
-def extreme(
-    time: NDArray[np.float64],
-    values: NDArray[np.float64],
-    where: NDArray[np.bool_],
-    rank: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.positive,
-) -> Peak:
-    """The value of the largest rank of (N,) or (N, n) where asked; NaN if nowhere."""
+def extreme(time: Array, values: Array, where: Mask, rank: Rank = np.positive) -> Peak:
+    """The value of the largest rank of (N,) or (N, legs) where asked; NaN if nowhere."""
     rows = np.flatnonzero(where)
     if rows.size == 0:
         return Peak(float("nan"), float("nan"))
-    chosen = values[rows]
-    place = np.unravel_index(int(np.argmax(rank(chosen))), chosen.shape)
-    leg = int(place[1]) + 1 if len(place) > 1 else None
-    return Peak(float(chosen[place]), float(time[rows[place[0]]]), leg)
+    candidates = values[rows]
+    row, *leg = np.unravel_index(int(np.argmax(rank(candidates))), candidates.shape)
+    value = float(candidates[row, *leg])
+    return Peak(value, float(time[rows[row]]), int(leg[0]) + 1 if leg else None)
+
+
+def _frames(record: Record, channel: str) -> Array:
+    """A channel at all frames but the last, (N - 1, ...)."""
+    return record[channel][1:] if channel in _ROW_LATE else record[channel][:-1]
+
+
+def _axial_load(record: Record) -> Array:
+    """Axial loads of the legs [N], (N - 1, 6)."""
+    side = np.sign(_frames(record, "leg_extension"))
+    return np.asarray(_frames(record, "leg_force") - side * _frames(record, "stop_force"))
+
+
+def _crew_acceleration(record: Record, plant: Hexapod) -> Array:
+    """Acceleration at the crew's heads in world axes, z up [m/s^2], (N - 1, 3)."""
+    start = plant.model.joint("platform").qposadr[0] + 3
+    quaternion = _frames(record, "generalised_position")[:, start : start + 4]
+    force = _frames(record, "crew_accelerometer").copy()
+    turned = Rotation.from_quat(quaternion, scalar_first=True).apply(force)
+    return np.asarray(turned + plant.model.opt.gravity)
+
+
+def _kept_record(record: Record, plant: Hexapod, load: Array, acceleration: Array) -> Record:
+    """The record at `_RECORD_RATE`, with axial loads and acceleration of the crew."""
+    frames = frames_a_row(plant.machine, _RECORD_RATE)
+    rows = slice(0, len(load), frames)
+    channels = {**record.channels, "axial_load": load, "crew_acceleration": acceleration}
+    channels = {name: values[rows] for name, values in channels.items()}
+    own_units = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
+    metadata = {**record.metadata, "sample_rate": record.rate / frames}
+    return Record(record.time[rows], channels, own_units, metadata)
 
 
 def _contacts(record: Record, plant: Hexapod) -> tuple[Peak | None, Peak | None]:
     """The first and the fastest contact of a leg with a stop, by its speed the frame before."""
-    time, extension = record.time[:-1], record["leg_extension"][:-1]
-    on = np.abs(extension) >= plant.hydraulics.cylinder.half_stroke
-    met = on[2:] & ~on[1:-1]
-    rows = met.any(axis=1)
+    time, extension = record.time[:-1], _frames(record, "leg_extension")
+    on_stop = np.abs(extension) >= plant.hydraulics.cylinder.half_stroke
+    meets = on_stop[2:] & ~on_stop[1:-1]
+    rows = meets.any(axis=1)
     if not rows.any():
         return None, None
-    travel = np.abs(extension[1:-1] - extension[:-2])
-    speed = np.where(met, travel / plant.machine.frame, -1.0)
-    first = np.arange(rows.size) == rows.argmax()
-    return extreme(time[2:], speed, first), extreme(time[2:], speed, rows)
+    travel = np.abs(np.diff(extension, axis=0))[:-1]
+    speed = np.where(meets, travel / plant.machine.frame, -1.0)
+    is_first = np.arange(rows.size) == rows.argmax()
+    return extreme(time[2:], speed, is_first), extreme(time[2:], speed, rows)
 
 
-def _off(record: Record) -> NDArray[np.float64]:
+def _demand_error(record: Record) -> Array:
     """How far legs are off their demand [m], (N, 6)."""
     return np.abs(record["leg_reference"] - record["leg_extension"])
 
 
 def _final_state(
-    record: Record, plant: Hexapod, at: float, usual: float, contact: Peak | None
+    record: Record, plant: Hexapod, at: float, usual_error: float, contact: Peak | None
 ) -> str:
     """How a run with an event `at` ends that stayed in bounds."""
     time, extension = record.time, record["leg_extension"]
-    half = plant.hydraulics.cylinder.half_stroke
-    end = extension[-1]
-    last = extension[time >= time[-1] - 1.0]
-    still = bool((np.ptp(last, axis=0) < _STILL).all())
-    on_stop = np.abs(end) > half - _AT_STOP
-    if still and (on_stop & (end < 0.0)).all():
-        fall = FALL * plant.parameters.settle_speed.si
-        return "fallen" if contact is not None and contact.value > fall else "settled"
-    if still and on_stop.any():
+    half_stroke = plant.hydraulics.cylinder.half_stroke
+    last_second = extension[time >= time[-1] - 1.0]
+    is_still = bool((np.ptp(last_second, axis=0) < _STILL).all())
+    on_stop = np.abs(extension[-1]) > half_stroke - _AT_STOP
+    if is_still and (on_stop & (extension[-1] < 0.0)).all():
+        fall_speed = FALL_RATIO * plant.parameters.settle_speed.si
+        return "fallen" if contact is not None and contact.value > fall_speed else "settled"
+    if is_still and on_stop.any():
         return "against_stop"
-    final = float(_off(record)[time >= max(time[-1] - 2.0 * REST - FADE, at)].max())
-    if final <= 2.0 * usual + _STILL:
+    final = time >= max(time[-1] - 2.0 * REST - FADE, at)
+    final_error = float(_demand_error(record)[final].max())
+    if final_error <= 2.0 * usual_error + _STILL:
         return "running"
-    if final <= FOLLOWING * half.min():
+    if final_error <= LARGEST_ERROR * half_stroke.min():
         return "degraded"
-    return "holding" if still else "moving"
+    return "holding" if is_still else "moving"
 
 
-AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
-"""Default amplitude of the manoeuvre on the CMF in translation [m] and rotation [rad]."""
-
+TRANSLATION, ROTATION = 6.0 * units.INCH, 4.0 * units.DEGREE  #: Default amplitudes on the CMF.
 FREQUENCY = 0.5  #: Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s.
-
-AFTER = 26.0
-"""Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
+AFTER = 26.0  #: Default length of the run after the event [s]: a lost pump is noticed after 11 s.
 
 
-def faded_sine(
-    dof: str, amplitude: float, frequency: float, *, at: float, after: float = AFTER
-) -> Command:
+def faded_sine(dof: str, amplitude: float, frequency: float, *, at: float, after: float) -> Command:
     """The sine of a failure run, faded in and out, and two seconds of rest.
 
     `amplitude` is in m or rad, `frequency` in Hz; the event comes `at`, the run ends `after` it, at
@@ -347,37 +350,40 @@ def run_failure(
     poses (N, 6) at the machine's control rate, stands in for the sine and must be longer than
     `event.at`. `protection` is `default`, a TOML file, or None for none.
     """
-    chosen = make_case("velocity") if case is None else case
-    check_name("plant", chosen.plant, [Hexapod.name])
-    plant = Hexapod(chosen.cab, chosen.hydraulics)
-    machine, size = plant.machine, chosen.amplitude
-    if size is None:
-        size = by_kind(chosen.dof, *AMPLITUDES) * relative_travel(machine, chosen.dof)
+    case = make_case("velocity") if case is None else case
+    check_name("plant", case.plant, [Hexapod.name])
+    plant = Hexapod(case.cab, case.hydraulics)
     if command is None:
-        command = faded_sine(chosen.dof, size, frequency, at=event.at, after=after)
-        command = Command(command.pose + np.asarray(chosen.pose), command.signal, command.seed)
-        check_limits(command, machine=machine)
-    command = commanded(command, machine.rate)
-    length = (command.pose.shape[0] - 1) * machine.frame
+        command = _case_sine(case, frequency, event.at, after)
+    command = commanded(command, plant.machine.rate)
+    length = (command.pose.shape[0] - 1) * plant.machine.frame
     if not event.at < length:
         raise InputError(f"at: {event.at} s must be within the run of {length:g} s")
-    message, usual = "", None
-    usually: dict[str, Any] = {
-        "electronics": chosen.electronics,
-        "command_delay": chosen.command_delay,
-    }
-    options = usually | {"events": [event], "protection": protection}
+    message, usual_error = "", None
+    options: dict[str, Any] = {"electronics": case.electronics, "command_delay": case.command_delay}
+    with_event = options | {"events": [event], "protection": protection}
     try:
-        record = simulate(plant, chosen.law, command, **options)
-    except OutOfBounds as left:
+        record = simulate(plant, case.law, command, **with_event)
+    except OutOfBounds as error:
         # The same run again, up to the frame before.
-        message = str(left)
-        shorter = Command(command.pose[: max(left.frame, 2)], command.signal, command.seed)
-        record = simulate(plant, chosen.law, shorter, **options)
+        message = str(error)
+        shorter = Command(command.pose[: max(error.frame, 2)], command.signal, command.seed)
+        record = simulate(plant, case.law, shorter, **with_event)
     if event.at < FADE and not message:
-        usual = float(_off(simulate(plant, chosen.law, command, **usually)).max())
-    how = (chosen.dof, protection is not None, record)
-    return measure_failure(plant, event, *how, message=message, usual=usual)
+        usual_error = float(_demand_error(simulate(plant, case.law, command, **options)).max())
+    outcome: dict[str, Any] = {"message": message, "usual_error": usual_error}
+    return measure_failure(plant, event, case.dof, protection is not None, record, **outcome)
+
+
+def _case_sine(case: Case, frequency: float, at: float, after: float) -> Command:
+    """The sine of a case about its pose, within the limits of the machine."""
+    amplitude = case.amplitude
+    if amplitude is None:
+        amplitude = by_kind(case.dof, TRANSLATION, ROTATION) * relative_travel(case.on, case.dof)
+    command = faded_sine(case.dof, amplitude, frequency, at=at, after=after)
+    command = Command(command.pose + np.asarray(case.pose), command.signal, command.seed)
+    check_limits(command, machine=case.on)
+    return command
 
 
 def run_failures(
@@ -387,7 +393,7 @@ def run_failures(
     if not events:
         raise InputError("events: is empty; name at least one event")
     results = on_threads(lambda event: run_failure(event, case, **options), events, jobs)
-    first = results[0]
+    first, *_ = results
     about = {name: first.record.metadata[name] for name in ("law", "cab", "hydraulics")}
     title = "{law} in {dof}, {cab} cab, {hydraulics} hydraulics, {setting}"
     title = title.format(dof=first.dof, setting=first.setting, **about)

@@ -288,7 +288,7 @@ def test_another_study_is_refused_and_what_differs_is_named(
     fewer = load_study(specification, laws=["velocity"])
     with pytest.raises(ValueError, match="differs in laws, settings.laws"):
         run_study(fewer, finished)
-    monkeypatch.setattr("cmf_mj.studies.engine._sources", lambda: "of another day")
+    monkeypatch.setattr("cmf_mj.studies.engine._source_digest", lambda: "of another day")
     with pytest.raises(ValueError, match="differs in sources; allowed: the same study"):
         run_study(load_study(specification), finished)
     assert bits(finished) == before

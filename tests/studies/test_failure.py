@@ -20,7 +20,7 @@ from cmf_mj.signals.signal import Command
 from cmf_mj.studies import failure as measures
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure import (
-    FALL,
+    FALL_RATIO,
     FailureResult,
     faded_sine,
     run_failure,
@@ -168,7 +168,7 @@ def test_a_settling_leg_meets_its_stop_at_the_settle_speed(hardware) -> None:
     """A chamber displaces 0.9 of its oil per travel at its stop, so 1 / 0.9 of the speed."""
     result = hardware["emergency_stop"]
     contact = result.contact_speed
-    assert contact is not None and contact.value < FALL * 4.0 * INCH
+    assert contact is not None and contact.value < FALL_RATIO * 4.0 * INCH
     plant = Hexapod()
     plant.data.qpos[:] = result.record["generalised_position"][int(contact.time * 256) - 2]
     load = plant.static_load()[contact.leg - 1]
