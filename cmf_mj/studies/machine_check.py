@@ -38,22 +38,17 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.asymptotes import asymptotes, full_speed, stall_forces
 
 POSES, MOST_POSES = 200, 100_000  #: Poses of the envelope that are looked at, and at most.
-
-POOR = 100.0  #: Condition number above which a pose is reported as nearly singular.
-
-
-LONG = 15.0
+POOR_CONDITION = 100.0  #: Condition number above which a pose is reported as nearly singular.
+LONGEST_LEG = 15.0
 """Neutral length of a leg over its stroke above which a unit is wrong: a leg has at least 1.5
 strokes, and the least slip, feet for inches, makes 18 of them."""
+LARGEST_OFFSET = 0.01  #: Of the upper gimbals' centroid from the origin, over their radius.
 
-APART = 0.01
-"""Distance of the upper gimbals' centroid from the origin, over their radius, that is none."""
-
-
-_ROUND = 1e-6  #: Share of a reach by which a limit may be beyond it, for its digits.
-
-_MEANT = {"recalled": "recalled from general knowledge, not checked"}
+_ROUNDING = 1e-6  #: Share of a reach by which a limit may be beyond it, for its digits.
+_STATUS_TEXTS = {"recalled": "recalled from general knowledge, not checked"}
 """Statuses that need a word more, see `core.quantity`."""
+
+Array = NDArray[np.float64]
 
 
 class CabCheck(NamedTuple):
@@ -61,11 +56,11 @@ class CabCheck(NamedTuple):
 
     cab: str
     mass: float  #: Of platform and cab [kg].
-    load: NDArray[np.float64]  #: Static leg forces [N], (6,).
-    share: float  #: Largest of them over the force of its cylinder that way.
-    speed: NDArray[np.float64]  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
+    load: Array  #: Static leg forces [N], (6,).
+    share: float  #: Largest static force over the force of its cylinder in that direction.
+    speed: Array  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
     sustained: float  #: Heave speed amplitude that the pump sustains [m/s].
-    modes: NDArray[np.float64]  #: Hydraulic modes [Hz], (6,).
+    modes: Array  #: Hydraulic modes [Hz], (6,).
 
 
 class MachineCheck(NamedTuple):
@@ -73,10 +68,11 @@ class MachineCheck(NamedTuple):
 
     machine: Machine
     limits: MotionLimits
-    envelope: NDArray[np.float64]  #: Single-axis excursions [m, rad], (6, 2).
+    envelope: Array  #: Single-axis excursions [m, rad], (6, 2).
     gap: float  #: Largest gap of a gimbal over the envelope [m].
-    conditioning: tuple[float, float]  #: At neutral, at worst over the envelope.
-    stall: NDArray[np.float64]  #: Least force of all cylinders pushing and pulling [N], (2,).
+    neutral_condition: float  #: Condition number at neutral.
+    worst_condition: float  #: Largest condition number over the envelope.
+    stall: Array  #: Least force of all cylinders pushing and pulling [N], (2,).
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
     faults: tuple[str, ...]  #: What does not fit, each with its reason.
@@ -85,9 +81,9 @@ class MachineCheck(NamedTuple):
 CABS = (
     Field("cab"),
     Field("mass", "platform,\ncab [kg]", ".0f"),
-    Field("load", "static\nload [kN]", ".2f", "kN", of=lambda one: float(np.abs(one.load).max())),
+    Field("load", "static\nload [kN]", ".2f", "kN", of=lambda row: float(np.abs(row.load).max())),
     Field("share", "of a leg's\nforce", ".0f %", "%"),
-    Field("speed", "leg speed\n[m/s]", ".3f", of=lambda one: float(one.speed.min())),
+    Field("speed", "leg speed\n[m/s]", ".3f", of=lambda row: float(row.speed.min())),
     Field("sustained", "heave sus-\ntained [m/s]", ".3f"),
     Field("modes", "modes [Hz]", lambda modes: " ".join(f"{mode:.1f}" for mode in modes)),
 )
@@ -95,6 +91,27 @@ CABS = (
 
 def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
     """The report: limits of each degree of freedom, each cab on its legs, and the rest in lines."""
+    push, pull = 1e-3 * check.stall
+    neutral = check.machine.geometry.neutral
+    return [
+        _envelope_table(check),
+        Result(check.cabs, CABS, f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"),
+        f"neutral legs {neutral.min():.4f} to {neutral.max():.4f} m from gimbal to gimbal",
+        f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
+        f"condition number {check.neutral_condition:.2f} at neutral, "
+        f"{check.worst_condition:.2f} at worst over the envelope",
+        *(
+            f"{_STATUS_TEXTS.get(status, status)}: {', '.join(names)}"
+            for status, names in check.statuses.items()
+        ),
+        *(f"does not fit: {fault}" for fault in check.faults),
+        f"verdict: {check.machine.name} "
+        + (f"has {len(check.faults)} faults" if check.faults else "fits together"),
+    ]
+
+
+def _envelope_table(check: MachineCheck) -> Table:
+    """Excursions that the legs reach beside the operational limits, a row a degree of freedom."""
     rows = []
     for dof, reach, axis in zip(DOFS, check.envelope, check.limits.axes, strict=True):
         unit = by_kind(dof, "m", "deg")
@@ -103,24 +120,7 @@ def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
         rows.append((dof, *ends, axis.operational.status, speed, f"{unit}, {unit}/s"))
     ends_of = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
     columns = ("dof", *ends_of, "status", ("largest rate", ".3g"), "units")
-    push, pull = (1e-3 * force for force in check.stall)
-    stalled = f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"
-    neutral = check.machine.geometry.neutral
-    return [
-        Table(f"{check.machine.name}: envelope", columns, rows),
-        Result(check.cabs, CABS, stalled),
-        f"neutral legs {neutral.min():.4f} to {neutral.max():.4f} m from gimbal to gimbal",
-        f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
-        f"condition number {check.conditioning[0]:.2f} at neutral, {check.conditioning[1]:.2f} at "
-        "worst over the envelope",
-        *(
-            f"{_MEANT.get(status, status)}: {', '.join(names)}"
-            for status, names in check.statuses.items()
-        ),
-        *(f"does not fit: {fault}" for fault in check.faults),
-        f"verdict: {check.machine.name} "
-        + (f"has {len(check.faults)} faults" if check.faults else "fits together"),
-    ]
+    return Table(f"{check.machine.name}: envelope", columns, rows)
 
 
 def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
@@ -130,136 +130,187 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     """
     whole("poses", poses, 1, MOST_POSES)
     plants = [Hexapod(load_cab(name, machine)) for name in machine.cabs]
-    bound(load_law(machine.law), plants[0].law_key)
-    limits = load_motion_limits(None, machine)
-    faults: list[str] = []
-    cabs = tuple(_cab(plant, limits, faults) for plant in plants)
     plant = plants[0]
+    bound(load_law(machine.law), plant.law_key)
+    limits = load_motion_limits(None, machine)
+    cabs = tuple(map(_check_cab, plants))
     radius = float(np.linalg.norm(machine.geometry.upper[:, :2], axis=1).mean())
-    looked_at = envelope_poses(plant, poses)
-    conditions, gaps, sense = [], [], 0.0
-    for pose in looked_at:
-        jacobian = leg_jacobian(pose, machine)
-        jacobian[:, 3:] /= radius
-        conditions.append(float(np.linalg.cond(jacobian)))
-        sign = float(np.sign(np.linalg.det(jacobian)))
-        sense = sense or sign
-        if sign != sense:
-            faults.append(
-                f"legs.working_stroke: reaches across a singular pose, at {_pose(pose)}; allowed: "
-                "a stroke that keeps det J of the sign it has at neutral"
-            )
-            break
-        plant.place(pose)
-        sites = plant.data.site_xpos[plant.gimbal_sites]
-        gaps.append(float(np.linalg.norm(sites[:, 0] - sites[:, 1], axis=1).max()))
-    worst = int(np.argmax(conditions))
-    if conditions[worst] > POOR and not faults:
+    places = envelope_poses(plant, poses)
+    envelope = _check_envelope(plant, places, radius)
+    faults = [fault for cab in cabs for fault in _cab_faults(cab, limits)]
+    if envelope.singular_pose is not None:
         faults.append(
-            f"legs.working_stroke: condition number {conditions[worst]:.3g} at "
-            f"{_pose(looked_at[worst])}; allowed: below {POOR:g}"
+            "legs.working_stroke: reaches across a singular pose, at "
+            f"{_pose_text(envelope.singular_pose)}; allowed: a stroke that keeps det J of the sign "
+            "it has at neutral"
         )
-    faults += _proportions(machine, radius)
-    faults += _beyond_reach(machine, limits)
-    rod = plant.parameters.rod_diameter.si
-    clear, first, last, where = _clearance(machine, looked_at)
-    if clear < rod:
+    worst = int(np.argmax(envelope.conditions))
+    if envelope.conditions[worst] > POOR_CONDITION and not faults:
         faults.append(
-            f"gimbals: the axes of legs {first} and {last} come within {clear:.3g} m of each other "
-            f"at {_pose(where)}; allowed: at least a rod's diameter, {rod:.3g} m"
+            f"legs.working_stroke: condition number {envelope.conditions[worst]:.3g} at "
+            f"{_pose_text(places[worst])}; allowed: below {POOR_CONDITION:g}"
         )
+    faults += _proportion_faults(machine, radius)
+    faults += _reach_faults(machine, limits)
+    faults += _clearance_faults(machine, places, plant.parameters.rod_diameter.si)
     return MachineCheck(
-        *(machine, limits, excursion_envelope(None, machine), max(gaps)),
-        (conditions[0], conditions[worst]),
-        stall_forces(plant.hydraulics).min(axis=0),
-        cabs,
-        _by_status(machine),
-        tuple(faults),
+        machine=machine,
+        limits=limits,
+        envelope=excursion_envelope(None, machine),
+        gap=envelope.gap,
+        neutral_condition=envelope.conditions[0],
+        worst_condition=envelope.conditions[worst],
+        stall=stall_forces(plant.hydraulics).min(axis=0),
+        cabs=cabs,
+        statuses=_names_by_status(machine),
+        faults=tuple(faults),
     )
 
 
-def _proportions(machine: Machine, radius: float) -> Iterator[str]:
+class _Envelope(NamedTuple):
+    """What poses show, up to the first beyond a singular one."""
+
+    conditions: list[float]  #: Condition numbers, pose by pose.
+    gap: float  #: Largest gap of a gimbal [m].
+    singular_pose: Array | None  #: Where det J has not the sign of neutral.
+
+
+def _check_envelope(plant: Hexapod, poses: Array, radius: float) -> _Envelope:
+    conditions, gaps, neutral_sign = list[float](), list[float](), 0.0
+    for pose in poses:
+        jacobian = leg_jacobian(pose, plant.machine)
+        jacobian[:, 3:] /= radius
+        conditions.append(float(np.linalg.cond(jacobian)))
+        sign = float(np.sign(np.linalg.det(jacobian)))
+        neutral_sign = neutral_sign or sign
+        if sign != neutral_sign:
+            return _Envelope(conditions, max(gaps), pose)
+        plant.place(pose)
+        sites = plant.data.site_xpos[plant.gimbal_sites]
+        gaps.append(float(np.linalg.norm(sites[:, 0] - sites[:, 1], axis=1).max()))
+    return _Envelope(conditions, max(gaps), None)
+
+
+def _check_cab(plant: Hexapod) -> CabCheck:
+    with within(f"cabs.{plant.cab}"):
+        plant.start()
+    assert plant.cab_parameters is not None
+    load, supply = plant.static_load(), plant.hydraulics.supply
+    push, pull = stall_forces(plant.hydraulics).T
+    return CabCheck(
+        cab=plant.cab,
+        mass=plant.cab_parameters.payload.mass,
+        load=load,
+        share=float(np.maximum(load / push, -load / pull).max()),
+        speed=full_speed(plant.hydraulics, load, supply.pressure, supply.return_pressure),
+        sustained=asymptotes(plant, "heave").pump_flow,
+        modes=plant.hydraulic_modes().frequency_hz,
+    )
+
+
+def _cab_faults(cab: CabCheck, limits: MotionLimits) -> Iterator[str]:
+    """Static loads and leg speeds that do not leave what the limits ask for."""
+    heave = limits.axes[DOFS.index("heave")]
+    largest_share = 1.0 / (1.0 + heave.acceleration.si / units.STANDARD_GRAVITY)
+    if cab.share > largest_share:
+        yield (
+            f"cabs.{cab.cab}: its static load is {cab.share:.0%} of a leg's force at the supply's "
+            f"pressure; allowed: up to {largest_share:.0%}, which leaves what "
+            "limits.heave.acceleration asks for"
+        )
+    leg_speed = limits.leg.velocity.si
+    if cab.speed.min() < leg_speed:
+        yield (
+            f"cabs.{cab.cab}: valves fully open give a leg {cab.speed.min():.4g} m/s under its "
+            f"static load; limits.leg.velocity asks for {leg_speed:.4g} m/s; allowed: at most what "
+            "the valves give"
+        )
+
+
+def _proportion_faults(machine: Machine, radius: float) -> Iterator[str]:
     """What a slip of units or of the origin makes of gimbals and strokes."""
     length, stroke = float(machine.geometry.neutral.max()), 2.0 * machine.half_stroke
-    if length > LONG * stroke:
+    if length > LONGEST_LEG * stroke:
         yield (
             f"legs.half_stroke: legs of {length:.4g} m for a stroke of {stroke:.4g} m; allowed: "
-            f"up to {LONG:g} times the stroke"
+            f"up to {LONGEST_LEG:g} times the stroke"
         )
-    off = machine.geometry.upper.mean(axis=0)
-    if np.linalg.norm(off) > APART * radius:
+    offset = float(np.linalg.norm(machine.geometry.upper.mean(axis=0)))
+    if offset > LARGEST_OFFSET * radius:
         yield (
-            f"gimbals: the upper gimbals' centroid is {np.linalg.norm(off):.3g} m from the origin "
-            f"of all coordinates; allowed: up to {APART * radius:.3g} m, for it is the origin"
+            f"gimbals: the upper gimbals' centroid is {offset:.3g} m from the origin "
+            f"of all coordinates; allowed: up to {LARGEST_OFFSET * radius:.3g} m, for it is the "
+            "origin"
         )
 
 
-def _beyond_reach(machine: Machine, limits: MotionLimits) -> Iterator[str]:
+def _reach_faults(machine: Machine, limits: MotionLimits) -> Iterator[str]:
     """Displacements that are stated and that the legs do not reach, alone from neutral."""
     for kind, field in (("operational", "working_stroke"), ("mechanical", "half_stroke")):
-        reach = excursion_envelope(getattr(machine, field), machine)
-        for dof, ends, reached in zip(DOFS, getattr(limits, kind), reach, strict=True):
+        envelope = excursion_envelope(getattr(machine, field), machine)
+        for dof, ends, reach in zip(DOFS, getattr(limits, kind), envelope, strict=True):
             unit = by_kind(dof, "m", "deg")
-            low, high, least, most = (units.from_si(unit, x) for x in (*ends, *reached))
-            if low < least - _ROUND * abs(least) or high > most + _ROUND * most:
+            low, high = (units.from_si(unit, end) for end in ends)
+            lowest, highest = (units.from_si(unit, end) for end in reach)
+            margin_low, margin_high = _ROUNDING * abs(lowest), _ROUNDING * highest
+            if low < lowest - margin_low or high > highest + margin_high:
                 yield (
                     f"limits.{dof}.{kind}: {low:.4g} to {high:.4g} {unit}; allowed: within "
-                    f"{least:.4g} to {most:.4g} {unit}, where legs.{field} ends"
+                    f"{lowest:.4g} to {highest:.4g} {unit}, where legs.{field} ends"
                 )
 
 
-def _clearance(
-    machine: Machine, poses: NDArray[np.float64]
-) -> tuple[float, int, int, NDArray[np.float64]]:
-    """Least distance of two leg axes [m] over poses (N, 6), which legs, from 1, and the pose."""
-    upper, lower, _ = machine.geometry
+class _Clearance(NamedTuple):
+    """The least distance of two leg axes."""
+
+    distance: float  #: [m].
+    legs: tuple[int, int]  #: From 1.
+    pose: Array
+
+
+def _clearance_faults(machine: Machine, poses: Array, rod_diameter: float) -> Iterator[str]:
+    clearance = _clearance(machine, poses)
+    if clearance.distance < rod_diameter:
+        first, second = clearance.legs
+        yield (
+            f"gimbals: the axes of legs {first} and {second} come within {clearance.distance:.3g} "
+            f"m of each other at {_pose_text(clearance.pose)}; allowed: at least a rod's diameter, "
+            f"{rod_diameter:.3g} m"
+        )
+
+
+def _clearance(machine: Machine, poses: Array) -> _Clearance:
+    """Least clearance of all pairs of legs over poses (N, 6).
+
+    The points s and t of two segments that are closest (C. Ericson, Real-Time Collision Detection,
+    2005, section 5.1.9): t for s on the lines, s again for t within its segment.
+    """
+    upper, lower = machine.geometry.upper, machine.geometry.lower
     turned = np.array([rotation(*pose[3:]) @ upper.T for pose in poses]).transpose(0, 2, 1)
     legs = poses[:, None, :3] + turned - lower  # from the lower gimbal up, (N, 6, 3)
     i, j = np.triu_indices(6, 1)
-    one, other, between = legs[:, i], legs[:, j], lower[i] - lower[j]
-    a, b, e = ((u * v).sum(axis=-1) for u, v in ((one, one), (one, other), (other, other)))
-    c, f = ((u * between).sum(axis=-1) for u in (one, other))
+    first, second, between = legs[:, i], legs[:, j], lower[i] - lower[j]
+    a, b, e = _dot(first, first), _dot(first, second), _dot(second, second)
+    c, f = _dot(first, between), _dot(second, between)
     s = np.clip((b * f - c * e) / np.maximum(a * e - b * b, 1e-12 * a * e), 0.0, 1.0)
     t = np.clip((b * s + f) / e, 0.0, 1.0)
     s = np.clip((b * t - c) / a, 0.0, 1.0)
-    apart = np.linalg.norm(between + s[..., None] * one - t[..., None] * other, axis=-1)
-    row, pair = np.unravel_index(int(apart.argmin()), apart.shape)
-    return float(apart[row, pair]), int(i[pair]) + 1, int(j[pair]) + 1, poses[row]
+    distance = np.linalg.norm(between + s[..., None] * first - t[..., None] * second, axis=-1)
+    row, pair = np.unravel_index(int(distance.argmin()), distance.shape)
+    pair_of_legs = int(i[pair]) + 1, int(j[pair]) + 1
+    return _Clearance(float(distance[row, pair]), pair_of_legs, poses[row])
 
 
-def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
-    """One cab; what does not fit is added to `faults`."""
-    where = f"cabs.{plant.cab}"
-    with within(where):
-        plant.start()
-    supply = plant.hydraulics.supply
-    load, (push, pull) = plant.static_load(), stall_forces(plant.hydraulics).T
-    share = float(np.maximum(load / push, -load / pull).max())
-    most = 1.0 / (1.0 + limits.axes[2].acceleration.si / units.STANDARD_GRAVITY)
-    if share > most:
-        faults.append(
-            f"{where}: its static load is {share:.0%} of a leg's force at the supply's pressure; "
-            f"allowed: up to {most:.0%}, which leaves what limits.heave.acceleration asks for"
-        )
-    speed = full_speed(plant.hydraulics, load, supply.pressure, supply.return_pressure)
-    asked = limits.leg.velocity.si
-    if speed.min() < asked:
-        faults.append(
-            f"{where}: valves fully open give a leg {speed.min():.4g} m/s under its static load; "
-            f"limits.leg.velocity asks for {asked:.4g} m/s; allowed: at most what the valves give"
-        )
-    assert plant.cab_parameters is not None
-    mass, modes = plant.cab_parameters.payload.mass, plant.hydraulic_modes().frequency_hz
-    sustained = asymptotes(plant, "heave").pump_flow
-    return CabCheck(plant.cab, mass, load, share, speed, sustained, modes)
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray((first * second).sum(axis=-1))
 
 
-def _pose(pose: NDArray[np.float64]) -> str:
-    length = " ".join(f"{value:.3g}" for value in pose[:3])
-    return f"{length} m, {' '.join(f'{value:.3g}' for value in np.degrees(pose[3:]))} deg"
+def _pose_text(pose: Array) -> str:
+    sizes = [f"{size:.3g}" for size in (*pose[:3], *np.degrees(pose[3:]))]
+    return f"{' '.join(sizes[:3])} m, {' '.join(sizes[3:])} deg"
 
 
-def _by_status(machine: Machine) -> dict[str, list[str]]:
+def _names_by_status(machine: Machine) -> dict[str, list[str]]:
     """Fields of a machine's own table by status, in order."""
     fields: dict[str, list[str]] = {}
 

@@ -58,7 +58,7 @@ def sizes(checks: list[MachineCheck]) -> Table:
                 min(check.stall) / load,
                 float(cab.speed.min()),
                 cab.sustained,
-                check.conditioning[1],
+                check.worst_condition,
             )
         )
     columns = (
