@@ -103,7 +103,7 @@ def _verdict(result: CaseResult) -> str:
     """The verdict, with the axis that swings most at the end of the step where that is another."""
     if result.verdict != "unstable" or result.case.plant != "hexapod":
         return result.verdict
-    record, machine = result.step, result.case.on
+    record, machine = result.step, result.case.motion_base
     try:
         poses = legs_to_pose(record["leg_position"][-round(record.rate) :: 4], machine)
     except NoPoseError:

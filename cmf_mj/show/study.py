@@ -16,7 +16,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.studies.certificate import Certificate
-from cmf_mj.studies.effects import Rate, climb, finished, largest_crosstalk, rates
+from cmf_mj.studies.effects import Rate, finished, largest_crosstalk, rates, rung_effects
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.failure import FailureResult
 from cmf_mj.studies.settings import NOMINAL
@@ -72,7 +72,7 @@ def _cell(row: Mapping[str, Any]) -> str:
 
 def climb_table(table: pa.Table) -> Table:
     """Share of each effect: median change over the laws, a row a rung."""
-    changes = climb(table)
+    changes = rung_effects(table)
     measures, rows = changes.fields[2:], dict[str, list[str]]()
     for row in changes:
         text = " / ".join(field.text(field.value(row)) for field in measures)

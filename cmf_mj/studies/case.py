@@ -7,7 +7,7 @@ Beside a case's measures stand -90 deg of small motion (`small_loop`), and the v
 simulation in which all degrees of freedom step at once (`swing_after_step`).
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import KW_ONLY, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,9 +54,9 @@ STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE  #: The report steps 1 in and 
 
 FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0  #: Durations of the chirp [s].
 
-_LINES = np.linspace(0.1, 19.9, 1999)  # of small motion [Hz]; sweeps end at 10 Hz
+RECORDER = 128  #: Rows of a record in a second, at least, as of the facility's recorder [Hz].
 
-RECORDER = 128  #: Samples of a run in a second, at least: the rate of the facility's recorder [Hz].
+_SMALL_MOTION_HZ = np.linspace(0.1, 19.9, 1999)  #: Lines of small motion; sweeps end at 10 Hz.
 
 
 def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
@@ -73,7 +73,8 @@ def frames_a_row(machine: Machine, rate: int) -> int:
 
     Or of as few more as make rows and frames a second whole numbers.
     """
-    return next((n for n in range(machine.rate // rate, 1, -1) if machine.rate % n == 0), 1)
+    divisors = [n for n in range(1, machine.rate // rate + 1) if machine.rate % n == 0]
+    return max(divisors, default=1)
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class Case:
     law: Law
     dof: str
     amplitude: float | None = None  #: Of the chirp [m or rad]; None for the report's.
+    _: KW_ONLY
     quick: bool = False  #: Sweep in 30 s instead of 100 s.
     electronics: ElectronicsSettings | None = None
     """Sensors, converters, servo electronics; None for ideal ones."""
@@ -104,8 +106,8 @@ class Case:
         return 10.0 if self.quick else 20.0
 
     @property
-    def on(self) -> Machine:
-        """The motion base."""
+    def motion_base(self) -> Machine:
+        """The machine of the cab, or of single legs."""
         return self.cab.machine if self.cab else self.machine
 
     @property
@@ -121,7 +123,7 @@ class Case:
 
     def build(self) -> Plant:
         """A new plant."""
-        return make_plant(self.plant, self.cab, self.hydraulics, self.on)
+        return make_plant(self.plant, self.cab, self.hydraulics, self.motion_base)
 
     def run(self, command: Command, plant: Plant | None = None, *, rate: int = RECORDER) -> Record:
         """Simulate a command.
@@ -132,11 +134,10 @@ class Case:
         plant = self.build() if plant is None else plant
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
-        moved = Command(pose, command.signal, command.seed)
         return Run(
             plant=plant,
             law=self.law,
-            source=moved,
+            source=Command(pose, command.signal, command.seed),
             electronics=self.electronics,
             command_delay=self.command_delay,
             record_every=frames_a_row(plant.machine, rate),
@@ -174,14 +175,14 @@ def make_case(
     dof_index(dof)
     check_name("plant", plant, PLANTS)
     for name in options:
-        check_name("option", name, [one.name for one in fields(Case)][6:])
+        check_name("option", name, [each.name for each in fields(Case) if each.kw_only])
     if amplitude is not None:
         check_positive(amplitude=amplitude)
-    chosen = load_cab(cab, machine)
-    parameters, loaded = hydraulics_of(chosen.machine, hydraulics), load_law(law, chosen.machine)
-    with_cab = chosen if plant == "hexapod" else None
-    options["machine"] = chosen.machine
-    return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
+    loaded_cab = load_cab(cab, machine)
+    options["machine"] = motion_base = loaded_cab.machine
+    parameters, loaded_law = hydraulics_of(motion_base, hydraulics), load_law(law, motion_base)
+    own_cab = loaded_cab if plant == Hexapod.name else None
+    return Case(plant, own_cab, parameters, loaded_law, dof, amplitude, **options)
 
 
 class CaseResult(NamedTuple):
@@ -200,19 +201,19 @@ class CaseResult(NamedTuple):
     @property
     def verdict(self) -> str:
         """`unstable`, `drifts`, or nothing of a law that is stable."""
-        return "" if self.measures.stable else "drifts" if self.drifts else "unstable"
+        unstable = "drifts" if self.drifts else "unstable"
+        return "" if self.measures.stable else unstable
 
     @property
     def published(self) -> Published | None:
         """The published values of the case, if there are any: of the CMF alone."""
         case = self.case
-        if case.on.name != CMF:
-            return None
-        return published(case.law.name, case.dof, case.hydraulics.name)
+        is_published = case.motion_base.name == CMF
+        return published(case.law.name, case.dof, case.hydraulics.name) if is_published else None
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
-    """Run chirp and step of a case; keep both records in the folder `records` if one is named.
+    """Run chirp and step of a case, whose records go to the folder `records` if one is named.
 
     `quick` sweeps in 30 s instead of 100 s: the same band at three times the rate, bandwidths
     within about 2 %.
@@ -224,17 +225,26 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     response = sweep_response(sweep, segment=case.segment)
     measures = measures_from(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
-    drifts, small = ends_off_demand(step), Measures()
+    drifts, small_motion = ends_off_demand(step), Measures()
     loop = small_loop(case) if measures.stable else None
     if loop is not None:
         drifts = not holds_position(loop.poles())
-        small = measure_loop(loop, frequencies=_LINES)
-    measures = Measures() if drifts else measures
-    return CaseResult(case, response, measures, step, gap, small.phase_bandwidth_hz, drifts)
+        small_motion = measure_loop(loop, frequencies=_SMALL_MOTION_HZ)
+    return CaseResult(
+        case=case,
+        response=response,
+        measures=Measures() if drifts else measures,
+        step=step,
+        gimbal_error=gap,
+        small_motion_phase_hz=small_motion.phase_bandwidth_hz,
+        drifts=drifts,
+    )
 
 
 def small_loop(case: Case) -> control.StateSpace | None:
-    """A case linearised about its pose, demand to motion: what the chirp's tends to, made smaller.
+    """The loop of a case linearised about its pose, from demand to motion.
+
+    The response to a chirp of the case tends to that of the loop, as its amplitude goes to zero.
 
     At the report's amplitude the valves' mean opening damps the legs and the load takes pressure
     from the valves, which moves -90 deg. None for what has no linearisation, such as dry friction,
@@ -252,39 +262,42 @@ def small_loop(case: Case) -> control.StateSpace | None:
 SMALL = 0.15
 """Step of the simulated verdict over the report's amplitudes, all degrees of freedom at once."""
 
-_BEGIN, _DURATION, _WINDOW = 0.5, 12.0, 2.0
-"""Of the simulated verdict [s]: the step, the end, and the length of the two windows compared."""
-_FIRST = 2.5  #: Begin of the first window after the step [s]; the second is the last of the run.
+_STEP_TIME, _DURATION = 0.5, 12.0  #: Step and end of the run of the simulated verdict [s].
+_WINDOW, _FIRST_WINDOW = 2.0, 2.5
+"""Length of the two windows compared, and begin of the first after the step [s]; the second is the
+last of the run."""
 _NO_SWING, _LIMIT_CYCLE = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 
 
 def swing_after_step(plant: Hexapod, law: Law) -> dict[str, Any]:
-    """Whether a law is stable in the simulation, see `swings`."""
+    """Whether a law is stable in the simulation, see `measure_swing`."""
     rate = plant.machine.rate
     pose = np.zeros((round(_DURATION * rate), len(DOFS)))
-    pose[round(_BEGIN * rate) :] = SMALL * REPORT_AMPLITUDES
+    pose[round(_STEP_TIME * rate) :] = SMALL * REPORT_AMPLITUDES
     try:
-        return swings(simulate(plant, law, Command.from_pose(pose, rate), record_every=16))
+        return measure_swing(simulate(plant, law, Command.from_pose(pose, rate), record_every=16))
     except FloatingPointError:  # it left the bounds of the model
         return {"stable": False, "first": float("nan"), "last": float("nan")}
 
 
-def swings(record: Record) -> dict[str, Any]:
+def measure_swing(record: Record) -> dict[str, Any]:
     """Whether a run with a step at 0.5 s is stable, and the swing of its windows.
 
     `first` and `last` are the largest standard deviations of a leg about a straight line within the
     windows, over the largest leg step.
     """
     legs, reference = record["leg_position"], record["leg_reference"]
-    size = float(np.abs(reference[-1] - reference[0]).max())
+    leg_step = float(np.abs(reference[-1] - reference[0]).max())
     count = round(_WINDOW * record.rate)
-    begin = round((_BEGIN + _FIRST) * record.rate)
-    time, swing = np.linspace(-1.0, 1.0, count), []
-    for part in (legs[begin : begin + count], legs[-count:]):
-        line = np.polynomial.polynomial.polyfit(time, part, 1)
-        about = part - np.polynomial.polynomial.polyval(time, line).T
-        swing.append(float(about.std(axis=0).max()) / size)
-    first, last = swing
+    begin = round((_STEP_TIME + _FIRST_WINDOW) * record.rate)
+    time = np.linspace(-1.0, 1.0, count)
+
+    def swing(window: NDArray[np.float64]) -> float:
+        line = np.polynomial.polynomial.polyfit(time, window, 1)
+        swinging = window - np.polynomial.polynomial.polyval(time, line).T
+        return float(swinging.std(axis=0).max()) / leg_step
+
+    first, last = swing(legs[begin : begin + count]), swing(legs[-count:])
     stable = bool(last < _NO_SWING or last < min(first, _LIMIT_CYCLE))
     return {"stable": stable, "first": first, "last": last}

@@ -36,7 +36,7 @@ from cmf_mj.machine.geometry import DOFS, by_kind, pose_text
 from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
-from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
+from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, measure_swing
 from cmf_mj.studies.certificate_box import DIMENSIONS, LARGEST_SCALE, Box
 from cmf_mj.studies.certificate_family import SLOW_POLE, Family
 from cmf_mj.studies.tuning.search import save_law
@@ -389,6 +389,6 @@ def _changed_fields(base: Settings, changed: Settings) -> dict[str, Any]:
 def replayed_swing(scenario: Path) -> float:
     """Swing of the legs left at the end of a case over its largest leg step, in the simulation."""
     try:
-        return float(swings(load_scenario(scenario).record())["last"])
+        return float(measure_swing(load_scenario(scenario).record())["last"])
     except FloatingPointError:  # it left the bounds of the model
         return float("inf")

@@ -2,7 +2,7 @@
 
 Each case is run twice: with the report's chirp, for the frequency response, and with a step, for
 damping, steady-state error and stability. Cases share nothing, so they run on threads (the compiled
-loop releases the interpreter lock) and their results do not depend on how many there are.
+loop releases the interpreter lock) and their results do not depend on the number of threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,11 +78,11 @@ def compare(
     """
     machine = load_cab(options.get("cab"), options.get("machine")).machine
     loaded = [load_law(law, machine) for law in laws]
-    for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
-        for name in chosen:
-            check_name(field, name, known)
-        if not chosen:
-            raise InputError(f"{field}: is empty; choose from {', '.join(known)}")
+    for field, names, allowed in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
+        for name in names:
+            check_name(field, name, allowed)
+        if not names:
+            raise InputError(f"{field}: is empty; choose from {', '.join(allowed)}")
     if not loaded:
         raise InputError("laws: is empty; name at least one law")
     check_distinct("laws", [law.name for law in loaded])

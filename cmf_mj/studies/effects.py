@@ -1,6 +1,6 @@
-"""What a finished study says: shares and effects.
+"""Shares of machines that a law leaves stable and damped, and effects of the rungs of a ladder.
 
-Each function takes the table of results. A share of machines has Wilson's score interval.
+Functions take the table of results of a study. A share of machines has Wilson's score interval.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ ENOUGH_DAMPING = 0.3  #: Damping ratio that counts as damped: an overshoot of 37
 
 LEVEL = 0.95  #: Confidence of all intervals.
 
-_MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
+_LARGEST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
 
 
 class Interval(NamedTuple):
@@ -30,7 +30,7 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
-    machines: int  #: How many it rests on.
+    machines: int  #: Machines that it is estimated from.
 
 
 def share(outcomes: ArrayLike) -> Interval:
@@ -47,9 +47,9 @@ def finished(table: pa.Table) -> pa.Table:
     return where(table, error_type="")
 
 
-def damped(table: pa.Table) -> NDArray[np.bool_]:
+def are_damped(table: pa.Table) -> NDArray[np.bool_]:
     """Which rows are stable and damped enough."""
-    return np.array(table["stable"]) & (column(table, "overshoot") <= _MOST_OVERSHOOT)
+    return np.array(table["stable"]) & (column(table, "overshoot") <= _LARGEST_OVERSHOOT)
 
 
 class Rate(NamedTuple):
@@ -62,25 +62,26 @@ class Rate(NamedTuple):
     mode_damping_ratio: float  #: Mean of the least damping ratio of all modes.
 
 
-def _percent(share: Interval) -> str:
+def _percent_text(share: Interval) -> str:
     if share.machines == 0:
         return "-"
     return f"{100.0 * share.value:.0f} ({100.0 * share.low:.0f}-{100.0 * share.high:.0f})"
 
 
-def _shares(name: str, title: str) -> list[Field]:
+def _share_fields(name: str, title: str) -> list[Field]:
     """A share with its interval: three columns of the frame, one that is printed."""
-    ends = {"": "value", "_low": "low", "_high": "high"}
     return [
-        *(Field(name + e, of=f"shares.{name}.{p}", printed=False) for e, p in ends.items()),
-        Field("", title, _percent, of=f"shares.{name}"),
+        Field(name, of=f"shares.{name}.value", printed=False),
+        Field(f"{name}_low", of=f"shares.{name}.low", printed=False),
+        Field(f"{name}_high", of=f"shares.{name}.high", printed=False),
+        Field("", title, _percent_text, of=f"shares.{name}"),
     ]
 
 
 RATES = (
     *map(Field, ("cab", "law")),
-    *_shares("stable", "stable %"),
-    *(field for dof in DOFS for field in _shares(dof, f"{dof} damped %")),
+    *_share_fields("stable", "stable %"),
+    *(field for dof in DOFS for field in _share_fields(dof, f"{dof} damped %")),
     Field("mode_damping_ratio", "least mode damping", ".3f"),
 )
 
@@ -89,30 +90,28 @@ def rates(table: pa.Table) -> Result[Rate]:
     """How often each law stays stable and damped over the machines drawn, a row a cab and law."""
     linear = where(finished(table), method="linear")
     rows = []
-    for (cab, law), drawn in groups(linear.filter(pc.field("draw") != NOMINAL), "cab", "law"):
-        axes = {dof: where(drawn, dof=dof) for dof in DOFS}
-        machines = axes[DOFS[0]]
+    draws = linear.filter(pc.field("draw") != NOMINAL)
+    for (cab, law), cases in groups(draws, "cab", "law"):
+        by_dof = {dof: where(cases, dof=dof) for dof in DOFS}
+        machines = by_dof["surge"]  # of a machine all degrees of freedom have the same modes
         shares = {"stable": share(machines["stable"])}
-        shares |= {dof: share(damped(one)) for dof, one in axes.items()}
-        rows.append(Rate(cab, law, shares, _known(np.mean, column(machines, "mode_damping_ratio"))))
+        shares |= {dof: share(are_damped(of_dof)) for dof, of_dof in by_dof.items()}
+        damping = _statistic_of_known(np.mean, column(machines, "mode_damping_ratio"))
+        rows.append(Rate(cab, law, shares, damping))
     return Result(rows, RATES)
 
 
-def _known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
+def _statistic_of_known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
     """A statistic of the values that are not NaN."""
     known = values[~np.isnan(values)]
     return float(statistic(known)) if known.size else float("nan")
 
 
-_BOTH = pc.field("stable") & pc.field("stable_other")
-_ALIKE = ["cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law", "dof", "method"]
+_BOTH_STABLE = pc.field("stable") & pc.field("stable_before")
+_CASE = ["cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law", "dof", "method"]
+"""Columns in which the rows of two rungs agree whose difference is the effect."""
 
-
-def _difference(pairs: pa.Table, name: str) -> NDArray[np.float64]:
-    return column(pairs, name) - column(pairs, f"{name}_other")
-
-
-CLIMB = (
+RUNG_EFFECTS = (
     *map(Field, ("rung", "dof")),
     Field("phase_bandwidth_hz", "-90 deg [Hz]", "+.2f"),
     Field("peak_gain_db", "peak [dB]", "+.1f"),
@@ -121,28 +120,28 @@ CLIMB = (
 )
 
 
-def climb(table: pa.Table) -> Result[dict[str, Any]]:
+def rung_effects(table: pa.Table) -> Result[dict[str, Any]]:
     """What each rung changes against the one before, by rung and degree of freedom.
 
     Medians over the laws of -90 deg [Hz], peak [dB], damping ratio, and of the largest crosstalk
     out of the degree of freedom.
     """
-    done, rows = finished(table), []
-    rungs, dofs = (done[name].unique().to_pylist() for name in ("rung", "dof"))
-    for (before, rung), dof in product(pairwise(rungs), dofs):
-        here, other = where(done, rung=rung, dof=dof), where(done, rung=before)
-        how: dict[str, Any] = {"join_type": "inner", "right_suffix": "_other"}
-        stable = here.join(other, _ALIKE, use_threads=False, **how).filter(_BOTH)
+    results, rows = finished(table), []
+    rungs, dofs = (results[name].unique().to_pylist() for name in ("rung", "dof"))
+    how: dict[str, Any] = {"join_type": "inner", "right_suffix": "_before", "use_threads": False}
+    for (rung_before, rung), dof in product(pairwise(rungs), dofs):
+        with_effect, without = where(results, rung=rung, dof=dof), where(results, rung=rung_before)
+        pairs = with_effect.join(without, _CASE, **how).filter(_BOTH_STABLE)
         names = ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
-        changes = {name: _difference(stable, name) for name in names}
-        mixed, before_mixed = (largest_crosstalk(stable, dof, end) for end in ("", "_other"))
-        changes["crosstalk"] = mixed - before_mixed
-        medians = {name: _known(np.median, change) for name, change in changes.items()}
+        changes = {name: column(pairs, name) - column(pairs, f"{name}_before") for name in names}
+        mixed, mixed_before = (largest_crosstalk(pairs, dof, end) for end in ("", "_before"))
+        changes["crosstalk"] = mixed - mixed_before
+        medians = {key: _statistic_of_known(np.median, change) for key, change in changes.items()}
         rows.append({"rung": rung, "dof": dof} | medians)
-    return Result(rows, CLIMB)
+    return Result(rows, RUNG_EFFECTS)
 
 
-def largest_crosstalk(table: pa.Table, dof: str, end: str = "") -> NDArray[np.float64]:
-    """Largest crosstalk out of a degree of freedom, row by row."""
-    others = [column(table, f"crosstalk_{other}{end}") for other in DOFS if other != dof]
+def largest_crosstalk(table: pa.Table, dof: str, suffix: str = "") -> NDArray[np.float64]:
+    """Largest crosstalk out of a degree of freedom, row by row, of columns with a suffix."""
+    others = [column(table, f"crosstalk_{other}{suffix}") for other in DOFS if other != dof]
     return np.asarray(np.max(others, axis=0))

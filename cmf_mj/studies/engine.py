@@ -42,7 +42,7 @@ from cmf_mj.core.files import write_parquet, write_text
 from cmf_mj.core.settings import parsed_json
 from cmf_mj.core.threads import MOST_JOBS
 from cmf_mj.machine import models
-from cmf_mj.studies.evaluation import evaluate, failed
+from cmf_mj.studies.evaluation import error_row, evaluate
 from cmf_mj.studies.settings import Study, StudyCase
 
 SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
@@ -350,14 +350,14 @@ def run_study(
 
 def _machine_of(case: StudyCase) -> Hashable:
     """What cases of one machine share that is linearised once; other cases share nothing."""
-    if case.study.method != "linear":
+    if case.settings.method != "linear":
         return case.number
     return case.rung, case.case.cab, case.case.pose, case.draw
 
 
 CASES = Work(
     lambda case, shared: [row.columns for row in evaluate(case, shared)],
-    lambda error: [failed(error).columns],
+    lambda error: [error_row(error).columns],
     _machine_of,
 )
 """Work of a study of cases."""

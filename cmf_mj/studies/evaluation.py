@@ -5,9 +5,9 @@
              poles, the 6 by 6 response and the steps of all degrees of freedom at once
 
 Crosstalk is the largest gain, 0.1 to 10 Hz, from the demand of one degree of freedom to the true
-motion of another, each counted in the report's amplitudes (0.33 in and 0.2 deg): 1 is as much as
-was asked for. A `sweep` sees a narrow peak only where it has a line; `linear` has lines at the
-poles.
+motion of another, each counted in the report's amplitudes (0.33 in and 0.2 deg): at 1 the other
+moves as much as the demand. A `sweep` sees a narrow peak only where it has a line; `linear` has
+lines at the poles.
 """
 
 from dataclasses import replace
@@ -67,25 +67,29 @@ class StudyRow(NamedTuple):
 
 
 def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> list[StudyRow]:
-    """Run a case; `shared` keeps the linearised plant for further cases of the same one.
+    """Run a case; `shared` keeps the linearised plant for further cases on the same plant.
 
     Raises FloatingPointError where a run leaves its physical bounds.
     """
-    rung, case, study = rung_named(study_case.rung), study_case.case, study_case.study
-    mismatch, values = Unknowns(study.mismatch), {}
+    rung, case, settings = rung_named(study_case.rung), study_case.case, study_case.settings
+    mismatch, values = Unknowns(settings.mismatch), {}
     if study_case.draw != NOMINAL:
-        values = mismatch.streams(study.seed, study_case.draw)
+        values = mismatch.streams(settings.seed, study_case.draw)
     assert case.cab is not None  # of the machine, also where single legs are made of it
     cab = mismatch.apply(values, case.cab)
     plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
     case = replace(case, law=mismatch.apply(values, case.law))
     ideal = load_sensors("ideal")
     sensors = mismatch.apply(values, ideal, "mismatched")
-    readings = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
-    errors = {channel: np.array([e.si for e in some]) for channel, some in readings.items() if some}
-    if study.method == "linear":
-        return _linear(case, plant, errors, {} if shared is None else shared)
-    chain = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
+    if settings.method == "linear":
+        of_channels = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
+        errors = {
+            channel: np.array([error.si for error in of_legs])
+            for channel, of_legs in of_channels.items()
+            if of_legs
+        }
+        return _linear_rows(case, plant, errors, {} if shared is None else shared)
+    chain = ElectronicsSettings(seed=settings.seed) if "electronics" in rung.effects else None
     if sensors is not ideal:
         chain = ElectronicsSettings(sensors=sensors, converters="off")
     case = replace(case, electronics=chain, command_delay=int("delay" in rung.effects))
@@ -94,7 +98,7 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     return [StudyRow(case.dof, measures, _sweep_crosstalk(sweep, case))]
 
 
-def failed(error: BaseException) -> StudyRow:
+def error_row(error: BaseException) -> StudyRow:
     """The row of a case that could not be run."""
     return StudyRow("", Measures(), _NONE, type(error).__name__, str(error))
 
@@ -103,14 +107,14 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     """Largest gains (6,) from the demand of a chirp to the true motion."""
     begin = round(sweep.signal.lead * sweep.rate) - 1
     demand = dof_history(sweep, "leg_reference", case.dof)[begin:]
+    how: dict[str, Any] = {"segment": case.segment, "band": (0.2, BAND[1]), "pad": True}
     responses = []
-    for other in DOFS:
+    for dof in DOFS:
         try:
-            moved = dof_history(sweep, "leg_extension", other)[begin:]
+            motion = dof_history(sweep, "leg_extension", dof)[begin:]
         except NoPoseError:
             return _NONE
-        x, y, length, band = demand - demand[0], moved - moved[0], case.segment, (0.2, BAND[1])
-        estimate = welch_response(x, y, sweep.rate, segment=length, band=band, pad=True)
+        estimate = welch_response(demand - demand[0], motion - motion[0], sweep.rate, **how)
         responses.append(estimate.response)
     index = DOFS.index(case.dof)
     gains = np.abs(responses).max(axis=1) * REPORT_AMPLITUDES[index] / REPORT_AMPLITUDES
@@ -118,19 +122,21 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     return np.asarray(gains)
 
 
-def _linear(
+def _linear_rows(
     case: Case, plant: Plant, errors: dict[str, Gains], shared: dict[str, Linear]
 ) -> list[StudyRow]:
+    """Rows of all degrees of freedom, where sensors have gain errors by channel and leg."""
     if "linear" not in shared:
         shared["linear"] = Linear(plant, case.pose)
     linear = shared["linear"].sensed(errors)
     loop = linear.loop(case.law)
     measures, response = loop_measures(loop)
     if response is None:
-        return [StudyRow(dof, one, _NONE) for dof, one in zip(DOFS, measures, strict=True)]
-    # What the legs do is what their sensors read over its gain.
+        return [StudyRow(dof, of_dof, _NONE) for dof, of_dof in zip(DOFS, measures, strict=True)]
+    # The motion of a leg is the reading of its sensor over the sensor's gain.
     jacobian = linear.jacobian
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
-    true = np.linalg.solve(jacobian, jacobian / gains[:, None])
-    shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
+    pose_per_reading = np.linalg.solve(jacobian, jacobian / gains[:, None])
+    true_response = np.einsum("ij,jkf->ikf", pose_per_reading, response)
+    shares = crosstalk(true_response, REPORT_AMPLITUDES)
     return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]

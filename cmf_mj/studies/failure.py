@@ -21,7 +21,7 @@ The final state is one of these:
     out_of_bounds  the state left its physical bounds; the message says which and where
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,15 +48,12 @@ from cmf_mj.studies.case import Case, frames_a_row, make_case
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rank = Callable[[Array], Array]
 
 FADE, REST = 1.0, 2.0  #: Fade of the manoeuvre at both ends, and rest after it [s].
 FALL_RATIO = 2.5
-"""Speed of the first leg at a stop, over the settle speed, above which the platform has fallen;
-assumed: 10 in/s at the CMF."""
+"""Least speed of a fall at the first stop, over the settle speed; assumed: 10 in/s at the CMF."""
 LARGEST_ERROR = 6.0 / 38.0
-"""Distance of a leg from its demand, over its half stroke, at which it no longer follows: 6 in of
-the CMF, where its protection finds a fault."""
+"""Of a leg that follows, over its half stroke: 6 in of the CMF, where protection finds a fault."""
 
 _STILL = 1e-3  #: Swing over the last second, or distance from the demand, that is none [m].
 _AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
@@ -198,7 +195,9 @@ def measure_failure(
     free = after if contact is None else after & (time < contact.time)
 
     def phases(values: Array) -> Phases:
-        before, since, off_stops = (extreme(time, values, t, np.abs) for t in (~after, after, free))
+        before, since, off_stops = (
+            _extreme(time, values, t, np.abs) for t in (~after, after, free)
+        )
         return Phases(before=before, after=since, free=off_stops)
 
     chambers = np.stack([_frames(record, f"{side}_pressure") for side in ("cap", "rod")], axis=2)
@@ -220,17 +219,17 @@ def measure_failure(
         detection_time=fault["time"] - event.at if fault else None,
         state=state,
         message=message,
-        pressure_peak=extreme(time, chambers.max(axis=2), after),
-        pressure_least=extreme(time, chambers.min(axis=2), after, np.negative),
-        supply_least=extreme(time, _frames(record, "supply_pressure"), after, np.negative),
+        pressure_peak=_extreme(time, chambers.max(axis=2), after),
+        pressure_least=_extreme(time, chambers.min(axis=2), after, np.negative),
+        supply_least=_extreme(time, _frames(record, "supply_pressure"), after, np.negative),
         contact_speed=contact,
         impact_speed=impact,
         record=_kept_record(record, plant, load, acceleration),
     )
 
 
-def extreme(time: Array, values: Array, where: Mask, rank: Rank = np.positive) -> Peak:
-    """The value of the largest rank of (N,) or (N, legs) where asked; NaN if nowhere."""
+def _extreme(time: Array, values: Array, where: Mask, rank: np.ufunc = np.positive) -> Peak:
+    """The value of the largest rank among (N,) or (N, legs) in some rows; NaN if there are none."""
     rows = np.flatnonzero(where)
     if rows.size == 0:
         return Peak(float("nan"), float("nan"))
@@ -282,7 +281,7 @@ def _contacts(record: Record, plant: Hexapod) -> tuple[Peak | None, Peak | None]
     travel = np.abs(np.diff(extension, axis=0))[:-1]
     speed = np.where(meets, travel / plant.machine.frame, -1.0)
     is_first = np.arange(rows.size) == rows.argmax()
-    return extreme(time[2:], speed, is_first), extreme(time[2:], speed, rows)
+    return _extreme(time[2:], speed, is_first), _extreme(time[2:], speed, rows)
 
 
 def _demand_error(record: Record) -> Array:
@@ -379,10 +378,11 @@ def _case_sine(case: Case, frequency: float, at: float, after: float) -> Command
     """The sine of a case about its pose, within the limits of the machine."""
     amplitude = case.amplitude
     if amplitude is None:
-        amplitude = by_kind(case.dof, TRANSLATION, ROTATION) * relative_travel(case.on, case.dof)
+        travel = relative_travel(case.motion_base, case.dof)
+        amplitude = by_kind(case.dof, TRANSLATION, ROTATION) * travel
     command = faded_sine(case.dof, amplitude, frequency, at=at, after=after)
     command = Command(command.pose + np.asarray(case.pose), command.signal, command.seed)
-    check_limits(command, machine=case.on)
+    check_limits(command, machine=case.motion_base)
     return command
 
 

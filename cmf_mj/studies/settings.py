@@ -62,26 +62,27 @@ SMALL = 0.01  #: Share of an inertia that is left where there should be none.
 _FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
 
 
-def lumped(
+def lumped_cab(
     cab: Cab, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_mass_factor: float = SMALL
 ) -> Cab:
-    """A cab whose payload is one rigid body; control laws do not know.
+    """A cab whose payload is one rigid body; control laws take it for the cab as it was.
 
     `inertia` is a factor on the payload's tensor about its centre of mass, which without
     `centre_of_mass` lies in the platform's centroid; `leg_mass_factor` one on cylinders and rods.
     """
-    mass, centre, tensor = cab.payload
-    place = centre if centre_of_mass else np.zeros(3)
-    halves: list[dict[str, Any]] = [
-        {"mass": part, "centre_of_mass": place, "inertia": inertia * part / mass * tensor}
-        for part in (cab.platform.mass.si, cab.mass.si)
-    ]
+    payload = cab.payload
+    place = payload.centre if centre_of_mass else np.zeros(3)
+
+    def share_of(mass: float) -> dict[str, Any]:
+        tensor = inertia * mass / payload.mass * payload.inertia
+        return {"mass": mass, "centre_of_mass": place, "inertia": tensor}
+
     return cab.changed(
         f"{cab.name}, lumped",
-        platform=halves[0],
+        platform=share_of(cab.platform.mass.si),
         leg_mass_factor=leg_mass_factor,
         nominal=cab.assumed,
-        **halves[1],
+        **share_of(cab.mass.si),
     )
 
 
@@ -93,7 +94,7 @@ class Rung:
     effects: tuple[str, ...]  #: Some of `EFFECTS`.
 
     @property
-    def linear(self) -> bool:
+    def is_linear(self) -> bool:
         """Whether a linearisation of it exists."""
         return "delay" in self.effects and not {"friction", "electronics"} & set(self.effects)
 
@@ -102,19 +103,19 @@ class Rung:
         changes: dict[str, object] = {} if "supply" in self.effects else {"supply": "constant"}
         if "friction" in self.effects:
             lossy = load_hydraulics("lossy")
-            changes |= {field: getattr(lossy, field) for field in _FRICTION}
+            changes |= {name: getattr(lossy, name) for name in _FRICTION}
         return base.model_copy(update=changes)
 
     def build(self, cab: str | Path | Cab, hydraulics: HydraulicParameters) -> Plant:
         """The plant of the rung with a cab and a hydraulic set."""
-        chosen, parameters = load_cab(cab), self.hydraulics(hydraulics)
+        whole_cab, parameters = load_cab(cab), self.hydraulics(hydraulics)
         if "point_mass" not in self.effects:
-            return SingleLegs(parameters, machine=chosen.machine)
-        if "leg_inertia" not in self.effects:
-            inertia = 1.0 if "payload_inertia" in self.effects else SMALL
-            centre = "centre_of_mass" in self.effects
-            chosen = lumped(chosen, inertia=inertia, centre_of_mass=centre)
-        return Hexapod(chosen, parameters)
+            return SingleLegs(parameters, machine=whole_cab.machine)
+        if "leg_inertia" in self.effects:
+            return Hexapod(whole_cab, parameters)
+        inertia = 1.0 if "payload_inertia" in self.effects else SMALL
+        centre = "centre_of_mass" in self.effects
+        return Hexapod(lumped_cab(whole_cab, inertia=inertia, centre_of_mass=centre), parameters)
 
 
 EFFECTS = (
@@ -126,7 +127,7 @@ EFFECTS = (
 LADDER = tuple(Rung(name, EFFECTS[: i + 1]) for i, name in enumerate(EFFECTS))
 """All rungs, in the order of climbing."""
 
-MACHINE = Rung("machine", (*EFFECTS[:6], "delay"))
+MACHINE = Rung("machine", tuple(e for e in EFFECTS if e not in ("friction", "electronics")))
 """The hexapod as `cmf compare` runs it: ideal sensors, no friction, one frame of delay."""
 
 
@@ -176,15 +177,18 @@ class StudyCase:
     rung: str
     draw: int
     case: Case  #: On the shipped plant; its degree of freedom is empty for all.
-    study: StudySettings
+    settings: StudySettings
 
     @property
     def columns(self) -> dict[str, int | str | float]:
         """The case in the table of results."""
         case = self.case
-        known = {"case": self.number, "method": self.study.method, "rung": self.rung}
-        pose = {f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)}
-        return known | {"cab": case.cab_name} | pose | {"draw": self.draw, "law": case.law.name}
+        return {
+            **{"case": self.number, "method": self.settings.method, "rung": self.rung},
+            "cab": case.cab_name,
+            **{f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)},
+            **{"draw": self.draw, "law": case.law.name},
+        }
 
 
 @dataclass(frozen=True)
@@ -199,20 +203,21 @@ class Study:
     @property
     def cases(self) -> list[StudyCase]:
         """All cases, numbered from 0."""
-        study = self.settings
+        settings, amplitude = self.settings, self.settings.amplitude * units.INCH
+        dofs = settings.dofs if settings.method == "sweep" else [""]
+        draws = range(NOMINAL, settings.draws)
         cases: list[StudyCase] = []
-        machines = product(study.rungs, self.cabs, study.poses, range(NOMINAL, study.draws))
-        for rung, cab, pose, draw in machines:
-            at = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
-            for law, dof in product(self.laws, study.dofs if study.method == "sweep" else [""]):
-                size = dof_amplitude(dof, study.amplitude * units.INCH) if dof else None
-                machine = ("hexapod", cab, self.hydraulics, law, dof, size)
-                case = Case(*machine, quick=study.quick, pose=at)
-                cases.append(StudyCase(len(cases), rung, draw, case, study))
+        for rung, cab, pose, draw in product(settings.rungs, self.cabs, settings.poses, draws):
+            si_pose = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
+            how: dict[str, Any] = {"quick": settings.quick, "pose": si_pose}
+            for law, dof in product(self.laws, dofs):
+                size = dof_amplitude(dof, amplitude) if dof else None
+                case = Case("hexapod", cab, self.hydraulics, law, dof, size, **how)
+                cases.append(StudyCase(len(cases), rung, draw, case, settings))
         return cases
 
     def identity(self) -> dict[str, Any]:
-        """What the study runs, as JSON values, see `journal`."""
+        """What the study runs, as JSON values, see `engine.Journal`."""
         return {
             "settings": self.settings.model_dump(mode="json"),
             "laws": [law.model_dump(mode="json") for law in self.laws],
@@ -237,16 +242,16 @@ def load_study(
     table |= changes or {}
     with within(where):
         machine = load_machine(table.get("machine", CMF))
-        loaded = tuple(load_law(law, machine) for law in laws or ())
+        own_laws = tuple(load_law(law, machine) for law in laws or ())
         if laws is not None:
-            table["laws"] = [law.name for law in loaded]
+            table["laws"] = [law.name for law in own_laws]
         settings = validated(StudySettings, table, where)
-        _check(settings)
-        chosen = loaded or tuple(load_law(law, machine) for law in settings.laws)
+        _check_settings(settings)
+        loaded_laws = own_laws or tuple(load_law(law, machine) for law in settings.laws)
         cabs = load_cabs(settings.cabs, machine)
-        for field, named in (("laws", chosen), ("cabs", cabs)):
-            check_distinct(field, [one.name for one in named])
-        return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
+        check_distinct("laws", [law.name for law in loaded_laws])
+        check_distinct("cabs", [cab.name for cab in cabs])
+        return Study(settings, loaded_laws, cabs, hydraulics_of(machine, settings.hydraulics))
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:
@@ -255,30 +260,32 @@ def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], st
         where, table = "study", dict(source)
     else:
         where, shipped = str(source), _READY / f"{source}.toml"
-        known = str(source) in STUDIES
-        table = read_toml(shipped if known else user_file("study", STUDIES, source))
+        is_shipped = where in STUDIES
+        table = read_toml(shipped if is_shipped else user_file("study", STUDIES, source))
     while "base" in table:
         base = check_name(f"{where}: base", str(table.pop("base")), STUDIES)
         table = read_toml(_READY / f"{base}.toml") | table
     return table, where
 
 
-def _check(settings: StudySettings) -> None:
+def _check_settings(settings: StudySettings) -> None:
     for dof in settings.dofs:
         check_name("dofs", dof, DOFS)
     for pose in settings.poses:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
-    for name, one in settings.mismatch.items():
-        if one.path.startswith("machine."):
-            raise InputError(f"mismatch.{name}: {one.path}: a study varies all but the machine")
-        sensed = one.path.startswith("electronics.") and not one.path.endswith(".gain_errors.*")
-        if sensed and settings.method == "linear":
-            raise InputError(f"mismatch.{name}: {one.path}: needs the method sweep")
+    is_linear = settings.method == "linear"
+    for name, unknown in settings.mismatch.items():
+        path = unknown.path
+        if path.startswith("machine."):
+            raise InputError(f"mismatch.{name}: {path}: a study varies all but the machine")
+        is_electronic = path.startswith("electronics.") and not path.endswith(".gain_errors.*")
+        if is_electronic and is_linear:
+            raise InputError(f"mismatch.{name}: {path}: needs the method sweep")
     if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     for name in settings.rungs:
-        if not rung_named(name).linear and settings.method == "linear":
+        if is_linear and not rung_named(name).is_linear:
             raise InputError(
                 f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
                 "frames need the method sweep"

@@ -18,7 +18,7 @@ from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant import cylinder
 from cmf_mj.studies.engine import RESULTS
-from cmf_mj.studies.settings import LADDER, MACHINE, SMALL, lumped, rung_named
+from cmf_mj.studies.settings import LADDER, MACHINE, SMALL, lumped_cab, rung_named
 
 HARDWARE = load_hydraulics("hardware")
 
@@ -47,7 +47,7 @@ def test_payload_is_the_sum_of_platform_and_cab() -> None:
 
 
 def test_the_edited_model_with_nothing_left_out_is_the_machine() -> None:
-    whole = Hexapod(lumped(load_cab("rfd"), leg_mass_factor=1.0))
+    whole = Hexapod(lumped_cab(load_cab("rfd"), leg_mass_factor=1.0))
     assert whole.reflected_mass() == pytest.approx(Hexapod("rfd").reflected_mass(), rel=1e-9)
     assert whole.static_load() == pytest.approx(Hexapod("rfd").static_load(), rel=1e-9)
 
@@ -60,7 +60,7 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
     """M_leg = J^-T M J^-1. The legs' part is linear in their inertia and is taken out so."""
     few, many = (
         Hexapod(
-            lumped(
+            lumped_cab(
                 load_cab("gfd"),
                 inertia=inertia,
                 centre_of_mass=centre_of_mass,
@@ -86,7 +86,9 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
 
 def test_point_mass_modes_from_compliance() -> None:
     """omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i) of surge, sway and heave; 5.23, 5.23, 11.3 Hz."""
-    plant = Hexapod(lumped(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass_factor=1e-6))
+    plant = Hexapod(
+        lumped_cab(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass_factor=1e-6)
+    )
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), plant.machine.geometry))
     stiffness = cylinder.stiffness(
         plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6)
@@ -127,9 +129,9 @@ def test_each_rung_differs_from_the_one_before_in_one_thing() -> None:
         assert set(rung.effects) - set(before.effects) == {rung.name}
         assert set(before.effects) < set(rung.effects)
     top = LADDER[-1]
-    assert MACHINE.linear
-    assert not top.linear
-    assert not LADDER[0].linear
+    assert MACHINE.is_linear
+    assert not top.is_linear
+    assert not LADDER[0].is_linear
 
 
 def test_supply_and_friction_of_the_rungs() -> None:
@@ -147,7 +149,7 @@ def test_what_is_left_of_the_legs_keeps_pins_closed_and_the_step_fine_enough() -
     command = signals.step("surge", units.INCH, duration=6.5)
     runs = []
     for step in (None, 1.0 / 4096.0):
-        cab = lumped(load_cab("gfd"), inertia=SMALL, centre_of_mass=False)
+        cab = lumped_cab(load_cab("gfd"), inertia=SMALL, centre_of_mass=False)
         plant = Hexapod(cab, rung.hydraulics(HARDWARE), timestep=step)
         runs.append(simulate(plant, "velocity", command, record_every=8))
     assert runs[0]["gimbal_error"].max() < 10e-6
