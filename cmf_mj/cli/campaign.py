@@ -15,7 +15,7 @@ from typer import Argument, Option, echo
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, progress_bar, show, written
-from cmf_mj.cli.options import name_or_file, new_file
+from cmf_mj.cli.options import name_or_file, new_file_option
 from cmf_mj.core.errors import InputError, within
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
@@ -30,7 +30,7 @@ Recording = Annotated[Path, Argument(metavar="FILE", help=_FILE)]
 @recordings.command("new")
 def recording_new_command(
     recording: Recording,
-    file: Annotated[Path, new_file(help="TOML file")] = Path("out/columns.toml"),
+    file: Annotated[Path, new_file_option(help="TOML file")] = Path("out/columns.toml"),
 ) -> None:
     """Guess from a header which columns are which; the map is to be read and corrected."""
     from cmf_mj.core.files import write_text
@@ -72,7 +72,7 @@ campaigns = typer.Typer(no_args_is_help=True, help="Recordings that tell a machi
 app.add_typer(campaigns, name="campaign", rich_help_panel="Studies")
 
 SomeCab = Annotated[str | None, name_or_file(options.CABS, "CAB", "default the machine's first")]
-SomeOil = Annotated[str | None, name_or_file(options.OIL, "SET", "default the machine's")]
+SomeOil = Annotated[str | None, name_or_file(options.HYDRAULICS, "SET", "default the machine's")]
 SomeLaw = Annotated[str | None, name_or_file(options.LAWS, "LAW", "default the machine's")]
 
 
@@ -181,9 +181,7 @@ def next_command(
 guides = typer.Typer(no_args_is_help=True, help="Test guides: make a master, check against it.")
 app.add_typer(guides, name="guide", rich_help_panel="Studies")
 
-SomeGuide = Annotated[
-    str, options.argument("studies.guide:GUIDES", "GUIDE", "or TOML file", free=True)
-]
+SomeGuide = Annotated[str, options.argument("studies.guide:GUIDES", "GUIDE", "or TOML file")]
 Against = Annotated[Path, Option(metavar="FOLDER", help="the master")]
 
 

@@ -11,7 +11,7 @@ from typer import Argument, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
-from cmf_mj.cli.options import choice
+from cmf_mj.cli.options import name_option
 from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _SERVED = f"of cmf: {_BEGIN}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
 
-Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
-BeginOfServe = Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)]
+Begin = Annotated[str, name_option("cli.facility:BEGIN", "STATE", _BEGIN)]
+BeginOfServe = Annotated[str | None, name_option("cli.facility:BEGIN", "STATE", _SERVED)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
 FrameRate = Annotated[
     float | None, Option(min=1.0, max=2048.0, help="frames a second; default as stamped")
@@ -85,7 +85,7 @@ def serve_command(
     host_port: Annotated[
         int | None, Option(min=1, max=65535, help="its only port; default any program of that host")
     ] = None,
-    protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
+    protocol: Annotated[str, name_option("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
@@ -223,7 +223,7 @@ EXPORTS = ("library", "law", "fmu")  #: What leaves Python.
 
 @command("export")
 def export_command(
-    what: Annotated[str, options.argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
+    what: Annotated[str, options.name_argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
     plant: options.PlantName = "hexapod",
     machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
     cab: options.Cab = "gfd",

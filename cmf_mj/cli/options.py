@@ -28,170 +28,182 @@ def shipped_laws() -> tuple[str, ...]:
     return cmf_mj.law_names("all")
 
 
-def choice(
+def name_option(
     source: str,
     metavar: str,
     text: str,
     *,
-    free: bool = False,
-    every: str = "",
+    takes_files: bool = False,
+    source_of_all: str = "",
     make: Callable[..., Any] = Option,
 ) -> Any:
     """An option that takes a name, or several with commas between; `all` stands for every one.
 
-    `source` has the names, `every` those that `all` stands for. A `free` option takes files and
-    other names too, which the command then checks.
+    `source` has the names, `source_of_all` those that `all` stands for. With `takes_files` it takes
+    files and other names too, which the command then checks. `make` is `Option` or `Argument`.
     """
 
     def complete(incomplete: str) -> list[str]:
         before, comma, last = incomplete.rpartition(",")
         return [before + comma + name for name in names_in(source) if name.startswith(last)]
 
-    def checked(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+    def check(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
         if not value or ctx.resilient_parsing:
             return value
-        several = not isinstance(value, str)
-        names = [part.strip() for text in value for part in text.split(",") if part.strip()]
-        names = names if several else [value]
+        is_list = not isinstance(value, str)
+        names = _split_names(value) if is_list else [value]
         if source == LAWS:
-            names = [_law(ctx, name) for name in names]
+            names = [_law_on_machine(ctx, name) for name in names]
         if not names:
             raise InputError(f"{param.name}: {value!r} names nothing; allowed: one name at least")
-        if several and names == ["all"]:
-            return names_in(every or source)
-        for name in [] if free else names:
-            check_name(param.name or "", name, names_in(source))
-        return names if several else names[0]
+        if is_list and names == ["all"]:
+            return names_in(source_of_all or source)
+        if not takes_files:
+            for name in names:
+                check_name(param.name or "", name, names_in(source))
+        return names if is_list else names[0]
 
-    return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
+    return make(help=text, metavar=metavar, autocompletion=complete, callback=check)
 
 
-def _law(ctx: typer.Context, name: str) -> str:
-    """A law, where that of the machine of the option `machine` has a name of its own."""
+def _split_names(texts: list[str]) -> list[str]:
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
+
+
+def _law_on_machine(ctx: typer.Context, name: str) -> str:
+    """The name that a law has on the machine of the option `machine`."""
     from cmf_mj.control.law import law_on
 
     machine = ctx.params.get("machine")
     return name if machine is None else law_on(cmf_mj.load_machine(machine), name)
 
 
-def of_machine(source: str, metavar: str, text: str, every: str = "") -> Any:
+def of_machine(source: str, metavar: str, text: str, source_of_all: str = "") -> Any:
     """An option whose names and default are those of the machine of the option `machine`.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=_of_machine, every=every)
-    named = plain.callback
+    how: dict[str, Any] = {"takes_files": True, "source_of_all": source_of_all}
+    option = name_option(source, metavar, text, make=_machine_option, **how)
+    check = option.callback
 
-    def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
-        names = named(ctx, param, value)
+    def load(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+        names = check(ctx, param, value)
         if ctx.resilient_parsing or not names:
             return names
-        return _on_machine(ctx, param.name or "", names)
+        return _load_of_machine(ctx, param.name or "", names)
 
-    plain.callback = loaded
-    return plain
+    option.callback = load
+    return option
 
 
-def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
+def _load_of_machine(ctx: typer.Context, field: str, names: Any) -> Any:
+    """What the names of an option stand for, or the machine's own where the user gave none."""
     from cmf_mj.machine.models import CMF
     from cmf_mj.plant.parameters import hydraulics_of
 
     machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
-    own = machine.name != CMF and not given_by_user(ctx, field)
-    if field == "hydraulics":
-        return hydraulics_of(machine, None if own else names)
-    if field in ("law", "laws"):
-        return (machine.law if field == "law" else [machine.law]) if own else names
-    if field == "cab":
-        return cmf_mj.load_cab(None if own else names, machine)
-    everything = own or names == names_in(CABS)
-    return [cmf_mj.load_cab(name, machine) for name in (machine.cabs if everything else names)]
+    is_own = machine.name != CMF and not given_by_user(ctx, field)
+    match field:
+        case "hydraulics":
+            return hydraulics_of(machine, None if is_own else names)
+        case "law":
+            return machine.law if is_own else names
+        case "laws":
+            return [machine.law] if is_own else names
+        case "cab":
+            return cmf_mj.load_cab(None if is_own else names, machine)
+    cabs = machine.cabs if is_own or names == names_in(CABS) else names
+    return [cmf_mj.load_cab(name, machine) for name in cabs]
 
 
 def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
     """As `command`, for commands that draw: they take format and size of their figures."""
 
-    def decorated(function: Callable[..., None]) -> Callable[..., None]:
-        def drawn(figure_format: str | None, figure_size: str | None, **named: Any) -> None:
+    def add_options(function: Callable[..., None]) -> Callable[..., None]:
+        def draw(figure_format: str | None, figure_size: str | None, **arguments: Any) -> None:
             from cmf_mj.show.look import printed
 
             with printed(figure_format, figure_size):
-                function(**named)
+                function(**arguments)
 
-        own, kind = signature(function, eval_str=True), Parameter.KEYWORD_ONLY
-        more = {"figure_format": FigureFormat, "figure_size": FigureSize}
-        extra = (Parameter(name, kind, default=None, annotation=one) for name, one in more.items())
-        update_wrapper(drawn, function)
-        vars(drawn)["__signature__"] = own.replace(parameters=[*own.parameters.values(), *extra])
-        return drawn
+        own = signature(function, eval_str=True)
+        figure: dict[str, Any] = {"kind": Parameter.KEYWORD_ONLY, "default": None}
+        parameters = [
+            *own.parameters.values(),
+            Parameter("figure_format", annotation=FigureFormat, **figure),
+            Parameter("figure_size", annotation=FigureSize, **figure),
+        ]
+        update_wrapper(draw, function)
+        vars(draw)["__signature__"] = own.replace(parameters=parameters)
+        return draw
 
-    return lambda name: lambda function: command(name)(decorated(function))
+    return lambda name: lambda function: command(name)(add_options(function))
 
 
-name_or_file = partial(choice, free=True)  #: As `choice`, for names and files.
-
-argument = partial(choice, make=Argument)  #: As `choice`, for an argument.
-
-size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
+name_or_file = partial(name_option, takes_files=True)
+name_argument = partial(name_option, make=Argument)
+argument = partial(name_or_file, make=Argument)  #: A name or file as an argument.
+size_option, file_option = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 """Options of a number with its unit, and of a file; `help` says of what."""
+new_file_option = partial(file_option, callback=check_writable)  #: Option of a file to write.
+_machine_option = partial(Option, rich_help_panel="Machine")
+_first_option = partial(Option, is_eager=True)  #: Read before those whose names depend on it.
 
-new_file = partial(file, callback=check_writable)  #: Option of a file to write.
-
-_of_machine = partial(Option, rich_help_panel="Machine")
-_read_first = partial(Option, is_eager=True)  #: Before the options whose names depend on it.
-
-ALL, VELOCITY = ["all"], ["velocity"]  #: Defaults of options that take several names.
-
-NEUTRAL = "0,0,0,0,0,0"  #: Default of a pose.
-
-CAMERAS = ("overview", "side", "front")  #: Cameras of the machine.
-
+# Where names stand, for `names_in`.
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
-CABS, OIL = "machine.models:CABS", "plant.parameters:HYDRAULICS"
+CABS, HYDRAULICS = "machine.models:CABS", "plant.parameters:HYDRAULICS"
 MACHINES, SCENARIOS = "machine.models:machine_names", "facility.scenario:scenario_names"
 PLANTS, WASHOUTS = "plant.hexapod:PLANTS", "pilot.washout_settings:WASHOUTS"
-"""Where names stand, for `names_in`."""
+CAMERAS = ("overview", "side", "front")  #: Cameras of the machine.
 
-_OWN = "name or TOML file; other defaults below are its own"
+# Defaults of options that several commands have.
+ALL, VELOCITY = ["all"], ["velocity"]
+NEUTRAL = "0,0,0,0,0,0"
+
+# Texts of help that fit no line below.
+_MACHINE = "name or TOML file; other defaults below are its own"
 _LAWS = "laws by name or TOML file; `all` of the report"
-_SETS = "report, hardware, lossy or TOML file"
+_HYDRAULICS = "report, hardware, lossy or TOML file"
 _WASHOUTS = "simona, reid_nahon, optimal, predictive or TOML file"
 _FORMATS = "of figures: png (default), svg or pdf"
-_MAP = "TOML file of `cmf recording new`; default the facility's columns"
-"""Texts of help that fit no line below."""
+_COLUMNS = "TOML file of `cmf recording new`; default the facility's columns"
 
-Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
+# The machine, what it is made of, and what moves it.
+Dof = Annotated[str, name_option(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
-Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
-_machine = partial(name_or_file, MACHINES, "MACHINE")
-Machine = Annotated[str, _machine(_OWN, make=partial(_of_machine, is_eager=True))]
+Dofs = Annotated[list[str], name_option(DOFS, "DOFS", "degrees of freedom, or `all`")]
+_of_machines = partial(name_or_file, MACHINES, "MACHINE")
+Machine = Annotated[str, _of_machines(_MACHINE, make=partial(_machine_option, is_eager=True))]
 """Motion base whose cab, hydraulics and law the others name; read before them."""
-OtherMachine = Annotated[str | None, _machine("replaces the file's", make=_read_first)]
+OtherMachine = Annotated[str | None, _of_machines("replaces the file's", make=_first_option)]
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
-Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _LAWS, every="control.law:law_names")]
+Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _LAWS, "control.law:law_names")]
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
 OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenario's")]
-PlantName = Annotated[str, choice(PLANTS, "PLANT", "hexapod or single_legs")]
-Plants = Annotated[list[str], choice(PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
-Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
+PlantName = Annotated[str, name_option(PLANTS, "PLANT", "hexapod or single_legs")]
+Plants = Annotated[list[str], name_option(PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
+Hydraulics = Annotated[str, of_machine(HYDRAULICS, "SET", _HYDRAULICS)]
 Washout = Annotated[str, name_or_file(WASHOUTS, "WASHOUT", _WASHOUTS)]
-Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
+Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file")]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
 Friction = Annotated[str | None, Option(help="dry friction: none, stuck, or legs' speed [m/s]")]
+
+# How a command runs, what it reads and what it writes.
 Jobs = Annotated[
     int | None, Option(min=1, max=1024, help="threads or processes; default one a core")
 ]
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
-FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORMATS)]
-FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
+FigureFormat = Annotated[str | None, name_option("show.look:FORMATS", "FORMAT", _FORMATS)]
+FigureSize = Annotated[str | None, size_option(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]
-Columns = Annotated[Path | None, Option(metavar="MAP", help=_MAP)]
+Columns = Annotated[Path | None, Option(metavar="MAP", help=_COLUMNS)]
 Seconds = Annotated[float | None, Option(help="length of a run [s]; default to the end")]

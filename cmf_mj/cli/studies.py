@@ -15,7 +15,7 @@ from typer import Argument, Context, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, claim, friction_option, progress_bar, show, written
-from cmf_mj.cli.options import argument, choice, name_or_file, new_file
+from cmf_mj.cli.options import argument, name_option, name_or_file, new_file_option
 from cmf_mj.core.errors import require
 
 command = partial(app.command, rich_help_panel="Studies")
@@ -30,17 +30,17 @@ _SEARCHED = (
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[
     list[str] | None,
-    name_or_file(options.CABS, "CABS", "instead of the study's", every="cli.options:ALL"),
+    name_or_file(options.CABS, "CABS", "instead of the study's", source_of_all="cli.options:ALL"),
 ]
-SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
-Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
+SomeDofs = Annotated[list[str] | None, name_option(options.DOFS, "DOFS", "instead of the study's")]
+Workers = Annotated[str, name_option(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
 
 @drawing("study")
 def study_command(
     context: Context,
-    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
+    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file")],
     out: options.NamedOut = None,
     machine: options.OtherMachine = None,
     laws: Laws = None,
@@ -103,7 +103,7 @@ def study_command(
 @command("tune")
 def tune_command(
     name: Annotated[str | None, Option(help="name of the law; default FORM_tuned")] = None,
-    form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
+    form: Annotated[str, name_option(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
@@ -111,7 +111,7 @@ def tune_command(
     friction: options.Friction = None,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
-    target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
+    target: Annotated[Path, new_file_option("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and axes, on linear plants."""
     from cmf_mj.machine.models import CMF
@@ -147,13 +147,13 @@ def tune_command(
 
 @drawing("certify")
 def certify_command(
-    laws: Annotated[
-        list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
-    ],
+    laws: Annotated[list[str], argument(options.LAWS, "LAWS...", "by name or TOML file")],
     machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
-    box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
+    box: Annotated[
+        Path | None, options.file_option(help="unit box; default tolerances as bought")
+    ] = None,
     friction: options.Friction = None,
     quick: options.Quick = False,
     seed: options.Seed = 1,
