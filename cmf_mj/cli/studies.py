@@ -168,7 +168,7 @@ def certify_command(
     from cmf_mj.studies.certificate_box import load_box
     from cmf_mj.studies.engine import one_library_thread
 
-    unit_box, effort = load_box(box), run.QUICK if quick else run.Effort()
+    unit_box, effort = load_box(box), (run.QUICK if quick else run.Effort())._replace(seed=seed)
     words = friction.split(",") if friction else []
     contacts = [friction_option(word.strip()) for word in words] or [None]
     plants = [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs]
@@ -183,14 +183,10 @@ def certify_command(
             folder = out / law.name / plant.cab
             if len(contacts) > 1:
                 folder /= contact_text(contact).replace(" m/s", "")
-            how: dict[str, Any] = {"seed": seed, "friction": contact}
             with one_library_thread():  # so that the same seed gives the same bits
-                certificates.append(run.certify(plant, law, folder, unit_box, effort, **how))
+                certificates.append(run.certify(plant, law, folder, unit_box, effort, contact))
             update(len(certificates), len(cases))
-    tables: dict[str, Any] = {
-        "certificates": run.certificate_table(certificates),
-        "proofs": run.proof_table(certificates),
-    }
+    tables = run.certificate_tables(certificates)
     files = {f"{name}.{end}": table for name, table in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(certificates)}
     show(*tables.values(), written(save_files(files | figure, out), out))

@@ -59,6 +59,7 @@ class Effort(NamedTuple):
     rounds: int = 60  #: Rounds of CMA-ES in each, of 16 machines.
     poses: int = 21  #: How many of the box's.
     ratios: int = 3  #: Damping ratios that are proven, from 0 towards the nominal.
+    seed: int = 1  #: Of machines drawn and of attacks.
 
 
 QUICK = Effort(samples=2_000, starts=4, rounds=15, poses=3, ratios=1)
@@ -134,21 +135,19 @@ _LEGEND = (
 )
 
 
-def certificate_table(certificates: Sequence[Certificate]) -> Result[Certificate]:
-    """A row a certificate."""
-    title = "How far machines may be off, all numbers at once; 1 is the whole unit box"
-    return Result(certificates, _CERTIFICATE_FIELDS, title, _LEGEND)
-
-
-def proof_table(certificates: Sequence[Certificate]) -> Result[dict[str, Any]]:
-    """A row a damping ratio of a certificate."""
-    title = "Scale of the box within which every machine keeps a damping ratio"
-    rows = [
+def certificate_tables(certificates: Sequence[Certificate]) -> dict[str, Result[Any]]:
+    """Certificates, and the damping ratios that are proven, by name."""
+    proofs = [
         {"law": each.law, "cab": each.cab, "friction": each.friction} | proof._asdict()
         for each in certificates
         for proof in each.proofs
     ]
-    return Result(rows, _PROOF_FIELDS, title)
+    title = "How far machines may be off, all numbers at once; 1 is the whole unit box"
+    kept = "Scale of the box within which every machine keeps a damping ratio"
+    return {
+        "certificates": Result(certificates, _CERTIFICATE_FIELDS, title, _LEGEND),
+        "proofs": Result(proofs, _PROOF_FIELDS, kept),
+    }
 
 
 class _Machine(NamedTuple):
@@ -160,22 +159,12 @@ class _Machine(NamedTuple):
     scale: float = float("inf")  #: At which it just fails.
 
 
-class _Search(NamedTuple):
-    """What attacks have in common."""
-
-    box: Box
-    effort: Effort
-    seed: int
-
-
 def certify(
     plant: Hexapod,
     law: Law,
     folder: Path,
     box: Box,
     effort: Effort = QUICK,
-    *,
-    seed: int = 1,
     friction: Contact | None = None,
 ) -> Certificate:
     """Certify a law on a machine with a cab; the machine that breaks it goes to `folder`.
@@ -190,20 +179,19 @@ def certify(
     >>> 0.15 < result.proven_scale < result.breaking_scale < 0.25
     True
     """
-    search = _Search(box, effort, seed)
     poses = box.poses(plant)[: effort.poses]
     families = [_family(plant, law, box, pose, friction) for pose in poses]
-    damping, weakest = _draw_machines(search, families)
+    damping, weakest = _draw_machines(families, box, effort)
     nominal = [family.nominal_damping() for family in families]
     breaking = _Machine(families[int(np.argmin(nominal))], np.zeros(DIMENSIONS), min(nominal), 0.0)
     proofs: tuple[Proof, ...] = ()
     if breaking.damping > 0.0:
         starts = sorted(weakest, key=lambda machine: machine.damping)[:_ATTACKED_POSES]
-        breaking = _break_law(search, starts)
+        breaking = _break_law(starts, box, effort)
         families.sort(key=lambda family: family is not breaking.family)
         edge = min(breaking.scale, LARGEST_SCALE)
         ratios = np.arange(effort.ratios) / effort.ratios * min(nominal)
-        proofs = tuple(_prove(search, families, starts, float(ratio), edge) for ratio in ratios)
+        proofs = tuple(_prove(families, starts, box, effort, ratio, edge) for ratio in ratios)
     swing = {}
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
         scale = factor * min(breaking.scale, LARGEST_SCALE)
@@ -237,20 +225,27 @@ def _family(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact |
     return family
 
 
-def _draw_machines(search: _Search, families: Sequence[Family]) -> tuple[Array, list[_Machine]]:
+def _draw_machines(
+    families: Sequence[Family], box: Box, effort: Effort
+) -> tuple[Array, list[_Machine]]:
     """Damping ratios of machines drawn from the unit box, and the least damped of each pose."""
-    points = 2.0 * cube("latin_hypercube", search.effort.samples, DIMENSIONS, search.seed) - 1.0
+    points = 2.0 * cube("latin_hypercube", effort.samples, DIMENSIONS, effort.seed) - 1.0
     dampings, weakest = [], []
     for family, of_pose in zip(families, np.array_split(points, len(families)), strict=True):
         chunks = np.array_split(of_pose, len(of_pose) // _CHUNK + 1)
-        damping = np.concatenate([family.damping_in(search.box, chunk) for chunk in chunks])
+        damping = np.concatenate([family.damping_in(box, chunk) for chunk in chunks])
         dampings.append(damping)
         weakest.append(_Machine(family, of_pose[damping.argmin()], float(damping.min())))
     return np.concatenate(dampings), weakest
 
 
 def _prove(
-    search: _Search, families: list[Family], starts: list[_Machine], ratio: float, edge: float
+    families: Sequence[Family],
+    starts: Sequence[_Machine],
+    box: Box,
+    effort: Effort,
+    ratio: float,
+    edge: float,
 ) -> Proof:
     """Prove a damping ratio in all poses, within the box of a scale `edge`, and attack the proof.
 
@@ -258,7 +253,7 @@ def _prove(
     """
 
     def beta(family: Family, least: float) -> float:
-        loop = family.loop_of_widths(family.widths(search.box, edge))
+        loop = family.loop_of_widths(family.widths(box, edge))
         return peak_bound(loop, float(np.arcsin(ratio)), least, SLOW_POLE)
 
     edge = min(edge, _BOX_MARGIN / beta(families[0], 1.0 / edge))
@@ -266,25 +261,25 @@ def _prove(
     for family in families:
         largest_beta = beta(family, largest_beta)
     scale = 1.0 / largest_beta
-    attacks = [_attack(search, start, scale, -1.0) for start in starts]
-    return Proof(ratio, scale, min(attack.damping for attack in attacks))
+    attacks = [_attack(start, box, effort, scale, -1.0) for start in starts]
+    return Proof(float(ratio), scale, min(attack.damping for attack in attacks))
 
 
-def _break_law(search: _Search, starts: Sequence[_Machine]) -> _Machine:
+def _break_law(starts: Sequence[_Machine], box: Box, effort: Effort) -> _Machine:
     """The machine that fails at the least scale, from several starts and then from corners."""
 
     def damping_at(scale: float, family: Family, point: Array) -> float:
-        return float(family.damping_in(search.box, scale * point[None])[0])
+        return float(family.damping_in(box, scale * point[None])[0])
 
     breaking, scale = starts[0], LARGEST_SCALE
-    generator = np.random.default_rng([search.seed, 1])
-    for number in range(search.effort.starts):
+    generator = np.random.default_rng([effort.seed, 1])
+    for number in range(effort.starts):
         machine = starts[number % len(starts)]
         if number >= len(starts):
             corner = 2.0 * cube("corners", 1, DIMENSIONS, generator)[0] - 1.0
             machine = machine._replace(point=corner)
         while True:
-            machine = _attack(search, machine, scale, 0.0, number)
+            machine = _attack(machine, box, effort, scale, 0.0, number)
             if machine.damping > 0.0:
                 break
             limit = optimize.bisect(damping_at, 0.0, scale, (machine.family, machine.point), 1e-4)
@@ -296,12 +291,12 @@ def _break_law(search: _Search, starts: Sequence[_Machine]) -> _Machine:
 
 
 def _attack(
-    search: _Search, start: _Machine, scale: float, enough: float, number: int = 0
+    start: _Machine, box: Box, effort: Effort, scale: float, enough: float, number: int = 0
 ) -> _Machine:
     """The least damped machine found in a box; the search ends at a damping ratio of `enough`."""
 
     def damping(points: Array) -> Array:
-        return start.family.damping_in(search.box, scale * points)
+        return start.family.damping_in(box, scale * points)
 
     best = start._replace(damping=float(damping(start.point[None])[0]))
     for _ in range(4):
@@ -310,14 +305,14 @@ def _attack(
         if corner_damping >= best.damping:
             break
         best = best._replace(point=corner, damping=corner_damping)
-    seed = (search.seed + number) % (2**32 - 1) + 1
+    seed = (effort.seed + number) % (2**32 - 1) + 1
     options = {"bounds": [-1.0, 1.0], "seed": seed, "verbose": -9, "popsize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import cma
 
         strategy = cma.CMAEvolutionStrategy(0.95 * best.point, 0.3, options)
-    for _ in range(search.effort.rounds):
+    for _ in range(effort.rounds):
         if best.damping <= enough or strategy.stop():
             break
         points = np.array(strategy.ask())

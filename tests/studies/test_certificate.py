@@ -20,7 +20,7 @@ from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.parameters import hydraulics_of
-from cmf_mj.studies.certificate import QUICK, _attack, _Machine, _Search, certify, save_case
+from cmf_mj.studies.certificate import QUICK, _attack, _Machine, certify, save_case
 from cmf_mj.studies.certificate_box import DIMENSIONS, KINDS, load_box
 from cmf_mj.studies.certificate_family import REPETITIONS, Family
 
@@ -166,9 +166,10 @@ def test_no_sample_and_no_attack_beats_the_bound(tmp_path: Path, plant: cmf_mj.H
 def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> None:
     """The largest and its successors, one a start, were refused inside NumPy."""
     family = Family(plant, cmf_mj.load_law("velocity"), POSE)
-    nominal, once = _Machine(family, np.zeros(DIMENSIONS), 0.0), QUICK._replace(rounds=1)
+    nominal = _Machine(family, np.zeros(DIMENSIONS), 0.0)
     for seed in (0, 2**32 - 2, 2**32 - 1, 2**32 + 19):
-        assert np.isfinite(_attack(_Search(BOX, once, seed), nominal, 0.1, -1.0).damping)
+        once = QUICK._replace(rounds=1, seed=seed)
+        assert np.isfinite(_attack(nominal, BOX, once, 0.1, -1.0).damping)
 
 
 def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
