@@ -11,7 +11,7 @@ from typer import Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, friction_option, pose_option, progress_bar, show, written
-from cmf_mj.cli.options import name_option
+from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
 command = partial(app.command, rich_help_panel="Analyse")
@@ -80,7 +80,7 @@ def measure_command(
     files: options.Recordings,
     dof: options.Dof = "heave",
     machine: options.Machine = "cmf",
-    estimator: Annotated[str, name_option(_ESTIMATOR, "ESTIMATOR", "h1 or report")] = "h1",
+    estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1 or report")] = "h1",
     columns: options.Columns = None,
     out: options.Out = Path("out/measure"),
 ) -> None:

@@ -15,7 +15,7 @@ from typer import Argument, Option, echo
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, progress_bar, show, written
-from cmf_mj.cli.options import name_or_file, new_file_option
+from cmf_mj.cli.options import name_or_file, new_file
 from cmf_mj.core.errors import InputError, within
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings of a motion base: map and check.")
@@ -24,13 +24,11 @@ app.add_typer(recordings, name="recording", rich_help_panel="Facility")
 _FILE = "CSV, Parquet, HDF5 or MAT"
 _OF = "name or TOML file; default that of the map, else the CMF"
 
-Recording = Annotated[Path, Argument(metavar="FILE", help=_FILE)]
-
 
 @recordings.command("new")
 def recording_new_command(
-    recording: Recording,
-    file: Annotated[Path, new_file_option(help="TOML file")] = Path("out/columns.toml"),
+    recording: Annotated[Path, Argument(metavar="FILE", help=_FILE)],
+    file: Annotated[Path, new_file(help="TOML file")] = Path("out/columns.toml"),
 ) -> None:
     """Guess from a header which columns are which; the map is to be read and corrected."""
     from cmf_mj.core.files import write_text
@@ -51,20 +49,21 @@ def recording_check_command(
     from cmf_mj.record.columns import load_columns, read_mapped
     from cmf_mj.studies.recordings import Finding, check_recording, verdict
 
-    known = None if columns is None else load_columns(columns)
-    chosen = cmf_mj.load_machine(machine or (known and known.machine) or "cmf")
-    found = {}
+    column_map = None if columns is None else load_columns(columns)
+    loaded = cmf_mj.load_machine(machine or (column_map and column_map.machine) or "cmf")
+    findings = {}
     for file in files:  # all of them before a line is shown
         with within(file):
-            found[file] = check_recording(read_mapped(file, known, chosen), chosen, cab)
-    wrong = [file for file, ones in found.items() if any(one.status == "fault" for one in ones)]
-    if len(found) == 1:
-        table = Result(found[files[0]], fields_of(Finding), f"{files[0].name} on {chosen.name}")
-        show(table, verdict(found[files[0]]))
+            findings[file] = check_recording(read_mapped(file, column_map, loaded), loaded, cab)
+    faulty = [name for name, rows in findings.items() if any(r.status == "fault" for r in rows)]
+    if len(findings) == 1:
+        file, rows = findings.popitem()
+        show(Result(rows, fields_of(Finding), f"{file.name} on {loaded.name}"), verdict(rows))
     else:
-        lines = (f"{file}: {verdict(ones)}" for file, ones in found.items())
-        show(*lines, f"{len(found) - len(wrong)} of {len(found)} recordings fit {chosen.name}")
-    if wrong:
+        lines = (f"{file}: {verdict(rows)}" for file, rows in findings.items())
+        fit_count = len(findings) - len(faulty)
+        show(*lines, f"{fit_count} of {len(findings)} recordings fit {loaded.name}")
+    if faulty:
         raise typer.Exit(1)
 
 
@@ -88,8 +87,8 @@ def plan_command(
     """Write what to record of a machine: scenarios, host files and campaign.toml."""
     from cmf_mj.studies.fit.plan import plan_campaign
 
-    made = plan_campaign(machine, cab, hydraulics, law, out, seconds=seconds)
-    show(f"written: {made}")
+    folder = plan_campaign(machine, cab, hydraulics, law, out, seconds=seconds)
+    show(f"written: {folder}")
 
 
 @campaigns.command("record")
@@ -104,16 +103,15 @@ def record_command(
     """Record a plan on a simulated machine, with noisy electronics and unequal valves."""
     from cmf_mj.studies.fit.plan import record_campaign
 
-    what = {"machine": machine, "cab": cab, "hydraulics": hydraulics}
+    parts = {"machine": machine, "cab": cab, "hydraulics": hydraulics}
     with progress_bar("recording") as update:
-        made = record_campaign(folder, **what, seed=seed, jobs=jobs, progress=update)
-    show(f"written: {made}")
+        path = record_campaign(folder, **parts, seed=seed, jobs=jobs, progress=update)
+    show(f"written: {path}")
 
 
 Campaign = Annotated[
     Path, Argument(metavar="CAMPAIGN", help="folder with campaign.toml, or report, hardware")
 ]
-Try = Annotated[bool, Option("--effects/--no-effects", help="try what else the machine may have")]
 
 
 @contextmanager
@@ -131,7 +129,7 @@ def _fitted(campaign: Path, folder: Path, jobs: int) -> Iterator[tuple[Any, Any]
 @options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")
 def fit_command(
     campaign: Campaign,
-    effects: Try = True,
+    effects: Annotated[bool, Option(help="try what else the machine may have")] = True,
     jobs: options.Jobs = None,
     out: options.Out = Path("out/fit"),
 ) -> None:
@@ -181,8 +179,7 @@ def next_command(
 guides = typer.Typer(no_args_is_help=True, help="Test guides: make a master, check against it.")
 app.add_typer(guides, name="guide", rich_help_panel="Studies")
 
-SomeGuide = Annotated[str, options.argument("studies.guide:GUIDES", "GUIDE", "or TOML file")]
-Against = Annotated[Path, Option(metavar="FOLDER", help="the master")]
+SomeGuide = Annotated[str, options.any_argument("studies.guide:GUIDES", "GUIDE", "or TOML file")]
 
 
 def _with_cueing() -> None:
@@ -258,7 +255,7 @@ def guide_run_command(
 @options.drawing(guides.command)("check")
 def guide_check_command(
     new: Annotated[Path, Argument(metavar="NEW", help="folder of `cmf guide run`")],
-    against: Against,
+    against: Annotated[Path, Option(metavar="FOLDER", help="the master")],
     diagnosis: Annotated[bool, Option("--diagnosis/--verdicts", help="ask why")] = True,
     jobs: options.Jobs = None,
     out: options.Out = Path("out/check"),

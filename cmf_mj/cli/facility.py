@@ -11,7 +11,7 @@ from typer import Argument, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
-from cmf_mj.cli.options import name_option
+from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,21 +26,20 @@ drawing = options.drawing(command)
 BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}  #: Operating states in which a run may begin.
 
 PROTOCOLS = ("cmf", "moog")  #: What a host may speak to `cmf serve`.
+EXPORTS = ("library", "law", "fmu")  #: What `cmf export` writes.
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _SERVED = f"of cmf: {_BEGIN}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
 
-Begin = Annotated[str, name_option("cli.facility:BEGIN", "STATE", _BEGIN)]
-BeginOfServe = Annotated[str | None, name_option("cli.facility:BEGIN", "STATE", _SERVED)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
 FrameRate = Annotated[
     float | None, Option(min=1.0, max=2048.0, help="frames a second; default as stamped")
 ]
 
 
-def _start(begin: str, noise: bool) -> dict[str, Any]:
+def _begin_options(begin: str, noise: bool) -> dict[str, Any]:
     """Options of a run that begins in a state and is engaged at once."""
     from cmf_mj.control.states import Request, State
 
@@ -51,21 +50,21 @@ def _start(begin: str, noise: bool) -> dict[str, Any]:
     }
 
 
-def _end(operation: Operation) -> str:
+def _end_text(operation: Operation) -> str:
     """End of the run in a sentence."""
     from cmf_mj.control.states import State
 
     record = operation.record
     state = State(int(record["operating_state"][-1])).name.lower()
     fault, late = record.metadata["fault"], record.metadata["host_late"]
-    end = f"ended {state}, no fault"
+    text = f"ended {state}, no fault"
     if fault is not None:
-        where = "" if fault["leg"] is None else f" of leg {fault['leg']}"
-        end = f"ended {state}: {fault['name']}{where} at {fault['time']:.3f} s"
+        leg = "" if fault["leg"] is None else f" of leg {fault['leg']}"
+        text = f"ended {state}: {fault['name']}{leg} at {fault['time']:.3f} s"
     if late > 0.0:
         clock = float(record["host_clock"][-1])
-        end += f"\nthe host was late for {late:.1f} s; at the end its clock ran at {clock:.3f}"
-    return end
+        text += f"\nthe host was late for {late:.1f} s; at the end its clock ran at {clock:.3f}"
+    return text
 
 
 def _stream(file: Path, rate: float | None, cab: Cab | None = None) -> HostStream:
@@ -85,7 +84,7 @@ def serve_command(
     host_port: Annotated[
         int | None, Option(min=1, max=65535, help="its only port; default any program of that host")
     ] = None,
-    protocol: Annotated[str, name_option("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
+    protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
@@ -93,7 +92,7 @@ def serve_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    begin: BeginOfServe = None,
+    begin: Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)] = None,
     out: options.Out = Path("out/serve"),
 ) -> None:
     """Run the facility in real time on host frames from the network."""
@@ -105,38 +104,39 @@ def serve_command(
     from cmf_mj.facility.operation import serve
     from cmf_mj.show import operation as report
 
-    held: list[Session] = []
+    last: Session | None = None  # an interrupt does not lose what was run until then
 
     def attend(session: Session) -> int:
-        held[:] = [session]  # an interrupt does not lose what was run until then
-        return opened.attend(session) if protocol == "moog" else session.rate
+        nonlocal last
+        last = session
+        return server.attend(session) if protocol == "moog" else session.rate
 
-    plant, how = cmf_mj.Hexapod(cab, hydraulics), _start(begin or "engaged", noise)
-    opened: Any
+    plant, how = cmf_mj.Hexapod(cab, hydraulics), _begin_options(begin or "engaged", noise)
+    server: Any
     if protocol == "moog":
         if begin is not None:
             raise InputError(f"begin: {begin!r} is nothing to the protocol moog, which begins off")
-        opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
+        server = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
         how |= {"begin": State.OFF, "requests": (), "paced": not lockstep}
     else:
         if lockstep:
             raise InputError("lockstep: is nothing to the protocol cmf")
-        opened = UdpReceiver(port, host=host, host_port=host_port, bind=bind)
+        server = UdpReceiver(port, host=host, host_port=host_port, bind=bind)
     how["attend"] = attend
-    with opened as receiver:
-        where = "{}:{}".format(*receiver.address)
-        with progress_bar(f"serving {where}", seconds=True) as bar:
+    with server as receiver:
+        address = "{}:{}".format(*receiver.address)
+        with progress_bar(f"serving {address}", seconds=True) as bar:
 
             def progress(done: float) -> None:
                 if done == 0.0:
-                    print(f"listening on {where}", flush=True)
+                    print(f"listening on {address}", flush=True)
                 bar(done, seconds)
 
             try:
                 operation = serve(plant, law, receiver.ring, seconds, progress=progress, **how)
             except KeyboardInterrupt:
-                if held and held[0].frame:
-                    record = cmf_mj.Record(*held[0].history(), held[0].describe())
+                if last is not None and last.frame:
+                    record = cmf_mj.Record(*last.history(), last.describe())
                     print(f"written: {record.save(plain_path(out, 'record.parquet'))}", flush=True)
                 raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
@@ -146,7 +146,7 @@ def serve_command(
         tables.append(report.timing_table(operation.timing))
     arrivals = operation.arrivals
     doubts = unit_doubts(arrivals.time, arrivals.values[:, 0], plant.machine)
-    show(*tables, *doubts, _end(operation), written(paths))
+    show(*tables, *doubts, _end_text(operation), written(paths))
 
 
 @drawing("operate")
@@ -159,7 +159,7 @@ def operate_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    begin: Begin = "engaged",
+    begin: Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)] = "engaged",
     out: options.Out = Path("out/operate"),
 ) -> None:
     """Run the facility on a file of host frames, as fast as it goes."""
@@ -168,9 +168,9 @@ def operate_command(
 
     plant = cmf_mj.Hexapod(cab, hydraulics)
     stream = _stream(file, rate, plant.cab_parameters)
-    operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
+    operation = operate(plant, law, stream, seconds=seconds, **_begin_options(begin, noise))
     paths = report.save_operation(operation, out)
-    show(report.account_table(operation), _end(operation), written(paths))
+    show(report.account_table(operation), _end_text(operation), written(paths))
 
 
 @command("host")
@@ -218,12 +218,9 @@ def replay_command(
     show(report.replay_summary(replayed), f"written: {path}")
 
 
-EXPORTS = ("library", "law", "fmu")  #: What leaves Python.
-
-
 @command("export")
 def export_command(
-    what: Annotated[str, options.name_argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
+    what: Annotated[str, options.argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
     plant: options.PlantName = "hexapod",
     machine: options.Machine = "cmf",  # read by `options.of_machine`, for the other names
     cab: options.Cab = "gfd",
@@ -241,9 +238,9 @@ def export_command(
 
     if what == "law":
         return show(written(export_law(law, out, cab), out))
-    built, noisy = make_plant(plant, cab, hydraulics), noise_option(noise)
+    made, chain = make_plant(plant, cab, hydraulics), noise_option(noise)
     if what == "library":
-        paths = export_library(built, law, out, electronics=noisy)
+        paths = export_library(made, law, out, electronics=chain)
     else:
-        paths = [export_fmu(built, law, plain_path(out, "cmf.fmu"), fmi=fmi, electronics=noisy)]
+        paths = [export_fmu(made, law, plain_path(out, "cmf.fmu"), fmi=fmi, electronics=chain)]
     show(written(paths, out))

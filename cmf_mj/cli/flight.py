@@ -12,7 +12,7 @@ from typer import Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
-from cmf_mj.cli.options import argument, file_option, name_option, new_file_option
+from cmf_mj.cli.options import any_argument, choice, file, new_file
 from cmf_mj.core.errors import InputError
 
 command = partial(app.command, rich_help_panel="Flight")
@@ -22,9 +22,7 @@ _FLIGHTS, _SCRIPTS = "pilot.flight:all_flight_names", "pilot.scripts:SCRIPTS"
 _SOURCE = "script of JSBSim; with --from UDP port of telemetry, or CSV file"
 _FLOWN = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
-From = Annotated[
-    str | None, name_option(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))
-]
+From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
 _KNOWN = 6  #: Drawn machines that a learner is made for.
 _QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
@@ -38,7 +36,7 @@ def _port(source: str) -> int:
 
 @drawing("fly")
 def fly_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", _FLOWN)],
+    flight: Annotated[str, any_argument(_FLIGHTS, "FLIGHT", _FLOWN)],
     form: From = None,
     laws: options.Laws = options.VELOCITY,
     machine: options.Machine = "cmf",
@@ -96,7 +94,7 @@ def fly_command(
 
 @drawing("learn")
 def learn_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file")],
+    flight: Annotated[str, any_argument(_FLIGHTS, "FLIGHT", "name or file")],
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
@@ -126,9 +124,9 @@ def learn_command(
 
 @command("flight")
 def flight_command(
-    source: Annotated[str, argument(_SCRIPTS, "SOURCE", _SOURCE)],
+    source: Annotated[str, any_argument(_SCRIPTS, "SOURCE", _SOURCE)],
     form: From = None,
-    file: Annotated[Path | None, new_file_option(help="CSV or Parquet file to write it to")] = None,
+    file: Annotated[Path | None, new_file(help="CSV or Parquet file to write it to")] = None,
     seed: options.Seed = 1,
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
@@ -164,12 +162,12 @@ def flight_command(
 
 @drawing("cue")
 def cue_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file")],
+    flight: Annotated[str, any_argument(_FLIGHTS, "FLIGHT", "name or file")],
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     rate: Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")] = 80.0,
-    limits: Annotated[Path | None, file_option(help="TOML changes to the machine's limits")] = None,
+    limits: Annotated[Path | None, file(help="TOML changes to the machine's limits")] = None,
     out: options.Out = Path("out/cue"),
 ) -> None:
     """Turn a flight into host frames and what the pilot senses."""

@@ -11,24 +11,22 @@ from typer import Argument, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show
-from cmf_mj.cli.options import argument, name_argument
+from cmf_mj.cli.options import any_argument, argument
 from cmf_mj.core.errors import InputError
 
 machines = typer.Typer(no_args_is_help=True, help="Motion bases as files: make, check, build.")
 app.add_typer(machines, name="machine", rich_help_panel="Show")
 
-Machine = Annotated[str, argument(options.MACHINES, "MACHINE", "name or TOML file")]
+Machine = Annotated[str, any_argument(options.MACHINES, "MACHINE", "name or TOML file")]
 SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
 
-
 LISTS = ("laws", "machines", "hydraulics", "sensors")  #: What `cmf list` shows.
-
 _LIST = "laws or machines; one set of hydraulics or sensors, number by number"
 
 
 @app.command("list", rich_help_panel="Show", no_args_is_help=True)
 def list_command(
-    what: Annotated[str, name_argument("cli.machine:LISTS", "WHAT", _LIST)],
+    what: Annotated[str, argument("cli.machine:LISTS", "WHAT", _LIST)],
     name: Annotated[str | None, Argument(metavar="[SET]", help="by name or TOML file")] = None,
     machine: options.Machine = "cmf",
 ) -> None:

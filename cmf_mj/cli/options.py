@@ -28,7 +28,7 @@ def shipped_laws() -> tuple[str, ...]:
     return cmf_mj.law_names("all")
 
 
-def name_option(
+def choice(
     source: str,
     metavar: str,
     text: str,
@@ -51,7 +51,8 @@ def name_option(
         if not value or ctx.resilient_parsing:
             return value
         is_list = not isinstance(value, str)
-        names = _split_names(value) if is_list else [value]
+        names = [name.strip() for text in value for name in text.split(",") if name.strip()]
+        names = names if is_list else [value]
         if source == LAWS:
             names = [_law_on_machine(ctx, name) for name in names]
         if not names:
@@ -64,10 +65,6 @@ def name_option(
         return names if is_list else names[0]
 
     return make(help=text, metavar=metavar, autocompletion=complete, callback=check)
-
-
-def _split_names(texts: list[str]) -> list[str]:
-    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
 
 
 def _law_on_machine(ctx: typer.Context, name: str) -> str:
@@ -85,7 +82,7 @@ def of_machine(source: str, metavar: str, text: str, source_of_all: str = "") ->
     stands for the machine's own unless that is the CMF.
     """
     how: dict[str, Any] = {"takes_files": True, "source_of_all": source_of_all}
-    option = name_option(source, metavar, text, make=_machine_option, **how)
+    option = choice(source, metavar, text, make=_machine_option, **how)
     check = option.callback
 
     def load(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -99,7 +96,6 @@ def of_machine(source: str, metavar: str, text: str, source_of_all: str = "") ->
 
 
 def _load_of_machine(ctx: typer.Context, field: str, names: Any) -> Any:
-    """What the names of an option stand for, or the machine's own where the user gave none."""
     from cmf_mj.machine.models import CMF
     from cmf_mj.plant.parameters import hydraulics_of
 
@@ -129,40 +125,35 @@ def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
                 function(**arguments)
 
         own = signature(function, eval_str=True)
-        figure: dict[str, Any] = {"kind": Parameter.KEYWORD_ONLY, "default": None}
-        parameters = [
-            *own.parameters.values(),
-            Parameter("figure_format", annotation=FigureFormat, **figure),
-            Parameter("figure_size", annotation=FigureSize, **figure),
-        ]
+        how: dict[str, Any] = {"kind": Parameter.KEYWORD_ONLY, "default": None}
+        form = Parameter("figure_format", annotation=FigureFormat, **how)
+        size = Parameter("figure_size", annotation=FigureSize, **how)
         update_wrapper(draw, function)
+        parameters = [*own.parameters.values(), form, size]
         vars(draw)["__signature__"] = own.replace(parameters=parameters)
         return draw
 
     return lambda name: lambda function: command(name)(add_options(function))
 
 
-name_or_file = partial(name_option, takes_files=True)
-name_argument = partial(name_option, make=Argument)
-argument = partial(name_or_file, make=Argument)  #: A name or file as an argument.
-size_option, file_option = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
+name_or_file = partial(choice, takes_files=True)
+argument = partial(choice, make=Argument)
+any_argument = partial(name_or_file, make=Argument)  #: As `argument`, for names and files.
+size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 """Options of a number with its unit, and of a file; `help` says of what."""
-new_file_option = partial(file_option, callback=check_writable)  #: Option of a file to write.
+new_file = partial(file, callback=check_writable)  #: Option of a file to write.
 _machine_option = partial(Option, rich_help_panel="Machine")
 _first_option = partial(Option, is_eager=True)  #: Read before those whose names depend on it.
 
-# Where names stand, for `names_in`.
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 CABS, HYDRAULICS = "machine.models:CABS", "plant.parameters:HYDRAULICS"
 MACHINES, SCENARIOS = "machine.models:machine_names", "facility.scenario:scenario_names"
 PLANTS, WASHOUTS = "plant.hexapod:PLANTS", "pilot.washout_settings:WASHOUTS"
+"""Where names stand, for `names_in`."""
 CAMERAS = ("overview", "side", "front")  #: Cameras of the machine.
+ALL, VELOCITY, NEUTRAL = ["all"], ["velocity"], "0,0,0,0,0,0"
+"""Defaults of options that several commands have."""
 
-# Defaults of options that several commands have.
-ALL, VELOCITY = ["all"], ["velocity"]
-NEUTRAL = "0,0,0,0,0,0"
-
-# Texts of help that fit no line below.
 _MACHINE = "name or TOML file; other defaults below are its own"
 _LAWS = "laws by name or TOML file; `all` of the report"
 _HYDRAULICS = "report, hardware, lossy or TOML file"
@@ -170,11 +161,10 @@ _WASHOUTS = "simona, reid_nahon, optimal, predictive or TOML file"
 _FORMATS = "of figures: png (default), svg or pdf"
 _COLUMNS = "TOML file of `cmf recording new`; default the facility's columns"
 
-# The machine, what it is made of, and what moves it.
-Dof = Annotated[str, name_option(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
+Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
-Dofs = Annotated[list[str], name_option(DOFS, "DOFS", "degrees of freedom, or `all`")]
+Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
 _of_machines = partial(name_or_file, MACHINES, "MACHINE")
 Machine = Annotated[str, _of_machines(_MACHINE, make=partial(_machine_option, is_eager=True))]
 """Motion base whose cab, hydraulics and law the others name; read before them."""
@@ -185,23 +175,21 @@ Laws = Annotated[list[str], of_machine(LAWS, "LAWS", _LAWS, "control.law:law_nam
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
 OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenario's")]
-PlantName = Annotated[str, name_option(PLANTS, "PLANT", "hexapod or single_legs")]
-Plants = Annotated[list[str], name_option(PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
+PlantName = Annotated[str, choice(PLANTS, "PLANT", "hexapod or single_legs")]
+Plants = Annotated[list[str], choice(PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, of_machine(HYDRAULICS, "SET", _HYDRAULICS)]
 Washout = Annotated[str, name_or_file(WASHOUTS, "WASHOUT", _WASHOUTS)]
-Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file")]
+Scenario = Annotated[str, any_argument(SCENARIOS, "[SCENARIO]", "name or TOML file")]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
 Friction = Annotated[str | None, Option(help="dry friction: none, stuck, or legs' speed [m/s]")]
-
-# How a command runs, what it reads and what it writes.
 Jobs = Annotated[
     int | None, Option(min=1, max=1024, help="threads or processes; default one a core")
 ]
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
-FigureFormat = Annotated[str | None, name_option("show.look:FORMATS", "FORMAT", _FORMATS)]
-FigureSize = Annotated[str | None, size_option(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
+FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORMATS)]
+FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]

@@ -21,14 +21,7 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.cli.options import (
-    argument,
-    name_argument,
-    name_option,
-    name_or_file,
-    new_file_option,
-    size_option,
-)
+from cmf_mj.cli.options import any_argument, argument, choice, name_or_file, new_file, size
 from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -84,7 +77,7 @@ def compare_command(
     cab: options.Cab = "gfd",
     plants: options.Plants = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
-    amplitude: Annotated[str, size_option(help=_SIZE)] = "0.33 in",
+    amplitude: Annotated[str, size(help=_SIZE)] = "0.33 in",
     jobs: options.Jobs = None,
     out: options.Out = Path("out/compare"),
     quick: options.Quick = False,
@@ -135,22 +128,18 @@ def events_of(
 
 @drawing("failure")
 def failure_command(
-    event: Annotated[
-        list[str], name_argument("plant.events:KINDS", "EVENT", "what fails, or `all`")
-    ],
+    event: Annotated[list[str], argument("plant.events:KINDS", "EVENT", "what fails, or `all`")],
     dof: options.Dof = "heave",
     leg: Annotated[int | None, Option(help="leg of a valve or sensor; default 1")] = None,
     valve: Annotated[int | None, Option(help="1 or 2; default both")] = None,
-    size: Annotated[str | None, size_option(help="how much, such as '1 in^2'")] = None,
+    size: Annotated[str | None, size(help="how much, such as '1 in^2'")] = None,
     at: Annotated[float, Option(help="time of the event [s]")] = 4.0,
     after: Annotated[float, Option(help="length of the run after it [s]")] = 26.0,
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
-    amplitude: Annotated[
-        str | None, size_option(help="of the sine; on the CMF '6 in' or '4 deg'")
-    ] = None,
+    amplitude: Annotated[str | None, size(help="of the sine; on the CMF '6 in' or '4 deg'")] = None,
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.5,
     protection: Annotated[bool, Option(help="whether a fault stops the machine")] = True,
     jobs: options.Jobs = None,
@@ -189,17 +178,17 @@ def _differing(name: str, names: list[str]) -> str:
 @command("play")
 def play_command(
     sources: Annotated[
-        list[str] | None, argument(options.SCENARIOS, "[SOURCE]...", _SOURCES)
+        list[str] | None, any_argument(options.SCENARIOS, "[SOURCE]...", _SOURCES)
     ] = None,
     laws: Annotated[
         list[str] | None, name_or_file(options.LAWS, "LAWS", "laws next to each other")
     ] = None,
     machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
-    file: Annotated[Path, new_file_option(help="HTML file")] = Path("out/play.html"),
+    file: Annotated[Path, new_file(help="HTML file")] = Path("out/play.html"),
     speed: Annotated[float, Option(help="times real speed")] = 1.0,
     camera: Annotated[
-        str, name_option("cli.options:CAMERAS", "CAMERA", "overview, side, front")
+        str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front")
     ] = "overview",
     start: Annotated[float, Option(help="time in the runs when the page begins [s]")] = 0.0,
     seconds: Annotated[

@@ -15,13 +15,14 @@ from typer import Argument, Context, Option
 import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, claim, friction_option, progress_bar, show, written
-from cmf_mj.cli.options import argument, name_option, name_or_file, new_file_option
+from cmf_mj.cli.options import any_argument, choice, name_or_file, new_file
 from cmf_mj.core.errors import require
 
 command = partial(app.command, rich_help_panel="Studies")
 drawing = options.drawing(command)
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
+_BACKENDS = "threading, loky (processes) or dask"
 _READY, _TUNED = "studies.settings:STUDIES", Path("out/tune/law.toml")
 _SEARCHED = (
     "law whose gains to search: modal_plan, modal, velocity, pressure, feed_forward, acceleration"
@@ -32,15 +33,13 @@ SomeCabs = Annotated[
     list[str] | None,
     name_or_file(options.CABS, "CABS", "instead of the study's", source_of_all="cli.options:ALL"),
 ]
-SomeDofs = Annotated[list[str] | None, name_option(options.DOFS, "DOFS", "instead of the study's")]
-Workers = Annotated[str, name_option(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
-Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
+SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
 
 
 @drawing("study")
 def study_command(
     context: Context,
-    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file")],
+    specification: Annotated[str, any_argument(_READY, "STUDY", "name or TOML file")],
     out: options.NamedOut = None,
     machine: options.OtherMachine = None,
     laws: Laws = None,
@@ -49,8 +48,8 @@ def study_command(
     draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
     quick: options.Quick = False,
     jobs: options.Jobs = None,
-    backend: Workers = "loky",
-    scheduler: Address = None,
+    backend: Annotated[str, choice(_BACKEND, "BACKEND", _BACKENDS)] = "loky",
+    scheduler: Annotated[str | None, Option(help="address of a running Dask scheduler")] = None,
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     from cmf_mj.report_2014.posterior.answers import posterior_tables
@@ -72,11 +71,11 @@ def study_command(
     tables, figures = dict[str, Any](), dict[str, Any]()
     try:
         with progress_bar() as update:
-            asked = study_table(specification)[0]
-            if "effects" in asked:
+            specified, _ = study_table(specification)
+            if "effects" in specified:
                 effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
                 tables = effect_tables(run_effects(effects, out, progress=update, **how))
-            elif "unknowns" in asked:
+            elif "unknowns" in specified:
                 unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
                 results = run_posterior(unknown, out, progress=update, **how)
                 tables, figures = posterior_tables(results), posterior_figures(results)
@@ -103,7 +102,7 @@ def study_command(
 @command("tune")
 def tune_command(
     name: Annotated[str | None, Option(help="name of the law; default FORM_tuned")] = None,
-    form: Annotated[str, name_option(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
+    form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
@@ -111,7 +110,7 @@ def tune_command(
     friction: options.Friction = None,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
-    target: Annotated[Path, new_file_option("--file", help="law file to write")] = _TUNED,
+    target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and axes, on linear plants."""
     from cmf_mj.machine.models import CMF
@@ -147,30 +146,30 @@ def tune_command(
 
 @drawing("certify")
 def certify_command(
-    laws: Annotated[list[str], argument(options.LAWS, "LAWS...", "by name or TOML file")],
+    laws: Annotated[list[str], any_argument(options.LAWS, "LAWS...", "by name or TOML file")],
     machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
-    box: Annotated[
-        Path | None, options.file_option(help="unit box; default tolerances as bought")
-    ] = None,
+    box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
     friction: options.Friction = None,
     quick: options.Quick = False,
     seed: options.Seed = 1,
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
+    from cmf_mj.core.result import Result
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.plant.cylinder import contact_text
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies import certificate as run
-    from cmf_mj.studies.certificate_box import load_box
+    from cmf_mj.studies.certificate_family import load_box
     from cmf_mj.studies.engine import one_library_thread
 
-    unit_box, effort = load_box(box), (run.QUICK if quick else run.Effort())._replace(seed=seed)
-    words = friction.split(",") if friction else []
-    contacts = [friction_option(word.strip()) for word in words] or [None]
+    unit_box, effort = load_box(box), run.QUICK if quick else run.Effort()
+    contacts = (
+        [friction_option(text.strip()) for text in friction.split(",")] if friction else [None]
+    )
     plants = [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs]
     loaded = [cmf_mj.load_law(law) for law in laws]
     check_distinct("laws", [law.name for law in loaded])
@@ -183,10 +182,19 @@ def certify_command(
             folder = out / law.name / plant.cab
             if len(contacts) > 1:
                 folder /= contact_text(contact).replace(" m/s", "")
+            case = plant, law, folder, unit_box, effort
             with one_library_thread():  # so that the same seed gives the same bits
-                certificates.append(run.certify(plant, law, folder, unit_box, effort, contact))
+                certificates.append(run.certify(*case, seed=seed, friction=contact))
             update(len(certificates), len(cases))
-    tables = run.certificate_tables(certificates)
+    proofs = [
+        {"law": each.law, "cab": each.cab, "friction": each.friction} | proof._asdict()
+        for each in certificates
+        for proof in each.proofs
+    ]
+    tables: dict[str, Result[Any]] = {
+        "certificates": Result(certificates, run.CERTIFICATES, *run.ABOUT_CERTIFICATES),
+        "proofs": Result(proofs, run.PROOFS, *run.ABOUT_PROOFS),
+    }
     files = {f"{name}.{end}": table for name, table in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(certificates)}
     show(*tables.values(), written(save_files(files | figure, out), out))
@@ -196,9 +204,6 @@ reports = typer.Typer()
 app.add_typer(reports, name="report", rich_help_panel="The report")
 
 _NUMBERS = "by number with commas between, `all` or `none`"
-
-Figures = Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")]
-Tables = Annotated[str, Option(metavar="NUMBERS", help=f"result tables {_NUMBERS}")]
 
 
 def _numbers(text: str) -> list[str] | None:
@@ -211,8 +216,8 @@ def _numbers(text: str) -> list[str] | None:
 @reports.callback(invoke_without_command=True)
 def report_command(
     context: Context,
-    figures: Figures = "all",
-    tables: Tables = "all",
+    figures: Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")] = "all",
+    tables: Annotated[str, Option(metavar="NUMBERS", help=f"result tables {_NUMBERS}")] = "all",
     jobs: options.Jobs = None,
     out: options.NamedOut = None,
     quick: options.Quick = False,

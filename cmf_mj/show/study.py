@@ -203,7 +203,7 @@ def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     """Boxes of all laws: what is proven, what is not known, and where machines fail."""
     figure = look.new_figure(7.0, 1.2 + 0.32 * len(certificates))
     axes = figure.add_subplot()
-    proven, broken = np.array([(one.proven_scale, one.breaking_scale) for one in certificates]).T
+    proven, broken = np.array([(one.proven, one.broken) for one in certificates]).T
     most = 1.15 * float(np.nanmax([*proven, *broken, 1.0]))
     ends = np.array([0.0 * proven, proven, np.where(np.isnan(broken), most, broken)])
     widths, place = np.diff(ends, axis=0, append=most), np.arange(len(certificates))

@@ -79,10 +79,8 @@ class Asymptotes:
         lags = np.prod([1.0 + s / corner for corner in self.corners], axis=0)
         spring = self.stiffness * s / (s + self.leak_rate)
         flow = np.abs(lags * s * (self.column + s**2 * (self.mass @ self.column) / spring))
-        valve_share = (flow / self.speed).max(axis=1)
-        share = np.maximum(valve_share, np.abs(s[:, 0]) ** 2 / self.acceleration)
-        first, *_ = falls(frequency, -amplitude * share, -1.0)
-        return float(first)
+        used = np.maximum((flow / self.speed).max(axis=1), np.abs(s[:, 0]) ** 2 / self.acceleration)
+        return float(falls(frequency, -amplitude * used, -1.0)[0])
 
     def transmission(self, frequency: float) -> float:
         """|H|, platform motion over what the oil let in, at a frequency [Hz]."""
@@ -95,18 +93,18 @@ class Asymptotes:
         """Velocity amplitude of every limit [m/s, rad/s] at a frequency [Hz], by limit."""
         rate = 2.0 * np.pi * frequency
         lag = np.prod([1.0 / np.hypot(1.0, rate / corner) for corner in self.corners])
-        transmission, moves = self.transmission(frequency), np.abs(self.column) > 1e-9
-        open_valves = float((self.speed[moves] / np.abs(self.column[moves])).min())
+        moved, used = self.transmission(frequency), np.abs(self.column) > 1e-9
+        first = float((self.speed[used] / np.abs(self.column[used])).min())
         return {
             "displacement": self.displacement * rate,
             "leg_stroke": self.leg_stroke * rate,
-            "valve_command": open_valves * float(lag) * transmission,
-            "pump_flow": self.pump_flow * transmission,
+            "valve_command": first * float(lag) * moved,
+            "pump_flow": self.pump_flow * moved,
             "stall_force": self.acceleration / rate,
         }
 
     def velocity(self, frequency: float) -> float:
-        """The smallest velocity amplitude of all limits [m/s, rad/s]."""
+        """The smallest of them [m/s, rad/s]."""
         return min(self.velocities(frequency).values())
 
 
@@ -131,19 +129,17 @@ def full_speed(
     # Valves count content; a leg speed is what it fills at mid pressure.
     middle = 0.5 * (hydraulics.supply.pressure + hydraulics.supply.return_pressure)
     gain = hydraulics.valve.cap_gain.sum(axis=1) / cap / density(hydraulics.oil, middle)[0]
-
-    def speed(
-        force: NDArray[np.float64], filled: NDArray[np.float64], emptied: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    speeds = []
+    for drive, into, out in (
+        (cap * high - rod * low - load, cap, rod),
+        (rod * high - cap * low + load, rod, cap),
+    ):
         square = (cap + rod) / gain**2
         linear = (cap + rod) * hydraulics.laminar / gain
-        linear = linear + cylinder.supply_hose * filled**2 + cylinder.return_hose * emptied**2
-        root = np.sqrt(linear**2 + 4.0 * square * np.maximum(force, 0.0))
-        return np.asarray(2.0 * np.maximum(force, 0.0) / (linear + root))
-
-    extending = speed(cap * high - rod * low - load, cap, rod)
-    retracting = speed(rod * high - cap * low + load, rod, cap)
-    return np.column_stack([extending, retracting])
+        linear = linear + cylinder.supply_hose * into**2 + cylinder.return_hose * out**2
+        root = np.sqrt(linear**2 + 4.0 * square * np.maximum(drive, 0.0))
+        speeds.append(2.0 * np.maximum(drive, 0.0) / (linear + root))
+    return np.column_stack(speeds)
 
 
 def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asymptotes:
@@ -151,35 +147,33 @@ def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asympto
 
     `pose` (6,) [m, rad], z down, is by default neutral, from which excursions count in any pose.
     """
-    checked_pose = np.zeros(6) if pose is None else shaped("pose", pose, 6)
+    about = np.zeros(6) if pose is None else shaped("pose", pose, 6)
     index = dof_index(dof)
     hydraulics = plant.hydraulics
     supply, cylinder = hydraulics.supply, hydraulics.cylinder
-    jacobian = pose_jacobian(checked_pose, plant.machine)
+    jacobian = pose_jacobian(about, plant.machine)
     column = jacobian[:, index]
     mass = plant.reflected_mass(pose)
     load = plant.static_load()
     speed = full_speed(hydraulics, load, supply.pressure, supply.return_pressure).min(axis=1)
-    areas = cylinder.cap_area + cylinder.rod_area
-    flow_per_speed = float(np.sum(areas * np.abs(column))) / np.pi
+    drawn = float(np.sum((cylinder.cap_area + cylinder.rod_area) * np.abs(column))) / np.pi
     push, pull = stall_forces(hydraulics).T
     force = np.abs(mass @ column)
-    legs = pose_to_legs(checked_pose, plant.machine)
+    legs = pose_to_legs(about, plant.machine)
+    spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, legs)
+    both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     limits = load_motion_limits(None, plant.machine)
     return Asymptotes(
         dof=dof,
         displacement=float(np.abs(limits.operational[index]).min()),
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         speed=speed,
-        pump_flow=float("inf") if supply.constant else supply.pump_flow / flow_per_speed,
+        pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
         acceleration=float((np.minimum(push - load, load + pull) / force).min()),
         corners=(plant.parameters.drive_lag.si, plant.parameters.valve_lag.si),
         column=column,
         row=np.linalg.inv(jacobian)[index],
         mass=mass,
-        stiffness=stiffness(cylinder, hydraulics.oil.bulk_modulus, legs),
-        leak_rate=4.0
-        * hydraulics.oil.bulk_modulus
-        * cylinder.leakage
-        / (cylinder.half_stroke * areas),
+        stiffness=spring,
+        leak_rate=4.0 * hydraulics.oil.bulk_modulus * cylinder.leakage / both,
     )

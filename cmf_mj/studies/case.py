@@ -73,8 +73,7 @@ def frames_a_row(machine: Machine, rate: int) -> int:
 
     Or of as few more as make rows and frames a second whole numbers.
     """
-    divisors = [n for n in range(1, machine.rate // rate + 1) if machine.rate % n == 0]
-    return max(divisors, default=1)
+    return max((n for n in range(1, machine.rate // rate + 1) if machine.rate % n == 0), default=1)
 
 
 @dataclass(frozen=True)
@@ -208,8 +207,9 @@ class CaseResult(NamedTuple):
     def published(self) -> Published | None:
         """The published values of the case, if there are any: of the CMF alone."""
         case = self.case
-        is_published = case.motion_base.name == CMF
-        return published(case.law.name, case.dof, case.hydraulics.name) if is_published else None
+        if case.motion_base.name != CMF:
+            return None
+        return published(case.law.name, case.dof, case.hydraulics.name)
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
@@ -230,21 +230,12 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     if loop is not None:
         drifts = not holds_position(loop.poles())
         small_motion = measure_loop(loop, frequencies=_SMALL_MOTION_HZ)
-    return CaseResult(
-        case=case,
-        response=response,
-        measures=Measures() if drifts else measures,
-        step=step,
-        gimbal_error=gap,
-        small_motion_phase_hz=small_motion.phase_bandwidth_hz,
-        drifts=drifts,
-    )
+    measures, phase_hz = Measures() if drifts else measures, small_motion.phase_bandwidth_hz
+    return CaseResult(case, response, measures, step, gap, phase_hz, drifts=drifts)
 
 
 def small_loop(case: Case) -> control.StateSpace | None:
-    """The loop of a case linearised about its pose, from demand to motion.
-
-    The response to a chirp of the case tends to that of the loop, as its amplitude goes to zero.
+    """The loop of a case linearised about its pose, which a chirp tends to as it gets smaller.
 
     At the report's amplitude the valves' mean opening damps the legs and the load takes pressure
     from the valves, which moves -90 deg. None for what has no linearisation, such as dry friction,
@@ -264,8 +255,7 @@ SMALL = 0.15
 
 _STEP_TIME, _DURATION = 0.5, 12.0  #: Step and end of the run of the simulated verdict [s].
 _WINDOW, _FIRST_WINDOW = 2.0, 2.5
-"""Length of the two windows compared, and begin of the first after the step [s]; the second is the
-last of the run."""
+"""Length of two windows and begin of the first after the step [s]; the second ends the run."""
 _NO_SWING, _LIMIT_CYCLE = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 

@@ -50,8 +50,7 @@ SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parque
 Row = dict[str, Any]  #: One result: JSON values by the name of their column.
 
 _LIBRARIES = ("mujoco", "numpy", "scipy", "numba")  #: Their versions belong to a study.
-_CHECKSUM = slice(None, 9)  #: Characters of a line that hold its checksum.
-_ENTRY = slice(9, None)  #: Those that hold number and rows of a task.
+_CHECKSUM, _ENTRY = slice(None, 9), slice(9, None)  #: Characters of a line.
 _ROOT = Path(__file__).resolve().parents[1]
 _SOURCES = (("*.py", _ROOT), ("*.toml", _ROOT), ("*.xml", models.directory()))
 
@@ -110,12 +109,12 @@ class Journal:
         content = path.read_bytes() if path.exists() else b""
         *lines, unfinished_line = content.split(b"\n")
         sound_lines = [line for line in lines if self._keep(line)]
-        damaged = len(lines) - len(sound_lines)
-        if unfinished_line or damaged:
+        count = len(lines) - len(sound_lines)
+        if unfinished_line or count:
             write_text(path, b"".join(line + b"\n" for line in sound_lines).decode())
-        if damaged:
-            text = f"{damaged} of {len(lines)} lines are damaged; their tasks run again"
-            print(f"cmf: {path}: {text}", file=sys.stderr)
+        if count:
+            damaged = f"{count} of {len(lines)} lines are damaged"
+            print(f"cmf: {path}: {damaged}; their tasks run again", file=sys.stderr)
 
     def _keep(self, line: bytes) -> bool:
         """Keep the result of a line; false where it is not as it was written."""
@@ -143,25 +142,19 @@ def _checksum(entry: bytes) -> bytes:
 
 def _entries_by_path(identity: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of an identity and of the tables in it, by path."""
-    entries: dict[str, Any] = {}
-    for name, value in identity.items():
-        if isinstance(value, dict):
-            entries |= {f"{name}.{key}": entry for key, entry in value.items()}
-        else:
-            entries[name] = value
-    return entries
+    return {
+        f"{name}.{key}" if key else name: entry
+        for name, value in identity.items()
+        for key, entry in (value.items() if isinstance(value, dict) else [("", value)])
+    }
 
 
 @lru_cache
 def _source_digest() -> str:
     """Digest of all sources that results can depend on: not of those that draw and print them."""
-    paths = {
-        path.relative_to(root).as_posix(): path
-        for pattern, root in _SOURCES
-        for path in root.rglob(pattern)
-    }
     digest = hashlib.sha256()
-    for name, path in sorted(paths.items()):
+    paths = [(root, path) for pattern, root in _SOURCES for path in root.rglob(pattern)]
+    for name, path in sorted((path.relative_to(root).as_posix(), path) for root, path in paths):
         if path.parent.name not in ("cli", "ready") and not name.startswith("show/"):
             digest.update(json.dumps([name, path.read_text(encoding="utf-8")]).encode())
     return digest.hexdigest()
@@ -170,7 +163,7 @@ def _source_digest() -> str:
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
 
-_ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?(?P<host>[^/:\s]+):(?P<port>[0-9]{1,5})")
+_ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?([^/:\s]+):([0-9]{1,5})")
 _ANSWER_TIME = 5.0  #: Time that a scheduler has to answer [s].
 
 Progress = Callable[[int, int], None]  #: Called with (tasks done, tasks in all).
@@ -249,9 +242,9 @@ class Workers:
         if address is None:
             allowed = "allowed: an address such as tcp://host:8786"
             raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
+        host, port = address.groups()
         try:
-            place = address["host"], int(address["port"])
-            socket.create_connection(place, _ANSWER_TIME).close()
+            socket.create_connection((host, int(port)), _ANSWER_TIME).close()
         except (OSError, OverflowError) as error:
             allowed = "allowed: the address of a Dask scheduler that runs"
             raise InputError(f"scheduler: {self.scheduler}: {error}; {allowed}") from error
@@ -371,13 +364,9 @@ def _start_workers(workers: Workers) -> Iterator[int]:
         with parallel_config(backend=workers.backend, n_jobs=workers.jobs, **threads):
             yield workers.jobs
         return
-    options: dict[str, Any] = {
-        "n_workers": workers.jobs,
-        "threads_per_worker": 1,
-        "dashboard_address": None,
-    }
-    if workers.scheduler is not None:
-        options = {"address": workers.scheduler}
+    options: dict[str, Any] = {"address": workers.scheduler}
+    if workers.scheduler is None:
+        options = {"n_workers": workers.jobs, "threads_per_worker": 1, "dashboard_address": None}
     with require("distributed", "cluster").Client(**options) as client:
         count = max(1, sum(client.nthreads().values()))
         with parallel_config(backend=workers.backend, n_jobs=count, client=client):

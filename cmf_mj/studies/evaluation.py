@@ -83,11 +83,7 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     sensors = mismatch.apply(values, ideal, "mismatched")
     if settings.method == "linear":
         of_channels = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
-        errors = {
-            channel: np.array([error.si for error in of_legs])
-            for channel, of_legs in of_channels.items()
-            if of_legs
-        }
+        errors = {key: np.array([e.si for e in legs]) for key, legs in of_channels.items() if legs}
         return _linear_rows(case, plant, errors, {} if shared is None else shared)
     chain = ElectronicsSettings(seed=settings.seed) if "electronics" in rung.effects else None
     if sensors is not ideal:
@@ -134,9 +130,8 @@ def _linear_rows(
     if response is None:
         return [StudyRow(dof, of_dof, _NONE) for dof, of_dof in zip(DOFS, measures, strict=True)]
     # The motion of a leg is the reading of its sensor over the sensor's gain.
-    jacobian = linear.jacobian
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
-    pose_per_reading = np.linalg.solve(jacobian, jacobian / gains[:, None])
+    pose_per_reading = np.linalg.solve(linear.jacobian, linear.jacobian / gains[:, None])
     true_response = np.einsum("ij,jkf->ikf", pose_per_reading, response)
     shares = crosstalk(true_response, REPORT_AMPLITUDES)
     return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]

@@ -54,7 +54,6 @@ FALL_RATIO = 2.5
 """Least speed of a fall at the first stop, over the settle speed; assumed: 10 in/s at the CMF."""
 LARGEST_ERROR = 6.0 / 38.0
 """Of a leg that follows, over its half stroke: 6 in of the CMF, where protection finds a fault."""
-
 _STILL = 1e-3  #: Swing over the last second, or distance from the demand, that is none [m].
 _AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
 _RECORD_RATE = 256  #: Rows of the record that is kept, a second, at least [Hz].
@@ -246,17 +245,17 @@ def _frames(record: Record, channel: str) -> Array:
 
 def _axial_load(record: Record) -> Array:
     """Axial loads of the legs [N], (N - 1, 6)."""
-    side = np.sign(_frames(record, "leg_extension"))
-    return np.asarray(_frames(record, "leg_force") - side * _frames(record, "stop_force"))
+    stop = np.sign(_frames(record, "leg_extension")) * _frames(record, "stop_force")
+    return np.asarray(_frames(record, "leg_force") - stop)
 
 
 def _crew_acceleration(record: Record, plant: Hexapod) -> Array:
     """Acceleration at the crew's heads in world axes, z up [m/s^2], (N - 1, 3)."""
     start = plant.model.joint("platform").qposadr[0] + 3
     quaternion = _frames(record, "generalised_position")[:, start : start + 4]
-    force = _frames(record, "crew_accelerometer").copy()
-    turned = Rotation.from_quat(quaternion, scalar_first=True).apply(force)
-    return np.asarray(turned + plant.model.opt.gravity)
+    turn = Rotation.from_quat(quaternion, scalar_first=True)
+    force = turn.apply(_frames(record, "crew_accelerometer").copy())
+    return np.asarray(force + plant.model.opt.gravity)
 
 
 def _kept_record(record: Record, plant: Hexapod, load: Array, acceleration: Array) -> Record:
@@ -349,7 +348,7 @@ def run_failure(
     poses (N, 6) at the machine's control rate, stands in for the sine and must be longer than
     `event.at`. `protection` is `default`, a TOML file, or None for none.
     """
-    case = make_case("velocity") if case is None else case
+    case = case or make_case("velocity")
     check_name("plant", case.plant, [Hexapod.name])
     plant = Hexapod(case.cab, case.hydraulics)
     if command is None:
@@ -376,10 +375,8 @@ def run_failure(
 
 def _case_sine(case: Case, frequency: float, at: float, after: float) -> Command:
     """The sine of a case about its pose, within the limits of the machine."""
-    amplitude = case.amplitude
-    if amplitude is None:
-        travel = relative_travel(case.motion_base, case.dof)
-        amplitude = by_kind(case.dof, TRANSLATION, ROTATION) * travel
+    default = by_kind(case.dof, TRANSLATION, ROTATION)
+    amplitude = case.amplitude or default * relative_travel(case.motion_base, case.dof)
     command = faded_sine(case.dof, amplitude, frequency, at=at, after=after)
     command = Command(command.pose + np.asarray(case.pose), command.signal, command.seed)
     check_limits(command, machine=case.motion_base)

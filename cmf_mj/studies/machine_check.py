@@ -45,8 +45,7 @@ strokes, and the least slip, feet for inches, makes 18 of them."""
 LARGEST_OFFSET = 0.01  #: Of the upper gimbals' centroid from the origin, over their radius.
 
 _ROUNDING = 1e-6  #: Share of a reach by which a limit may be beyond it, for its digits.
-_STATUS_TEXTS = {"recalled": "recalled from general knowledge, not checked"}
-"""Statuses that need a word more, see `core.quantity`."""
+_STATUS_TEXTS = {"recalled": "recalled from general knowledge, not checked"}  #: Of statuses.
 
 Array = NDArray[np.float64]
 
@@ -91,10 +90,18 @@ CABS = (
 
 def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
     """The report: limits of each degree of freedom, each cab on its legs, and the rest in lines."""
+    rows = []
+    for dof, reach, axis in zip(DOFS, check.envelope, check.limits.axes, strict=True):
+        unit = by_kind(dof, "m", "deg")
+        ends = (units.from_si(unit, end) for end in (*reach, *axis.operational.si))
+        speed = units.from_si(unit, axis.velocity.si)
+        rows.append((dof, *ends, axis.operational.status, speed, f"{unit}, {unit}/s"))
+    ends_of = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
+    columns = ("dof", *ends_of, "status", ("largest rate", ".3g"), "units")
     push, pull = 1e-3 * check.stall
     neutral = check.machine.geometry.neutral
     return [
-        _envelope_table(check),
+        Table(f"{check.machine.name}: envelope", columns, rows),
         Result(check.cabs, CABS, f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"),
         f"neutral legs {neutral.min():.4f} to {neutral.max():.4f} m from gimbal to gimbal",
         f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
@@ -110,19 +117,6 @@ def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
     ]
 
 
-def _envelope_table(check: MachineCheck) -> Table:
-    """Excursions that the legs reach beside the operational limits, a row a degree of freedom."""
-    rows = []
-    for dof, reach, axis in zip(DOFS, check.envelope, check.limits.axes, strict=True):
-        unit = by_kind(dof, "m", "deg")
-        ends = (units.from_si(unit, end) for end in (*reach, *axis.operational.si))
-        speed = units.from_si(unit, axis.velocity.si)
-        rows.append((dof, *ends, axis.operational.status, speed, f"{unit}, {unit}/s"))
-    ends_of = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
-    columns = ("dof", *ends_of, "status", ("largest rate", ".3g"), "units")
-    return Table(f"{check.machine.name}: envelope", columns, rows)
-
-
 def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     """Look at a machine with all its cabs.
 
@@ -135,31 +129,36 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     limits = load_motion_limits(None, machine)
     cabs = tuple(map(_check_cab, plants))
     radius = float(np.linalg.norm(machine.geometry.upper[:, :2], axis=1).mean())
-    places = envelope_poses(plant, poses)
-    envelope = _check_envelope(plant, places, radius)
+    envelope = envelope_poses(plant, poses)
+    conditions, gap, singular_pose = _check_envelope(plant, envelope, radius)
     faults = [fault for cab in cabs for fault in _cab_faults(cab, limits)]
-    if envelope.singular_pose is not None:
+    if singular_pose is not None:
         faults.append(
-            "legs.working_stroke: reaches across a singular pose, at "
-            f"{_pose_text(envelope.singular_pose)}; allowed: a stroke that keeps det J of the sign "
-            "it has at neutral"
+            f"legs.working_stroke: reaches across a singular pose, at {_pose_text(singular_pose)}; "
+            "allowed: a stroke that keeps det J of the sign it has at neutral"
         )
-    worst = int(np.argmax(envelope.conditions))
-    if envelope.conditions[worst] > POOR_CONDITION and not faults:
+    worst = int(np.argmax(conditions))
+    if conditions[worst] > POOR_CONDITION and not faults:
         faults.append(
-            f"legs.working_stroke: condition number {envelope.conditions[worst]:.3g} at "
-            f"{_pose_text(places[worst])}; allowed: below {POOR_CONDITION:g}"
+            f"legs.working_stroke: condition number {conditions[worst]:.3g} at "
+            f"{_pose_text(envelope[worst])}; allowed: below {POOR_CONDITION:g}"
         )
     faults += _proportion_faults(machine, radius)
     faults += _reach_faults(machine, limits)
-    faults += _clearance_faults(machine, places, plant.parameters.rod_diameter.si)
+    rod = plant.parameters.rod_diameter.si
+    clearance, (first, second), closest = _clearance(machine, envelope)
+    if clearance < rod:
+        faults.append(
+            f"gimbals: the axes of legs {first} and {second} come within {clearance:.3g} m of each "
+            f"other at {_pose_text(closest)}; allowed: at least a rod's diameter, {rod:.3g} m"
+        )
     return MachineCheck(
         machine=machine,
         limits=limits,
         envelope=excursion_envelope(None, machine),
-        gap=envelope.gap,
-        neutral_condition=envelope.conditions[0],
-        worst_condition=envelope.conditions[worst],
+        gap=gap,
+        neutral_condition=conditions[0],
+        worst_condition=conditions[worst],
         stall=stall_forces(plant.hydraulics).min(axis=0),
         cabs=cabs,
         statuses=_names_by_status(machine),
@@ -167,15 +166,10 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     )
 
 
-class _Envelope(NamedTuple):
-    """What poses show, up to the first beyond a singular one."""
-
-    conditions: list[float]  #: Condition numbers, pose by pose.
-    gap: float  #: Largest gap of a gimbal [m].
-    singular_pose: Array | None  #: Where det J has not the sign of neutral.
-
-
-def _check_envelope(plant: Hexapod, poses: Array, radius: float) -> _Envelope:
+def _check_envelope(
+    plant: Hexapod, poses: Array, radius: float
+) -> tuple[list[float], float, Array | None]:
+    """Condition numbers, largest gap of a gimbal [m], and the first pose past a singular one."""
     conditions, gaps, neutral_sign = list[float](), list[float](), 0.0
     for pose in poses:
         jacobian = leg_jacobian(pose, plant.machine)
@@ -184,11 +178,11 @@ def _check_envelope(plant: Hexapod, poses: Array, radius: float) -> _Envelope:
         sign = float(np.sign(np.linalg.det(jacobian)))
         neutral_sign = neutral_sign or sign
         if sign != neutral_sign:
-            return _Envelope(conditions, max(gaps), pose)
+            return conditions, max(gaps), pose
         plant.place(pose)
         sites = plant.data.site_xpos[plant.gimbal_sites]
         gaps.append(float(np.linalg.norm(sites[:, 0] - sites[:, 1], axis=1).max()))
-    return _Envelope(conditions, max(gaps), None)
+    return conditions, max(gaps), None
 
 
 def _check_cab(plant: Hexapod) -> CabCheck:
@@ -209,9 +203,8 @@ def _check_cab(plant: Hexapod) -> CabCheck:
 
 
 def _cab_faults(cab: CabCheck, limits: MotionLimits) -> Iterator[str]:
-    """Static loads and leg speeds that do not leave what the limits ask for."""
-    heave = limits.axes[DOFS.index("heave")]
-    largest_share = 1.0 / (1.0 + heave.acceleration.si / units.STANDARD_GRAVITY)
+    heave = limits.axes[DOFS.index("heave")].acceleration.si
+    largest_share = 1.0 / (1.0 + heave / units.STANDARD_GRAVITY)
     if cab.share > largest_share:
         yield (
             f"cabs.{cab.cab}: its static load is {cab.share:.0%} of a leg's force at the supply's "
@@ -252,57 +245,32 @@ def _reach_faults(machine: Machine, limits: MotionLimits) -> Iterator[str]:
             unit = by_kind(dof, "m", "deg")
             low, high = (units.from_si(unit, end) for end in ends)
             lowest, highest = (units.from_si(unit, end) for end in reach)
-            margin_low, margin_high = _ROUNDING * abs(lowest), _ROUNDING * highest
-            if low < lowest - margin_low or high > highest + margin_high:
+            if low < lowest - _ROUNDING * abs(lowest) or high > highest + _ROUNDING * highest:
                 yield (
                     f"limits.{dof}.{kind}: {low:.4g} to {high:.4g} {unit}; allowed: within "
                     f"{lowest:.4g} to {highest:.4g} {unit}, where legs.{field} ends"
                 )
 
 
-class _Clearance(NamedTuple):
-    """The least distance of two leg axes."""
+def _clearance(machine: Machine, poses: Array) -> tuple[float, tuple[int, int], Array]:
+    """Least distance of two leg axes [m] over poses (N, 6), which legs, from 1, and the pose.
 
-    distance: float  #: [m].
-    legs: tuple[int, int]  #: From 1.
-    pose: Array
-
-
-def _clearance_faults(machine: Machine, poses: Array, rod_diameter: float) -> Iterator[str]:
-    clearance = _clearance(machine, poses)
-    if clearance.distance < rod_diameter:
-        first, second = clearance.legs
-        yield (
-            f"gimbals: the axes of legs {first} and {second} come within {clearance.distance:.3g} "
-            f"m of each other at {_pose_text(clearance.pose)}; allowed: at least a rod's diameter, "
-            f"{rod_diameter:.3g} m"
-        )
-
-
-def _clearance(machine: Machine, poses: Array) -> _Clearance:
-    """Least clearance of all pairs of legs over poses (N, 6).
-
-    The points s and t of two segments that are closest (C. Ericson, Real-Time Collision Detection,
-    2005, section 5.1.9): t for s on the lines, s again for t within its segment.
+    Legs are segments, see C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
     upper, lower = machine.geometry.upper, machine.geometry.lower
     turned = np.array([rotation(*pose[3:]) @ upper.T for pose in poses]).transpose(0, 2, 1)
     legs = poses[:, None, :3] + turned - lower  # from the lower gimbal up, (N, 6, 3)
     i, j = np.triu_indices(6, 1)
     first, second, between = legs[:, i], legs[:, j], lower[i] - lower[j]
-    a, b, e = _dot(first, first), _dot(first, second), _dot(second, second)
-    c, f = _dot(first, between), _dot(second, between)
+    a, b = (first * first).sum(axis=-1), (first * second).sum(axis=-1)
+    c, e = (first * between).sum(axis=-1), (second * second).sum(axis=-1)
+    f = (second * between).sum(axis=-1)
     s = np.clip((b * f - c * e) / np.maximum(a * e - b * b, 1e-12 * a * e), 0.0, 1.0)
     t = np.clip((b * s + f) / e, 0.0, 1.0)
     s = np.clip((b * t - c) / a, 0.0, 1.0)
     distance = np.linalg.norm(between + s[..., None] * first - t[..., None] * second, axis=-1)
     row, pair = np.unravel_index(int(distance.argmin()), distance.shape)
-    pair_of_legs = int(i[pair]) + 1, int(j[pair]) + 1
-    return _Clearance(float(distance[row, pair]), pair_of_legs, poses[row])
-
-
-def _dot(first: Array, second: Array) -> Array:
-    return np.asarray((first * second).sum(axis=-1))
+    return float(distance[row, pair]), (int(i[pair]) + 1, int(j[pair]) + 1), poses[row]
 
 
 def _pose_text(pose: Array) -> str:

@@ -183,12 +183,9 @@ class StudyCase:
     def columns(self) -> dict[str, int | str | float]:
         """The case in the table of results."""
         case = self.case
-        return {
-            **{"case": self.number, "method": self.settings.method, "rung": self.rung},
-            "cab": case.cab_name,
-            **{f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)},
-            **{"draw": self.draw, "law": case.law.name},
-        }
+        study = {"case": self.number, "method": self.settings.method, "rung": self.rung}
+        pose = {f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)}
+        return study | {"cab": case.cab_name} | pose | {"draw": self.draw, "law": case.law.name}
 
 
 @dataclass(frozen=True)
@@ -205,8 +202,7 @@ class Study:
         """All cases, numbered from 0."""
         settings, amplitude = self.settings, self.settings.amplitude * units.INCH
         dofs = settings.dofs if settings.method == "sweep" else [""]
-        draws = range(NOMINAL, settings.draws)
-        cases: list[StudyCase] = []
+        cases, draws = list[StudyCase](), range(NOMINAL, settings.draws)
         for rung, cab, pose, draw in product(settings.rungs, self.cabs, settings.poses, draws):
             si_pose = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
             how: dict[str, Any] = {"quick": settings.quick, "pose": si_pose}
@@ -275,8 +271,7 @@ def _check_settings(settings: StudySettings) -> None:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
     is_linear = settings.method == "linear"
-    for name, unknown in settings.mismatch.items():
-        path = unknown.path
+    for name, path in ((name, unknown.path) for name, unknown in settings.mismatch.items()):
         if path.startswith("machine."):
             raise InputError(f"mismatch.{name}: {path}: a study varies all but the machine")
         is_electronic = path.startswith("electronics.") and not path.endswith(".gain_errors.*")

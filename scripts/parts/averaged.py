@@ -32,7 +32,7 @@ from cmf_mj.report_2014.posterior.run import Task
 from cmf_mj.report_2014.posterior.study import effect_settings, load_effects
 from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.studies.certificate import QUICK, certify
-from cmf_mj.studies.certificate_box import load_box
+from cmf_mj.studies.certificate_family import load_box
 from cmf_mj.studies.fit.sampling import effective_size, quantiles
 
 EFFORT = QUICK._replace(samples=30, starts=1, rounds=1, poses=1)  #: Bounds at neutral alone.
@@ -92,7 +92,7 @@ def proven(one: Drawn, cab: str, law: Law, at: Path) -> float:
     """Scale of the unit box within which all machines about this one are stable."""
     plant = one.machines[cab].plant
     assert isinstance(plant, Hexapod)
-    return certify(plant, one.law(law), at, load_box(), EFFORT, friction="none").proven_scale
+    return certify(plant, one.law(law), at, load_box(), EFFORT, friction="none").proven
 
 
 def spans(shipped: float, values: np.ndarray) -> tuple[str, str]:

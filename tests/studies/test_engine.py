@@ -24,7 +24,7 @@ from shared import cmf
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.studies import engine
 from cmf_mj.studies.engine import JOURNAL, RESULTS, Journal, Row, run_study
-from cmf_mj.studies.evaluation import failed
+from cmf_mj.studies.evaluation import error_row
 from cmf_mj.studies.settings import Study, StudyCase, load_study, study_table
 
 SPECIFICATION = """
@@ -355,7 +355,7 @@ def test_bad_specifications_are_refused(
 
 def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) -> None:
     journal = Journal(tmp_path, study.identity())
-    row = failed(ValueError("x"))._replace(
+    row = error_row(ValueError("x"))._replace(
         measures=Measures(overshoot=np.nextafter(0.1, 1.0)), dof="surge"
     )
     journal.add(0, [row.columns])
