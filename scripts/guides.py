@@ -22,7 +22,7 @@ from cmf_mj.facility.run import Run
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.studies.diagnosis import Number, diagnose, moved_machine, numbers_of, slopes
-from cmf_mj.studies.guide import FILE, Bench, bench, head_of, load_guide, run_guide
+from cmf_mj.studies.guide import FILE, Bench, load_guide, make_bench, make_head, run_guide
 from cmf_mj.studies.guide_check import compare, load_master
 
 MACHINES = ("cmf", "simona", "lab")
@@ -56,7 +56,7 @@ OFF = {
 class Way(NamedTuple):
     """How machines come to a bench and are recorded."""
 
-    bench: Callable[..., Bench] = bench  #: From guide and machine.
+    bench: Callable[..., Bench] = make_bench  #: From guide and machine.
     record: Callable[[Run], Record] = Run.record
 
 
@@ -153,11 +153,11 @@ def _master(
     on, seed = way.bench(guide, machine), int(own or options.seed)
     key = MACHINES.index(machine) if machine in MACHINES else 99
     plant = hidden(on.plant, np.random.default_rng([seed, key]))
-    head, folder = head_of(on, machine=machine), out / named
+    head, folder = make_head(on, machine=machine), out / named
     if not (folder / FILE).exists():
         how = {"jobs": options.jobs, "plant": plant, "record": way.record}
         run_guide(on, head, folder, seed=seed, **how)
-    master = load_master(folder, on=on)
+    master = load_master(folder, bench=on)
     return plant, seed, on, head, master, slopes(master, options.jobs)
 
 
@@ -176,7 +176,7 @@ def _check(
     machine = moved_machine(plant, ElectronicsSettings(), moved)
     again = {"repetitions": options.repetitions, "jobs": options.jobs, "record": way.record}
     run_guide(on, head, folder, seed=int(draw.integers(1, 2**31)), **again, **machine)
-    since = load_master(folder, on=on)
+    since = load_master(folder, bench=on)
     found = any(row.verdict in ("changed", "beyond its limit") for row in compare(master, since))
     causes = diagnose(master, since, slope, options.jobs) if found else []
     shutil.rmtree(folder)

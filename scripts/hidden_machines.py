@@ -42,7 +42,7 @@ from cmf_mj.studies.fit.campaign import FILE
 from cmf_mj.studies.fit.plan import LEAD, Planned, Workspace, plan_campaign, record_campaign
 from cmf_mj.studies.tuning.evaluation import least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import Template, make_template
-from cmf_mj.studies.tuning.search import Requirements, judged, search
+from cmf_mj.studies.tuning.search import Requirements, judge, search
 
 RESULT, TIME, LAWS = "numbers.csv", "time.json", "laws.json"  #: In the folder of a fit.
 SEEDS = (1, 2, 3)  #: Of the searches for a law.
@@ -179,7 +179,7 @@ def _fit(campaign: Path, folder: Path, jobs: int) -> None:
     began, used = time.monotonic(), time.process_time()
     posterior = fit_campaign(load_campaign(campaign), folder, jobs=jobs)
     results.save(posterior, folder)
-    spent, held = time.process_time() - used, doubt.predicted(posterior)
+    spent, held = time.process_time() - used, doubt.predictions(posterior)
     off = {
         "seconds": time.monotonic() - began,
         "cpu": spent,
@@ -265,7 +265,7 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
             how: dict[str, Any] = {"seeds": (None,), "evaluations": options.laws, "seed": seed}
             law = search(template, Requirements(), **how).law
             carried = _carried(law, plants)
-            performance, _ = judged(carried, templates["truth"], Requirements(), (None,))
+            performance, _ = judge(carried, templates["truth"], Requirements(), (None,))
             slowest.setdefault(key, []).append(float(performance.phase_hz.min()))
             found.setdefault(key, law)
     box, plant = load_box(folder / "box.toml"), plants["fit"]

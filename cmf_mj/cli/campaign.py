@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -114,18 +112,6 @@ Campaign = Annotated[
 ]
 
 
-@contextmanager
-def _fitted(campaign: Path, folder: Path, jobs: int) -> Iterator[tuple[Any, Any]]:
-    """A fit, and what says on the bar, which goes on, what is done with it."""
-    from cmf_mj.studies.fit.campaign import load_campaign
-    from cmf_mj.studies.fit.engine import fit
-
-    with progress_bar("reading recordings", seconds=True) as bar:
-        doing = partial(bar, 0.0, None)
-        doing("reading recordings")
-        yield fit(load_campaign(campaign), folder, jobs=jobs, progress=echo, doing=doing), doing
-
-
 @options.drawing(partial(app.command, rich_help_panel="Studies"))("fit")
 def fit_command(
     campaign: Campaign,
@@ -141,39 +127,24 @@ def fit_command(
     from cmf_mj.show.fit import figures
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.fit import doubt, results
+    from cmf_mj.studies.fit.engine import fit
 
     jobs = jobs or os.cpu_count() or 1
-    with _fitted(campaign, out, jobs) as (posterior, doing):
-        doing("looking for what speaks against it")
+    with progress_bar("reading recordings", seconds=True) as bar:
+        announce = partial(bar, 0.0, None)
+        announce("reading recordings")
+        posterior = fit(campaign, out, jobs=jobs, progress=echo, announce=announce)
+        announce("looking for what speaks against it")
         doubts = doubt.doubt(posterior, jobs, effects=effects)
     posterior = doubts.widened(posterior)
     results.save(posterior, out)
     table = results.numbers(posterior)
     drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
     if doubts.stated:
-        stated = Result(doubts.stated, fields_of(doubt.Stated)).table
+        stated = Result(doubts.stated, fields_of(doubt.StatedNumber)).table
         drawn |= {"stated.csv": stated.save}
     files = save_files(drawn, out)
     show(table, *doubts.tables(), doubts.verdict, written(files, out))
-
-
-@campaigns.command("next")
-def next_command(
-    campaign: Campaign,
-    plan: Annotated[Path, Argument(metavar="PLAN", help="folder of `cmf campaign plan`")],
-    number: Annotated[str, Option(help="to be known better, or `damping` of the law")] = "damping",
-    jobs: options.Jobs = None,
-    fitted: Annotated[Path, Option("--fit", metavar="FOLDER", help="of the fit")] = Path("out/fit"),
-) -> None:
-    """Say which planned recording would narrow a number most, after a fit."""
-    from cmf_mj.core.result import Result, fields_of
-    from cmf_mj.studies.fit.worth import Worth, worth
-
-    jobs = jobs or os.cpu_count() or 1
-    with _fitted(campaign, fitted, jobs) as (posterior, doing):
-        doing("recording the plan")
-        rows = worth(posterior, plan, number, jobs)
-    show(Result(rows, fields_of(Worth), f"What to record next for {number}").table)
 
 
 guides = typer.Typer(no_args_is_help=True, help="Test guides: make a master, check against it.")
@@ -193,11 +164,11 @@ def _with_cueing() -> None:
 
 def _bench(guide: str, out: Path, **named: Any) -> Any:
     """A guide on a machine with its head, to stand in the folder of results."""
-    from cmf_mj.studies.guide import bench, head_of, load_guide
+    from cmf_mj.studies.guide import load_guide, make_bench, make_head
 
     _with_cueing()
-    on = bench(load_guide(guide), **named)
-    return on, head_of(on, out, **named)
+    on = make_bench(load_guide(guide), **named)
+    return on, make_head(on, out, **named)
 
 
 @guides.command("plan")

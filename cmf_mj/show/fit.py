@@ -15,14 +15,14 @@ from cmf_mj.analysis.identification import Identified
 from cmf_mj.core.result import Table, number
 from cmf_mj.show import look
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, stack
-from cmf_mj.studies.fit.doubt import FAR, Stated
+from cmf_mj.studies.fit.doubt import FAR, StatedNumber
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
 
 _SHOWN = 4.0  #: Seconds of a recording.
 
 
-def figures(posterior: Posterior, rows: Sequence[Stated]) -> dict[str, Figure]:
+def figures(posterior: Posterior, rows: Sequence[StatedNumber]) -> dict[str, Figure]:
     """Figures by file name; `rows` are what is stated."""
     found = {"recordings.png": recordings(posterior)} if posterior.campaign.recordings else {}
     return found | ({"stated.png": stated(rows)} if rows else {})
@@ -37,29 +37,31 @@ def recordings(posterior: Posterior) -> Figure:
     scale, unit = (1e-5, "bar") if channel != "leg_position" else (1e3, "mm")
     label = f"{channel.replace('_', ' ')} 1 [{unit}]"
     figure, rows = stack(7.0, 2.0 * len(pieces) + 1.0, *[label] * len(pieces))
-    for axes, one in zip(rows, pieces, strict=True):
-        found = model.simulated(one, posterior.z, machine)
-        since = one.since - one.since[0]
-        shown = since <= _SHOWN
-        axes.plot(since[shown], scale * one.measured[channel][shown, 0], label="measured")
-        axes.plot(since[shown], scale * found[channel][shown, 0], "--", label="fitted machine")
-        axes.set_title(f"{channel.replace('_', ' ')} of leg 1, {one.name.replace('_', ' ')}")
+    for axes, piece in zip(rows, pieces, strict=True):
+        simulated = model.simulate(piece, posterior.z, machine)
+        time = piece.time - piece.time[0]
+        shown = time <= _SHOWN
+        axes.plot(time[shown], scale * piece.measured[channel][shown, 0], label="measured")
+        axes.plot(time[shown], scale * simulated[channel][shown, 0], "--", label="fitted machine")
+        axes.set_title(f"{channel.replace('_', ' ')} of leg 1, {piece.name.replace('_', ' ')}")
     legend(rows[0])
     return figure
 
 
-def stated(rows: Sequence[Stated]) -> Figure:
+def stated(rows: Sequence[StatedNumber]) -> Figure:
     """What is stated: how far the fitted machine is off, with the spread of what is open."""
     figure = new_figure(7.5, 1.3 + 0.21 * len(rows), gridded=False)
     axes = figure.add_subplot()
     axes.axvspan(-FAR, FAR, color="0.92")
     axes.axvline(0.0, color=GREY, linewidth=0.8)
-    known = [(place, one) for place, one in enumerate(rows) if np.isfinite(one.off)]
+    known = [(place, one) for place, one in enumerate(rows) if np.isfinite(one.error)]
     for role, colour in (("fitted", BLUE), ("held back", ORANGE)):
-        mine = [(one.off, place) for place, one in known if one.role == role]
+        mine = [(one.error, place) for place, one in known if one.role == role]
         if mine:
             axes.plot(*zip(*mine, strict=True), "o", color=colour, label=role)
-    axes.set_yticks(range(len(rows)), [f"{one.evidence}, {one.what}" for one in rows], fontsize=8)
+    axes.set_yticks(
+        range(len(rows)), [f"{one.evidence}, {one.quantity}" for one in rows], fontsize=8
+    )
     axes.invert_yaxis()
     axes.set(xlabel="fitted machine less what is stated [deviations]")
     axes.set_title("What is stated of the machine")

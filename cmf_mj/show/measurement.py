@@ -19,7 +19,7 @@ from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.show import look
 from cmf_mj.studies.diagnosis import Cause
 from cmf_mj.studies.guide_check import Compared, Master
-from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven
+from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven_responses
 
 RESPONSE = tuple(
     Field("", title, form, "", path, about=about)
@@ -112,7 +112,7 @@ def overplot(master: Master, new: Master, name: str) -> Figure:
         axes[0].plot(at, one, "--", color=look.ORANGE, lw=0.9, label="now")
         axes[1].plot(at, one - mean, color=look.ORANGE, lw=0.7)
         axes[2].plot(at, other, "--", color=look.ORANGE, lw=0.9)
-    said = master.bench.of[name].title.lower()
+    said = master.bench.tests[name].title.lower()
     axes[0].set_title(f"Motion in {DOFS[axis]}, {said} ({name.replace('_', ' ')})")
     look.legend(figure)
     return figure
@@ -123,13 +123,13 @@ def _pictures(master: Master, new: Master) -> dict[str, Figure]:
     drawn = {}
     for name in [name for name in master.records if name in new.records]:
         drawn[f"{name}.png"] = overplot(master, new, name)
-        if "response" in master.bench.of[name].measures:
+        if "response" in master.bench.tests[name].measures:
             curves: dict[str, Any] = {}
             for when, one in {"": master, ", now": new}.items():
                 if not when or new is not master:
-                    own, _ = driven(one.records[name][0])
+                    own, _ = driven_responses(one.records[name][0])
                     curves |= {f"{dof}{when}": response for dof, response in own.items()}
-            title = f"Gain and phase, first repetition: {master.bench.of[name].title.lower()}"
+            title = f"Gain and phase, first repetition: {master.bench.tests[name].title.lower()}"
             drawn[f"{name}_bode.png"] = look.bode_figure(title, curves, limits=True)[0]
     return drawn
 
@@ -137,13 +137,13 @@ def _pictures(master: Master, new: Master) -> dict[str, Figure]:
 def _about(master: Master) -> list[Table | str]:
     """What a guide is, on which machine, and its recordings."""
     head, on = master.head, master.bench
-    known = ", ".join(f"{key} {value}" for key, value in on.known.items())
+    known = ", ".join(f"{key} {value}" for key, value in on.identity.items())
     made = "simulated with noisy electronics" if head.simulated else "recorded"
     rows = []
-    for name, one in on.of.items():
+    for name, one in on.tests.items():
         limit = ", ".join(f"{k} up to {v:g}" for k, v in one.limits.items()) or one.no_limit
         done = str(len(master.records.get(name, ())))
-        rows.append((name, one.source, one.conditions, f"{on.use[name]:.0%}", done, limit))
+        rows.append((name, one.source, one.conditions, f"{on.used_share[name]:.0%}", done, limit))
     left = list({**on.impossible, **head.left_out}.items())
     columns = ("test", "source", "conditions", "use of limits", "repetitions", "limit, or why none")
     return [

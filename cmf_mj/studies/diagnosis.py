@@ -31,18 +31,18 @@ from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.fit.model import without_noise
-from cmf_mj.studies.guide import Bench, simulated
-from cmf_mj.studies.guide_check import Master, signed
-from cmf_mj.studies.measurement import SIGNED, signature
+from cmf_mj.studies.guide import Bench, simulate_test
+from cmf_mj.studies.guide_check import Master, compare_signatures
+from cmf_mj.studies.measurement import SIGNATURE_CHANNELS, signature
 
 Array = NDArray[np.float64]
 
-_OFF = (0.01, 0.03, 0.1)  # eps
-_WIDE = 3.0  # deviation of a number before the check, in its own size
-_DAMPED = 0.03  # damping after a step that gains nothing, then ten times it
-_TRIED, _ROUNDS, _STEPS = 4, 3, 3  # hypotheses that are simulated, rounds, steps of each
-_SHOWN = 0.01  # least probability of a cause that is listed
-_PRIOR = {0: 0.05, 1: 0.7, 2: 0.25}  # of none of these, of one number, of two, together
+_MODEL_ERRORS = (0.01, 0.03, 0.1)  #: The values of eps.
+_WIDTH = 3.0  #: Deviation of a number before the check, in its own size.
+_DAMPING = 0.03  #: After a step that gains nothing, then ten times it.
+_SIMULATED, _ROUNDS, _STEPS = 4, 3, 3  #: Hypotheses of a round, rounds, steps of a hypothesis.
+_LISTED = 0.01  #: Least probability of a cause that is listed.
+_PRIOR_NONE, _PRIOR_ONE, _PRIOR_TWO = 0.05, 0.7, 0.25  #: Of no, one and two numbers, together.
 
 
 class Number(NamedTuple):
@@ -65,22 +65,22 @@ class Number(NamedTuple):
 
 
 def numbers_of(plant: Hexapod) -> tuple[Number, ...]:
-    """What a diagnosis tries."""
-    oil, weight = plant.parameters, float(np.abs(plant.static_load()).max())
+    """The numbers that a diagnosis tries."""
+    load = float(np.abs(plant.static_load()).max())
+    friction = max(plant.parameters.coulomb_friction.si, 0.01 * load)
     reach = 0.05 * float(plant.machine.geometry.upper[:, :2].max())
-    friction = max(oil.coulomb_friction.si, 0.01 * weight)
-    found = []
+    offset = 0.002 * plant.machine.half_stroke
+    numbers = []
     for i in range(1, plant.legs + 1):
-        own = f"hydraulics.actuators.leg_{i}"
+        actuator = f"hydraulics.actuators.leg_{i}"
         gain = f"electronics.leg_position.gain_errors.{i}"
-        offset = 0.002 * plant.machine.half_stroke
-        found += [
-            Number(f"valve gain of leg_{i}", f"{own}.valve_gain", 0.05),
-            Number(f"seal of leg_{i}", f"{own}.leakage", 0.5),
+        numbers += [
+            Number(f"valve gain of leg_{i}", f"{actuator}.valve_gain", 0.05),
+            Number(f"seal of leg_{i}", f"{actuator}.leakage", 0.5),
             Number(f"position gain of leg_{i}", gain, 0.005, "%"),
             Number(f"position offset of leg_{i}", f"offset.{i}", offset, "mm"),
         ]
-    found += [
+    numbers += [
         Number("oil stiffness", "hydraulics.bulk_modulus", 0.1),
         Number("drive lag", "hydraulics.drive_lag", 0.05),
         Number("valve lag", "hydraulics.valve_lag", 0.1),
@@ -89,27 +89,30 @@ def numbers_of(plant: Hexapod) -> tuple[Number, ...]:
         Number("payload mass", "cab.mass", 0.05),
         *(Number(f"payload place {x}", f"cab.centre_of_mass.{x}", reach, "mm") for x in "xyz"),
     ]
-    return tuple(found)
+    return tuple(numbers)
 
 
-Moved = Mapping[Number, float]  #: Sizes theta of numbers.
+Sizes = Mapping[Number, float]  #: Theta of numbers that moved.
 
 
-def moved_machine(plant: Hexapod, electronics: ElectronicsSettings, moved: Moved) -> dict[str, Any]:
-    """A machine with numbers moved, as `simulated` takes it."""
-    known, values, shift = Unknowns(), {}, np.zeros(plant.legs)
-    for one, theta in moved.items():
-        size, effect = one.moved(theta), "offset" if one.unit else "factor"
-        if one.path.startswith("offset."):
-            shift[int(one.path[-1]) - 1] = size
+def moved_machine(plant: Hexapod, electronics: ElectronicsSettings, sizes: Sizes) -> dict[str, Any]:
+    """A machine with numbers moved, as `simulate_test` takes it."""
+    unknowns, values, shift = Unknowns(), {}, np.zeros(plant.legs)
+    for number, theta in sizes.items():
+        change, effect = number.moved(theta), "offset" if number.unit else "factor"
+        if number.path.startswith("offset."):
+            leg = int(number.path.removeprefix("offset."))
+            shift[leg - 1] = change
             continue
-        if one.name == "friction":
-            size, effect = max(plant.parameters.coulomb_friction.si + size, 0.0), "value"
-        how: dict[str, Any] = {"effect": effect, "unit": one.unit or "1", "low": 0.0, "high": 1e9}
-        known[one.name], values[one.name] = Unknown(path=one.path, source="tried", **how), size
-    sensors = known.apply(values, electronics.of(plant.machine).sensors)
+        if number.name == "friction":
+            change, effect = max(plant.parameters.coulomb_friction.si + change, 0.0), "value"
+        table: dict[str, Any] = {"effect": effect, "unit": number.unit or "1"}
+        table |= {"low": 0.0, "high": 1e9, "source": "tried"}
+        unknowns[number.name] = Unknown(path=number.path, **table)
+        values[number.name] = change
+    sensors = unknowns.apply(values, electronics.of(plant.machine).sensors)
     return {
-        "plant": known.apply(values, plant) if values else plant,
+        "plant": unknowns.apply(values, plant) if values else plant,
         "electronics": electronics.model_copy(update={"sensors": sensors}),
         "shift": shift,
     }
@@ -118,25 +121,27 @@ def moved_machine(plant: Hexapod, electronics: ElectronicsSettings, moved: Moved
 class Slopes(NamedTuple):
     """The signatures of a guide's machine, and how its numbers move them."""
 
-    on: Bench
+    bench: Bench
     numbers: tuple[Number, ...]
     tests: tuple[str, ...]
     channels: tuple[str, ...]
     base: Array  #: (n,).
     slope: Array  #: By theta, (n, numbers).
 
-    def at(self, moved: Moved) -> Array | None:
+    def signatures(self, sizes: Sizes) -> Array | None:
         """Signatures of a machine without noise, (n,); None where it leaves its bounds."""
-        on = self.on
-        electronics = without_noise(ElectronicsSettings(), on.plant.machine)
+        bench = self.bench
+        electronics = without_noise(ElectronicsSettings(), bench.plant.machine)
+        rows = []
         try:
-            how = moved_machine(on.plant, electronics, moved)
-            records = [(name, simulated(on, name, **how)) for name in self.tests]
+            machine = moved_machine(bench.plant, electronics, sizes)
+            for test in self.tests:
+                record = simulate_test(bench, test, **machine)
+                lines = bench.lines(test, record.rate)
+                rows.append(signature(record, lines, self.channels).ravel())
         except (InputError, RunError):
             return None
-        lines = [on.lines(name, record.rate) for name, record in records]
-        every = zip(records, lines, strict=True)
-        return np.concatenate([signature(r, line, self.channels).ravel() for (_, r), line in every])
+        return np.concatenate(rows)
 
 
 def slopes(
@@ -146,63 +151,81 @@ def slopes(
     numbers: Sequence[Number] = (),
 ) -> Slopes:
     """Simulate the tests that are `diagnosed`, once for each number, default `numbers_of`."""
-    on = master.bench
-    tests = tuple(t for t in on.commands if on.of[t].diagnosed and t in master.records)
+    bench = master.bench
+    tests = tuple(t for t in bench.commands if bench.tests[t].diagnosed and t in master.records)
     if not tests:
         raise InputError("tests: none is `diagnosed`; allowed: one at least, that was recorded")
-    held = [{*master.records[test][0].channels} for test in tests]
-    channels = tuple(name for name in SIGNED if all(name in one for one in held))
-    tried = tuple(numbers) or numbers_of(on.plant)
-    made = Slopes(on, tried, tests, channels, np.empty(0), np.empty(0))
-    cases: list[Moved] = [{}, *({one: 1.0} for one in tried)]
-    base, *rows = on_threads(lambda moved: made.at(moved), cases, jobs, progress)
+    recorded = set.intersection(*({*master.records[test][0].channels} for test in tests))
+    channels = tuple(name for name in SIGNATURE_CHANNELS if name in recorded)
+    numbers = tuple(numbers) or numbers_of(bench.plant)
+    known = Slopes(bench, numbers, tests, channels, np.empty(0), np.empty(0))
+    cases: list[Sizes] = [{}, *({number: 1.0} for number in numbers)]
+    base, *moved = on_threads(known.signatures, cases, jobs, progress)
     if base is None:
         raise InputError(f"{master.folder}: its machine leaves its bounds in the simulation")
-    kept = [(one, row) for one, row in zip(tried, rows, strict=True) if row is not None]
-    slope = np.stack([row - base for _, row in kept], axis=1)
-    return made._replace(numbers=tuple(one for one, _ in kept), base=base, slope=slope)
+    changes = {n: row - base for n, row in zip(numbers, moved, strict=True) if row is not None}
+    slope = np.stack([*changes.values()], axis=1)
+    return known._replace(numbers=tuple(changes), base=base, slope=slope)
 
 
-class _Problem(NamedTuple):
+class _Fit(NamedTuple):
+    """A hypothesis fitted."""
+
+    places: tuple[int, ...]  #: Of its numbers.
+    theta: Array
+    residual: float  #: Mean of z_H^2.
+    is_simulated: bool
+
+
+class _Problem:
     """Differences of signatures that numbers are to explain."""
 
-    known: Slopes
-    z: Array  #: Over their deviations, (n,).
-    deviation: Array  #: (n,).
+    def __init__(self, slopes: Slopes, z: Array, deviation: Array) -> None:
+        """Take differences over their deviations, and those, (n,)."""
+        self.slopes, self.z, self.deviation = slopes, z, deviation
+        self.slope = slopes.slope / deviation[:, None]
+        self.independent = len(slopes.tests) * len(slopes.channels) * slopes.bench.plant.legs
+        self.gram = self.slope.T @ self.slope / z.size
+        self.projection, self.mean = self.slope.T @ z / z.size, float(z @ z) / z.size
 
-    @property
-    def independent(self) -> int:
-        """K, the independent numbers."""
-        return len(self.known.tests) * len(self.known.channels) * self.known.on.plant.legs
+    def linear(self, places: tuple[int, ...]) -> _Fit:
+        """A hypothesis, the numbers at these places moved, fitted by the slopes."""
+        inner, b = self.gram[np.ix_(places, places)], self.projection[list(places)]
+        theta = np.linalg.solve(inner + 1e-9 * self.mean * np.eye(len(places)), b)
+        residual = float(self.mean - 2.0 * theta @ b + theta @ inner @ theta)
+        return _Fit(places, np.asarray(theta, float), max(residual, 0.0), False)
 
-    @property
-    def slope(self) -> Array:
-        """Of z, (n, numbers)."""
-        return self.known.slope / self.deviation[:, None]
-
-    def fitted(self, places: tuple[int, ...]) -> "_Fit":
-        """A hypothesis, the numbers at these places moved, simulated and fitted."""
-        numbers = [self.known.numbers[i] for i in places]
-        theta, left, slope = np.zeros(len(places)), self.z, self.slope[:, list(places)]
+    def fitted(self, places: tuple[int, ...]) -> _Fit:
+        """The same, simulated and fitted."""
+        numbers = [self.slopes.numbers[i] for i in places]
+        theta, z, slope = np.zeros(len(places)), self.z, self.slope[:, list(places)]
         damping = 0.0
         for _ in range(_STEPS):
-            before = float(left @ left)
-            weight = self.independent / (self.z.size + _OFF[-1] ** 2 * before)
-            inner = weight * slope.T @ slope + np.eye(theta.size) / _WIDE**2
-            gradient = weight * slope.T @ left - theta / _WIDE**2
+            weight = self.independent / (z.size + _MODEL_ERRORS[-1] ** 2 * float(z @ z))
+            inner = weight * slope.T @ slope + np.eye(theta.size) / _WIDTH**2
+            gradient = weight * slope.T @ z - theta / _WIDTH**2
             step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), gradient)
             if not step.any():  # at its bound a number moves nothing
                 break
-            moved = map(float, theta + step)
-            there = self.known.at(dict(zip(numbers, moved, strict=True)))
-            damping = max(10.0 * damping, _DAMPED)
-            if there is not None:
-                after = self.z - (there - self.known.base) / self.deviation
-                missed = left - after - slope @ step
+            sizes = dict(zip(numbers, (theta + step).tolist(), strict=True))
+            signatures = self.slopes.signatures(sizes)
+            damping = max(10.0 * damping, _DAMPING)
+            if signatures is not None:
+                new_z = self.z - (signatures - self.slopes.base) / self.deviation
+                missed = z - new_z - slope @ step
                 slope = slope + np.outer(missed, step) / float(step @ step)
-                if float(after @ after) < before:
-                    theta, left, damping = theta + step, after, 0.0
-        return _Fit(places, np.asarray(theta), float(left @ left) / left.size, True)
+                if float(new_z @ new_z) < float(z @ z):
+                    theta, z, damping = theta + step, new_z, 0.0
+        return _Fit(places, np.asarray(theta), float(z @ z) / z.size, True)
+
+    def likelihood(self, fit: _Fit) -> float:
+        """Ln L_H, without the part that all hypotheses have."""
+        v = 1.0 + np.square(_MODEL_ERRORS) * self.mean
+        inner = _WIDTH**2 * self.independent * self.gram[np.ix_(fit.places, fit.places)]
+        _, volume = np.linalg.slogdet(np.eye(len(fit.places)) + inner / v[:, None, None])
+        terms = -0.5 * (self.independent * (np.log(v) + fit.residual / v) + volume)
+        terms -= 0.5 * float(fit.theta @ fit.theta) / _WIDTH**2
+        return float(special.logsumexp(terms))
 
 
 class Cause(NamedTuple):
@@ -215,71 +238,50 @@ class Cause(NamedTuple):
     """Root mean square of what it does not explain, over that of all."""
 
 
-class _Fit(NamedTuple):
-    """A hypothesis fitted."""
-
-    places: tuple[int, ...]  #: Of its numbers.
-    theta: Array
-    left: float  #: Mean square of what it leaves.
-    seen: bool  #: Whether it was simulated.
-
-
 def diagnose(master: Master, new: Master, known: Slopes, jobs: int | None = None) -> list[Cause]:
-    """Causes of a change, the most probable first; of those that no probability adds to none."""
-    off, deviation = _differences(master, new, known)
-    problem = _Problem(known, off / deviation, deviation)
-    z, slope, count = problem.z, problem.slope, problem.independent
-    gram, along, mean = slope.T @ slope / z.size, slope.T @ z / z.size, float(z @ z) / z.size
-    places = range(len(known.numbers))
-    every: list[tuple[int, ...]] = [(i,) for i in places]
-    every += combinations(places, 2)
-    prior = {1: _PRIOR[1] / len(places), 2: _PRIOR[2] / max(1, len(every) - len(places))}
+    """Causes of a change, the most probable first; improbable ones are not listed."""
+    difference, deviation = _differences(master, new, known)
+    problem = _Problem(known, difference / deviation, deviation)
+    singles = [(i,) for i in range(len(known.numbers))]
+    pairs = list(combinations(range(len(known.numbers)), 2))
+    prior_of_single, prior_of_pair = _PRIOR_ONE / len(singles), _PRIOR_TWO / max(1, len(pairs))
 
-    def likelihood(one: _Fit) -> float:
-        v = 1.0 + np.square(_OFF) * mean
-        inner = _WIDE**2 * count * gram[np.ix_(one.places, one.places)]
-        volume = np.linalg.slogdet(np.eye(len(one.places)) + inner / v[:, None, None])[1]
-        parts = -0.5 * (count * (np.log(v) + one.left / v) + volume)
-        parts -= 0.5 * float(one.theta @ one.theta) / _WIDE**2
-        return float(special.logsumexp(parts)) + np.log(prior[len(one.places)] / len(_OFF))
+    def probability(fit: _Fit) -> float:
+        prior = prior_of_single if len(fit.places) == 1 else prior_of_pair
+        return problem.likelihood(fit) + np.log(prior / len(_MODEL_ERRORS))
 
-    def linear(places: tuple[int, ...]) -> _Fit:
-        inner, b = gram[np.ix_(places, places)], along[list(places)]
-        theta = np.linalg.solve(inner + 1e-9 * mean * np.eye(len(places)), b)
-        left = float(mean - 2.0 * theta @ b + theta @ inner @ theta)
-        return _Fit(places, np.asarray(theta, float), max(left, 0.0), False)
-
-    fits = {places: linear(places) for places in every}
+    fits = {places: problem.linear(places) for places in (*singles, *pairs)}
     for _ in range(_ROUNDS):
-        ranked = sorted(fits.values(), key=likelihood, reverse=True)[:_TRIED]
-        if all(one.seen for one in ranked[:3]):
+        ranked = sorted(fits.values(), key=probability, reverse=True)[:_SIMULATED]
+        if all(fit.is_simulated for fit in ranked[:3]):
             break
-        ranked += sorted((fits[(i,)] for i in places), key=lambda fit: fit.left)[:_TRIED]
-        again = {one.places for one in ranked if not one.seen}
-        fits |= {fit.places: fit for fit in on_threads(problem.fitted, sorted(again), jobs)}
-    ranked = sorted(fits.values(), key=likelihood, reverse=True)
-    none = -0.5 * count * (np.log(1.0 + mean) + mean / (1.0 + mean)) + np.log(_PRIOR[0])
-    chance, *chances = map(float, special.softmax([none, *map(likelihood, ranked)]))
-    rows = [Cause("none of these", chance, "", 1.0)]
-    for one, chance in zip(ranked, chances, strict=True):
-        named = [known.numbers[i] for i in one.places]
-        text = ", ".join(x.text(theta) for x, theta in zip(named, one.theta, strict=True))
-        names, left = " and ".join(x.name for x in named), float(np.sqrt(one.left / mean))
-        rows.append(Cause(names, chance, text, left))
+        ranked += sorted((fits[i] for i in singles), key=lambda fit: fit.residual)[:_SIMULATED]
+        places = sorted({fit.places for fit in ranked if not fit.is_simulated})
+        fits |= {fit.places: fit for fit in on_threads(problem.fitted, places, jobs)}
+    ranked = sorted(fits.values(), key=probability, reverse=True)
+    v = 1.0 + problem.mean
+    none = -0.5 * problem.independent * (np.log(v) + problem.mean / v) + np.log(_PRIOR_NONE)
+    chance_of_none, *chances = map(float, special.softmax([none, *map(probability, ranked)]))
+    rows = [Cause("none of these", chance_of_none, "", 1.0)]
+    for fit, chance in zip(ranked, chances, strict=True):
+        numbers = [known.numbers[i] for i in fit.places]
+        sizes = [number.text(theta) for number, theta in zip(numbers, fit.theta, strict=True)]
+        names, share = " and ".join(n.name for n in numbers), np.sqrt(fit.residual / problem.mean)
+        rows.append(Cause(names, chance, ", ".join(sizes), float(share)))
     rows.sort(key=lambda row: -row.probability)
-    return [row for row in rows if row.probability > _SHOWN or row is rows[0]]
+    return [row for row in rows if row.probability > _LISTED or row is rows[0]]
 
 
 def _differences(master: Master, new: Master, known: Slopes) -> tuple[Array, Array]:
     """Differences of the signatures and their deviations, in the order of the slopes."""
-    off, deviation = [], []
-    for name in known.tests:
-        if name not in new.records:
-            raise InputError(f"{new.folder}: {name}: was left out; a diagnosis needs it")
+    differences, deviations = [], []
+    for test in known.tests:
+        if test not in new.records:
+            raise InputError(f"{new.folder}: {test}: was left out; a diagnosis needs it")
         for channel in known.channels:
-            if channel not in new.records[name][0].channels:
-                raise InputError(f"{new.folder}: {name}: {channel}: is missing; the master has it")
-        one = signed(master, new, name, known.channels)
-        off.append(one.difference.ravel())
-        deviation.append(np.broadcast_to(one.deviation, one.difference.shape).ravel())
-    return np.concatenate(off), np.concatenate(deviation)
+            if channel not in new.records[test][0].channels:
+                raise InputError(f"{new.folder}: {test}: {channel}: is missing; the master has it")
+        change = compare_signatures(master, new, test, known.channels)
+        differences.append(change.difference.ravel())
+        deviations.append(np.broadcast_to(change.deviation, change.difference.shape).ravel())
+    return np.concatenate(differences), np.concatenate(deviations)

@@ -46,8 +46,8 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command, Dof, plain
 from cmf_mj.studies.case import frames_a_row
-from cmf_mj.studies.fit.plan import STEP_CORNER, Workspace, named_beside, write_host
-from cmf_mj.studies.measurement import MEASURES, SIGNED, Lines, lines_of
+from cmf_mj.studies.fit.plan import STEP_CORNER, Workspace, paths_from, write_host
+from cmf_mj.studies.measurement import MEASURES, SIGNATURE_CHANNELS, Lines, lines_of
 
 Array = NDArray[np.float64]
 
@@ -134,10 +134,10 @@ def load_guide(source: str | Path) -> GuideSettings:
         table = merged(read_toml(_FOLDER / f"{base}.toml"), table, 3)
     guide = validated(GuideSettings, table, str(path))
     with within(path):
-        for name, one in guide.tests.items():
-            for measure in one.measures:
+        for name, test in guide.tests.items():
+            for measure in test.measures:
                 check_name(f"tests.{name}.measures", measure, MEASURES)
-            if not one.limits and not one.no_limit:
+            if not test.limits and not test.no_limit:
                 raise InputError(f"tests.{name}.no_limit: is missing; it says why there is none")
     return guide
 
@@ -148,19 +148,19 @@ class Bench(NamedTuple):
     guide: GuideSettings
     plant: Hexapod
     law: str | Path
-    commands: Mapping[str, Command]  #: By test; of several degrees of freedom one each.
-    of: Mapping[str, TestSettings]  #: Likewise.
-    use: Mapping[str, float]  #: Share of the machine's limits that each uses.
-    impossible: Mapping[str, str]  #: Tests that the machine cannot do, and why.
+    commands: dict[str, Command]  #: By test, of several degrees of freedom by `TEST_DOF`.
+    tests: dict[str, TestSettings]  #: By test.
+    used_share: dict[str, float]  #: Of the machine's limits, by test.
+    impossible: dict[str, str]  #: Tests that the machine cannot do, and why.
 
     @property
-    def known(self) -> dict[str, Any]:
-        """What identifies the machine that is tested."""
+    def identity(self) -> dict[str, Any]:
+        """Names of machine, cab and law."""
         law = load_law(self.law).name
         return {"machine": self.plant.machine.name, "cab": self.plant.cab, "law": law}
 
-    def about(self, name: str) -> dict[str, Any]:
-        """What a record of a test has to know."""
+    def metadata(self, name: str) -> dict[str, Any]:
+        """Metadata of the records of a test."""
         return {"command": self.commands[name].signal.described(), "cab": self.plant.cab}
 
     def legs(self, name: str, rate: float | None = None) -> Array:
@@ -176,10 +176,10 @@ class Bench(NamedTuple):
 
 
 MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}
-"""What makes the command of a signal that is none of `composite.KINDS`, by its kind."""
+"""Functions that make commands of further kinds of signals, by kind; other rooms add theirs."""
 
 
-def bench(
+def make_bench(
     guide: GuideSettings,
     machine: str | Path,
     cab: Any = None,
@@ -191,98 +191,101 @@ def bench(
     Raises `InputError` for a signal that cannot be made; what asks too much is `impossible`.
     """
     plant = Hexapod(cab, hydraulics, machine=machine)
-    commands, of, use, impossible = {}, {}, {}, {}
-    space = Workspace(plant, 1.0)
-    for name, one in guide.tests.items():
-        for dof in one.dofs or ("",):
-            each = f"{name}_{dof}" if dof else name
-            table = dict(one.signal) | ({"dof": dof} if dof else {})
+    bench = Bench(guide, plant, law or plant.machine.law, {}, {}, {}, {})
+    workspace = Workspace(plant, 1.0)
+    for name, test in guide.tests.items():
+        for dof in test.dofs or ("",):
+            test_name = f"{name}_{dof}" if dof else name
+            table = dict(test.signal) | ({"dof": dof} if dof else {})
             with within(f"tests.{name}.signal"):
-                command, share = _command(table, one.share, space, plant)
+                command, share = _command(table, test.share, workspace, plant)
             if share > 1.0:
-                impossible[each] = f"asks for {share:.2f} times what the machine can"
+                text = f"asks for {share:.2f} times what the machine can"
+                bench.impossible[test_name] = text
             else:
-                commands[each], of[each], use[each] = command, one, share
-    return Bench(guide, plant, law or plant.machine.law, commands, of, use, impossible)
+                bench.commands[test_name], bench.tests[test_name] = command, test
+                bench.used_share[test_name] = share
+    return bench
 
 
 def _command(
-    table: dict[str, Any], share: float | None, space: Workspace, plant: Hexapod
+    table: dict[str, Any], share: float | None, workspace: Workspace, plant: Hexapod
 ) -> tuple[Command, float]:
-    """The command of a signal within its share of the machine's limits, and what it uses."""
+    """The command of a signal within its share of the machine's limits, and the share it uses."""
     kind, rate = str(table.get("kind")), plant.machine.rate
     corner = STEP_CORNER if kind in ("step", "pulse", "chirp") else None
     if kind in MAKERS:
         command = MAKERS[kind](table, plant)
-        return command, space.use(command.pose)
-    chosen = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
+        return command, workspace.use(command.pose)
+    signal = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
 
-    def made(table: Mapping[str, Any]) -> Command:
-        return validated(chosen, plain(table) | {"rate": rate}, kind).command()
+    def make(size: float | None) -> Command:
+        sized = table if size is None else _sized(table, size, workspace)
+        return validated(signal, plain(sized) | {"rate": rate}, kind).command()
 
+    size = None
     if share is not None:
-        size = space.largest(lambda size: made(_sized(table, size, space)).pose, share, corner)
-        table = _sized(table, size, space)
-    command = made(table)
-    return command, space.use(command.pose, corner)
+        size = workspace.largest_size(lambda size: make(size).pose, share, corner)
+    command = make(size)
+    return command, workspace.use(command.pose, corner)
 
 
-def _sized(table: Mapping[str, Any], size: float, space: Workspace) -> dict[str, Any]:
+def _sized(table: Mapping[str, Any], size: float, workspace: Workspace) -> dict[str, Any]:
     """A signal with its sizes in parts of what the machine reaches along each axis."""
 
     def reach(dof: str) -> float:
-        return size * float(space.reach[dof_index(dof)])
+        return size * float(workspace.reach[dof_index(dof)])
 
-    found = dict(table)
+    sized = dict(table)
     for field in {"amplitude", "amplitudes", "acceleration"} & table.keys():
-        sizes = table[field]
-        if isinstance(sizes, Mapping):
-            found[field] = {dof: part * reach(dof) for dof, part in sizes.items()}
+        parts = table[field]
+        if isinstance(parts, Mapping):
+            sized[field] = {dof: part * reach(dof) for dof, part in parts.items()}
         else:
-            found[field] = (np.array(sizes) * reach(str(table["dof"]))).tolist()
-    return found
+            sized[field] = (np.array(parts) * reach(str(table["dof"]))).tolist()
+    return sized
 
 
-def plan_guide(on: Bench, head: MasterSettings, folder: str | Path) -> Table:
-    """Write the head of a master and the host's frames of each test; gives order and times."""
-    target = _fresh(folder)
-    rows, end, again = [], 0.0, on.guide.repetitions
-    for number, (name, command) in enumerate(on.commands.items(), start=1):
-        held = command.signal.kind in ("step", "pulse")
-        write_host(command, target / f"host/{name}.csv", held=held)
-        end += again * (command.duration + BETWEEN)
-        row = (number, name, command.duration, again, 100.0 * on.use[name], end / 60.0)
-        rows.append((*row, f"{name}.1.csv to {name}.{again}.csv"))
+def plan_guide(bench: Bench, head: MasterSettings, folder: str | Path) -> Table:
+    """Write the head of a master and the host's frames of each test; returns order and times."""
+    target = _new_folder(folder)
+    rows, end, repetitions = [], 0.0, bench.guide.repetitions
+    for number, (name, command) in enumerate(bench.commands.items(), start=1):
+        is_held = command.signal.kind in ("step", "pulse")
+        write_host(command, target / f"host/{name}.csv", is_held=is_held)
+        end += repetitions * (command.duration + BETWEEN)
+        use, files = 100.0 * bench.used_share[name], f"{name}.1.csv to {name}.{repetitions}.csv"
+        rows.append((number, name, command.duration, repetitions, use, end / 60.0, files))
     head.write(target)
     columns = [
         *("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f")),
         *(("done after [min]", ".0f"), "record as"),
     ]
-    caption = ". ".join(f"{name}: {why}" for name, why in on.impossible.items())
-    table = Table(f"Order of the tests: {on.guide.title}", columns, rows, caption)
+    caption = ". ".join(f"{name}: {reason}" for name, reason in bench.impossible.items())
+    table = Table(f"Order of the tests: {bench.guide.title}", columns, rows, caption)
     table.save(target / "plan.md")
     return table
 
 
-def _fresh(folder: str | Path) -> Path:
+def _new_folder(folder: str | Path) -> Path:
     target = Path(folder)
     if (target / FILE).exists():
         raise InputError(f"folder: {target} holds a guide's master, which is kept; name another")
     return target
 
 
-def head_of(on: Bench, folder: str | Path = "", **named: Any) -> MasterSettings:
+def make_head(bench: Bench, folder: str | Path = "", **sources: Any) -> MasterSettings:
     """The head of a master, to stand in a folder, of a guide on a machine.
 
-    Machine, cab, hydraulics and law are `named`, or files from here.
+    `sources` of machine, cab, hydraulics and law are names, or files from here.
     """
-    given = {key: str(value) for key, value in named.items() if value is not None}
-    head = {"guide": on.guide.model_dump(), "version": version("cmf-mj")}
-    return validated(MasterSettings, head | named_beside(given, Path(folder)), FILE)
+    texts = {key: str(source) for key, source in sources.items() if source is not None}
+    head = {"guide": bench.guide.model_dump(), "version": version("cmf-mj")}
+    return validated(MasterSettings, head | paths_from(Path(folder), texts), FILE)
 
 
-def simulated(
-    on: Bench,
+def simulate_test(
+    bench: Bench,
     name: str,
     plant: Hexapod | None = None,
     electronics: ElectronicsSettings | None = None,
@@ -293,26 +296,26 @@ def simulated(
 ) -> Record:
     """One repetition of a test on a machine, by default that of the guide.
 
-    `shift` is what position sensors read too much [m], (6,): the machine follows the demand less
-    it, and the reading shows it again. Another engine may `record`. Raises `OutOfBounds`.
+    `shift` is the error of position sensors [m], (6,): the machine follows the demand less it, and
+    the reading shows it again. Another engine may `record`. Raises `OutOfBounds`.
     """
-    plant = copy.deepcopy(on.plant if plant is None else plant)
+    plant = copy.deepcopy(bench.plant if plant is None else plant)
     offset = np.zeros(plant.legs) if shift is None else shift
-    legs = on.legs(name) - offset
-    every = frames_a_row(plant.machine, RATE)
-    start = legs_to_pose(legs[0], plant.machine)
-    how: dict[str, Any] = {"law": on.of[name].law or on.law, "source": LegDemand(legs)}
-    how |= {"start": start, "electronics": electronics, "seed": seed, "record_every": every}
-    run = record(Run(plant=plant, **how))
-    channels = {key: run[key] for key in ("leg_reference", *SIGNED)}
+    legs = bench.legs(name) - offset
+    start, every = legs_to_pose(legs[0], plant.machine), frames_a_row(plant.machine, RATE)
+    settings: dict[str, Any] = {"law": bench.tests[name].law or bench.law, "start": start}
+    settings |= {"electronics": electronics, "seed": seed, "record_every": every}
+    whole = record(Run(plant=plant, source=LegDemand(legs), **settings))
+    channels = {key: whole[key] for key in ("leg_reference", *SIGNATURE_CHANNELS)}
     channels |= {key: channels[key] + offset for key in ("leg_reference", "leg_position")}
-    known = {key: run.metadata[key] for key in ("sample_rate", "law")} | plant.machine.known()
-    units = {key: run.units[key] for key in channels}
-    return Record(run.time, channels, units, known | on.about(name))
+    units = {key: whole.units[key] for key in channels}
+    metadata = {key: whole.metadata[key] for key in ("sample_rate", "law")}
+    metadata |= plant.machine.known() | bench.metadata(name)
+    return Record(whole.time, channels, units, metadata)
 
 
 def run_guide(
-    on: Bench,
+    bench: Bench,
     head: MasterSettings,
     folder: str | Path,
     *,
@@ -324,21 +327,21 @@ def run_guide(
 ) -> Path:
     """Record every test on a simulated machine with noisy electronics, a seed a repetition.
 
-    `machine` is what `simulated` takes, of a machine that is not as the guide has it.
+    `machine` is what `simulate_test` takes, of a machine that is not as the guide has it.
     """
-    target = _fresh(folder)
+    target = _new_folder(folder)
     machine = {"electronics": ElectronicsSettings()} | machine
-    again = repetitions or on.guide.repetitions
-    cases = [(name, number) for name in on.commands for number in range(1, again + 1)]
+    numbers = range(1, (repetitions or bench.guide.repetitions) + 1)
+    cases = [(name, number) for name in bench.commands for number in numbers]
 
-    def made(case: tuple[str, int]) -> tuple[str, str]:
+    def recorded(case: tuple[str, int]) -> tuple[str, str]:
         name, number = case
-        key = (list(on.commands).index(name), number)
-        noise = int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+        key = (list(bench.commands).index(name), number)
+        (noise_seed,) = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)
         with within(name):
-            record = simulated(on, name, seed=noise, **machine)
+            record = simulate_test(bench, name, seed=int(noise_seed), **machine)
         return record.save(target / f"{name}.{number}.parquet").name, record.digest
 
     target.mkdir(parents=True, exist_ok=True)
-    digests = dict(on_threads(made, cases, jobs, progress))
+    digests = dict(on_threads(recorded, cases, jobs, progress))
     return head.model_copy(update={"digests": digests}).write(target)

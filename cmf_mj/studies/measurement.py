@@ -40,14 +40,11 @@ Lines = NDArray[np.int64]
 Values = dict[str, float]  #: Measures by name, which ends in their unit.
 Measure = Callable[[Record], Values]
 
-SIGNED = ("leg_position", "valve_command", "cap_pressure", "rod_pressure")
+SIGNATURE_CHANNELS = ("leg_position", "valve_command", "cap_pressure", "rod_pressure")
 """Channels of a signature, where they are recorded."""
-
-_BANDS = np.geomspace(0.03, 30.0, 15)  # of a signature's lines [Hz]
-_DRIVEN = 1e-3  # amplitude of a line over the largest, from which on it is one
-
-CROSSTALK = 1.0  #: Frequency at which crosstalk is read [Hz].
-
+_BANDS = np.geomspace(0.03, 30.0, 15)  #: Of a signature's lines [Hz].
+_DRIVEN = 1e-3  #: Amplitude of a line over the largest from which on it is driven.
+CROSSTALK_FREQUENCY = 1.0  #: [Hz].
 SMOOTH = 10.0  #: Frequency below which positions are differentiated to accelerations [Hz].
 
 
@@ -73,7 +70,7 @@ def accelerations(record: Record) -> Array:
     return np.asarray(np.gradient(np.gradient(pose, axis=0), axis=0) * record.rate**2)
 
 
-def driven(record: Record) -> tuple[dict[str, FrequencyResponse], dict[str, float]]:
+def driven_responses(record: Record) -> tuple[dict[str, FrequencyResponse], dict[str, float]]:
     """Response along each degree of freedom driven; of six at once the crosstalk at 1 Hz [%]."""
     command = record.excitation
     if not isinstance(command, composite.OrthogonalMultisines):
@@ -81,61 +78,63 @@ def driven(record: Record) -> tuple[dict[str, FrequencyResponse], dict[str, floa
     matrix = matrix_frequency_response(record)
     lines, response = np.asarray(matrix.omega) / (2.0 * np.pi), np.asarray(matrix.frdata)
     own, crosstalk = {}, {}
-    for place, dof in enumerate(DOFS):
-        known = np.isfinite(response[place, place])
-        own[dof] = FrequencyResponse(
-            response[place, place][known], matrix.omega[known], known[known]
-        )
-        near = int(np.argmin(np.where(known, np.abs(lines - CROSSTALK), np.inf)))
-        row = np.abs(response[:, place, near])
-        alike = [i for i in range(6) if i != place and i // 3 == place // 3]
-        crosstalk[dof] = 100.0 * float(row[alike].max() / row[place])
+    for i, dof in enumerate(DOFS):
+        diagonal = response[i, i]
+        known = np.isfinite(diagonal)
+        own[dof] = FrequencyResponse(diagonal[known], matrix.omega[known], known[known])
+        distance = np.where(known, np.abs(lines - CROSSTALK_FREQUENCY), np.inf)
+        gains = np.abs(response[:, i, int(np.argmin(distance))])
+        others = [j for j in range(6) if j != i and j // 3 == i // 3]  # of the same unit
+        crosstalk[dof] = 100.0 * float(gains[others].max() / gains[i])
     return own, crosstalk
 
 
 def _responses(record: Record) -> Values:
     """-90 deg, -3 dB and peak of what is driven, and crosstalk."""
-    found: Values = {}
-    own, crosstalk = driven(record)
+    values: Values = {}
+    own, crosstalk = driven_responses(record)
     for dof, response in own.items():
-        of = bandwidths(response)
-        found |= {f"{dof} -90 deg [Hz]": of.phase_hz, f"{dof} -3 dB [Hz]": of.gain_hz}
-        found[f"{dof} peak [dB]"] = of.peak_db
-        found |= {f"{dof} crosstalk [%]": crosstalk[dof]} if crosstalk else {}
-    return found
+        widths = bandwidths(response)
+        values |= {f"{dof} -90 deg [Hz]": widths.phase_hz, f"{dof} -3 dB [Hz]": widths.gain_hz}
+        values[f"{dof} peak [dB]"] = widths.peak_db
+        if crosstalk:
+            values[f"{dof} crosstalk [%]"] = crosstalk[dof]
+    return values
 
 
 def _steps(record: Record) -> Values:
-    """Overshoot, rise and settling of a step."""
-    step = step_metrics(record)
-    shares = {"overshoot [%]": 100.0 * step.overshoot, "rise [s]": step.rise_time}
-    return {f"{record.signal.axis} {k}": float(v) for k, v in shares.items()}
+    """Overshoot and rise of a step."""
+    step, axis = step_metrics(record), record.signal.axis
+    overshoot, rise = float(100.0 * step.overshoot), float(step.rise_time)
+    return {f"{axis} overshoot [%]": overshoot, f"{axis} rise [s]": rise}
 
 
 def _at_dwells(measure: Callable[[Record, str, Dwell, slice], Values]) -> Measure:
     """The measure of a record of single sines, from that of a dwell's samples along its axis."""
 
     def measured(record: Record) -> Values:
-        per_frame, command, found = record.rate / record.signal.rate, record.excitation, Values()
-        axis, many = command.axis, len({dwell.amplitude for dwell in command.dwells}) > 1
+        rows_per_frame = record.rate / record.signal.rate
+        command, values = record.excitation, Values()
+        axis, has_sizes = command.axis, len({dwell.amplitude for dwell in command.dwells}) > 1
         for dwell in command.dwells:
-            first = int(np.ceil(dwell.start * per_frame))
+            first = int(np.ceil(dwell.start * rows_per_frame))
             part = slice(first, first + round(dwell.cycles * record.rate / dwell.frequency))
             if part.stop > record.time.size:
                 sine = f"the sine of {dwell.frequency:g} Hz"
                 raise InputError(f"record: ends at {record.time[-1]:g} s, within {sine}")
-            size = f" {1e3 * dwell.amplitude:.3g} {by_kind(axis, 'mm', 'mrad')}" if many else ""
-            for what, value in measure(record, axis, dwell, part).items():
-                found[f"{axis} {dwell.frequency:g} Hz{size} {what}"] = float(value)
-        return found
+            size = f" {1e3 * dwell.amplitude:.3g} {by_kind(axis, 'mm', 'mrad')}"
+            sine_name = f"{axis} {dwell.frequency:g} Hz{size if has_sizes else ''}"
+            for name, value in measure(record, axis, dwell, part).items():
+                values[f"{sine_name} {name}"] = float(value)
+        return values
 
     return measured
 
 
-def _described(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _describing_function(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Gain and phase of the describing function."""
-    pair = demand_and_position(record, dof, part)
-    value = metrics.describing_function(*pair, record.rate, dwell.frequency)
+    demand, position = demand_and_position(record, dof, part)
+    value = metrics.describing_function(demand, position, record.rate, dwell.frequency)
     return {"gain [dB]": 20.0 * np.log10(abs(value)), "phase [deg]": np.degrees(np.angle(value))}
 
 
@@ -149,14 +148,14 @@ def _balance(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     }
 
 
-def _accelerated(record: Record, dof: str, dwell: Dwell, part: slice) -> metrics.MotionNoise:
-    moved = accelerations(record)[part, DOFS.index(dof)]
-    return metrics.acceleration_noise(moved, record.rate, dwell.frequency)
+def _acceleration_noise(record: Record, dof: str, dwell: Dwell, part: slice) -> metrics.MotionNoise:
+    acceleration = accelerations(record)[part, DOFS.index(dof)]
+    return metrics.acceleration_noise(acceleration, record.rate, dwell.frequency)
 
 
 def _noise(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Acceleration noise in its parts, shares of the fundamental [%]."""
-    noise = _accelerated(record, dof, dwell, part)
+    noise = _acceleration_noise(record, dof, dwell, part)
     shares = ("low_harmonics", "high_harmonics", "stochastic", "peak")
     return {f"{share.replace('_', ' ')} [%]": 100.0 * getattr(noise, share) for share in shares}
 
@@ -166,41 +165,41 @@ def _bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
 
     A turn-around shows as a bump where the velocity changes its sign.
     """
-    noise = _accelerated(record, dof, dwell, part)
+    noise = _acceleration_noise(record, dof, dwell, part)
     unit, size = by_kind(dof, ("g", units.STANDARD_GRAVITY), ("rad/s^2", 1.0))
     return {f"bump [{unit}]": noise.peak * noise.fundamental / size}
 
 
 def _loop_width(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Hysteresis [%]."""
-    pair = demand_and_position(record, dof, part)
-    return {"hysteresis [%]": 100.0 * metrics.hysteresis(*pair, record.rate, dwell.frequency)}
+    demand, position = demand_and_position(record, dof, part)
+    value = metrics.hysteresis(demand, position, record.rate, dwell.frequency)
+    return {"hysteresis [%]": 100.0 * value}
 
 
 def _delay(record: Record) -> Values:
-    """Lag of the motion behind the demand [s], by correlation, of all that is driven."""
-    found: Values = {}
+    """Lag of the motion behind the demand [s], by correlation, along all driven axes."""
+    values: Values = {}
     for dof in DOFS:
         demand, position = demand_and_position(record, dof)
         if np.ptp(demand) > 1e-6:
             delay = metrics.transient_delay(demand - demand[0], position, record.rate)
-            found[f"{dof} delay [s]"] = delay
-    return found
+            values[f"{dof} delay [s]"] = delay
+    return values
 
 
 def _threshold(record: Record) -> Values:
     """Dynamic threshold of an acceleration step [s]."""
     step = record.signal_as(composite.AccelerationStep)
-    moved = accelerations(record)[:, DOFS.index(step.dof)]
-    size, begin = step.acceleration, step.at
-    time = metrics.dynamic_threshold(moved, record.rate, size, begin)
+    acceleration, size = accelerations(record)[:, DOFS.index(step.dof)], step.acceleration
+    time = metrics.dynamic_threshold(acceleration, record.rate, size, step.at)
     return {f"{step.dof} {size:.3g} threshold [s]": time}
 
 
 MEASURES: dict[str, Measure] = {
     "response": _responses,
     "step": _steps,
-    "describing_function": _at_dwells(_described),
+    "describing_function": _at_dwells(_describing_function),
     "leg_balance": _at_dwells(_balance),
     "acceleration_noise": _at_dwells(_noise),
     "bump": _at_dwells(_bump),
@@ -219,21 +218,22 @@ def lines_of(demand: Array, rate: float) -> Lines:
     size = np.abs(np.fft.rfft(demand - demand.mean(axis=0), axis=0)).sum(axis=1)
     size[0] = 0.0
     frequency = np.arange(size.size) * rate / len(demand)
-    found = {int(size.argmax()) * k for k in (1, 2, 3)} - {0}  # 0 of a demand at rest
+    lines = {int(size.argmax()) * k for k in (1, 2, 3)} - {0}  # 0 of a demand at rest
     for low, high in zip(_BANDS[:-1], _BANDS[1:], strict=True):
         inside = np.flatnonzero((frequency >= low) & (frequency < high))
         if inside.size and size[inside].max() > _DRIVEN * size.max():
-            found.add(int(inside[size[inside].argmax()]))
-    return np.array(sorted(k for k in found if k < size.size))
+            lines.add(int(inside[size[inside].argmax()]))
+    return np.array(sorted(line for line in lines if line < size.size))
 
 
-def signature(record: Record, lines: Lines, channels: Sequence[str] = SIGNED) -> Array:
+def signature(record: Record, lines: Lines, channels: Sequence[str] = SIGNATURE_CHANNELS) -> Array:
     """Means, real and imaginary parts at lines, (channels, 1 + 2 lines, legs)."""
-    found = []
+    rows = []
     for name in channels:
-        spectrum = np.fft.rfft(record[name], axis=0)[[0, *lines]] / len(record.time)
-        found.append([*spectrum[:1].real, *2.0 * spectrum[1:].real, *2.0 * spectrum[1:].imag])
-    return np.array(found)
+        spectrum = np.fft.rfft(record[name], axis=0) / len(record.time)
+        mean, at_lines = spectrum[:1].real, spectrum[lines]
+        rows.append(np.concatenate([mean, 2.0 * at_lines.real, 2.0 * at_lines.imag]))
+    return np.array(rows)
 
 
 class RecordingMeasures(NamedTuple):
@@ -254,21 +254,21 @@ def measure_recordings(
     demand excites, by its band or else by `EXCITED_SHARE`, with a coherence of at least `CLEAR`.
     `columns` maps those of the files; the machine is that of the map or files, else `machine`.
     """
-    chosen = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
-    known = None if columns is None else load_columns(columns)
-    on = load_machine((known and known.machine) or machine)
-    records = [read_mapped(path, known, on) for path in files]
+    kind = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
+    column_map = None if columns is None else load_columns(columns)
+    sheet = load_machine((column_map and column_map.machine) or machine)
+    records = [read_mapped(path, column_map, sheet) for path in files]
     if len(records) > 1 or records[0].signal.dwells:
-        response = rounds_response(records, dof, estimator=chosen)
+        response = rounds_response(records, dof, estimator=kind)
     else:
-        response = frequency_response(records[0], dof, estimator=chosen)
-    read = response.coherence >= CLEAR
+        response = frequency_response(records[0], dof, estimator=kind)
+    clear = response.coherence >= CLEAR
     if records[0].signal.band is None:  # else the lines lie within it
         rounds = [dof_history(record, "leg_reference", dof) for record in records]
         demand = np.concatenate([demand - demand[0] for demand in rounds])
         share = demand_share(demand, records[0].rate, response.frequency)
-        read &= share > EXCITED_SHARE
-    if not read.any():
+        clear &= share > EXCITED_SHARE
+    if not clear.any():
         raise InputError(f"dof: no line of the demand in {dof} has a coherence of {CLEAR:g}")
-    left_out = int(np.count_nonzero(~read))
-    return RecordingMeasures(tuple(files), dof, response.at(read), left_out)
+    left_out = int(np.count_nonzero(~clear))
+    return RecordingMeasures(tuple(files), dof, response.at(clear), left_out)

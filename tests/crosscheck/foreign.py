@@ -130,9 +130,9 @@ def row(name: str, posterior: Posterior, doubts: Doubt) -> list[Any]:
     """What came of one machine."""
     found = held(posterior)
     missing = " ".join(number for number, inside in found.items() if not inside)
-    worst = max((one.correlation for one in doubts.left), default=0.0)
+    worst = max((one.correlation for one in doubts.residuals), default=0.0)
     gains = [f"{one.name} {one.gain:.1f}" for one in doubts.effects if one.gain > 0.0]
-    said = "yes" if doubts.explained else "no"
+    said = "yes" if doubts.is_explained else "no"
     ahead = doubts.predictions[0]
     held_back = f"{ahead.gain:+.2f} dB {ahead.phase:+.1f} deg"
     numbers = f"{sum(found.values())} of {len(found)}"

@@ -11,7 +11,7 @@ from pathlib import Path
 from cmf_mj.facility.run import Run
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.studies.guide import Bench, GuideSettings, bench
+from cmf_mj.studies.guide import Bench, GuideSettings, make_bench
 
 HERE = Path(__file__).resolve()
 sys.path += [str(HERE.parents[1]), str(HERE.parents[2] / "scripts")]
@@ -28,7 +28,7 @@ TOLERANCE = 1e-5
 
 def on_bench(guide: GuideSettings, machine: str) -> Bench:
     """A machine with a constant supply."""
-    return bench(guide, machine, hydraulics=data_sheet(machine).parameters)
+    return make_bench(guide, machine, hydraulics=data_sheet(machine).parameters)
 
 
 def record(run: Run) -> Record:

@@ -15,7 +15,7 @@ from cmf_mj.studies.diagnosis import (
     numbers_of,
     slopes,
 )
-from cmf_mj.studies.guide import bench, head_of, load_guide, run_guide
+from cmf_mj.studies.guide import load_guide, make_bench, make_head, run_guide
 from cmf_mj.studies.guide_check import Master, load_master
 
 CHANGES = {
@@ -28,8 +28,8 @@ CHANGES = {
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[Master, Slopes]:
     folder = tmp_path_factory.mktemp("guide")
-    on = bench(load_guide(written(folder, SHORT)), "lab")
-    run_guide(on, head_of(on, machine="lab"), folder / "master")
+    on = make_bench(load_guide(written(folder, SHORT)), "lab")
+    run_guide(on, make_head(on, machine="lab"), folder / "master")
     master = load_master(folder / "master")
     tried = [one for one in numbers_of(on.plant) if one.name in CHANGES or "leg_1" in one.name]
     return master, slopes(master, numbers=tried)

@@ -13,12 +13,12 @@ from cmf_mj.pilot.omct import cueing
 from cmf_mj.studies.guide import (
     FILE,
     GUIDES,
-    bench,
-    head_of,
     load_guide,
+    make_bench,
+    make_head,
     plan_guide,
     run_guide,
-    simulated,
+    simulate_test,
 )
 from cmf_mj.studies.measurement import MEASURES
 
@@ -64,9 +64,9 @@ def test_sizes_use_their_share_of_any_machine_and_too_large_ones_are_impossible(
 ) -> None:
     fixed = SHORT.replace("share = 0.3\n", "").replace("surge = 1.0", "surge = 0.5")
     for machine in ("cmf", "lab"):
-        on = bench(load_guide(written(tmp_path, SHORT)), machine)
-        assert 0.97 * 0.3 < on.use["all"] <= 0.3
-        too_much = bench(load_guide(written(tmp_path, fixed)), machine)
+        on = make_bench(load_guide(written(tmp_path, SHORT)), machine)
+        assert 0.97 * 0.3 < on.used_share["all"] <= 0.3
+        too_much = make_bench(load_guide(written(tmp_path, fixed)), machine)
         assert "times what the machine can" in too_much.impossible["all"]
         assert not too_much.commands
 
@@ -74,9 +74,9 @@ def test_sizes_use_their_share_of_any_machine_and_too_large_ones_are_impossible(
 def test_what_a_position_sensor_reads_too_much_the_machine_lacks(tmp_path: Path) -> None:
     """The reading follows the same demand; the pressures are those of a machine that stands lower,
     and the difference doubles with the offset within 1 %."""
-    on = bench(load_guide(written(tmp_path, SHORT)), "lab")
+    on = make_bench(load_guide(written(tmp_path, SHORT)), "lab")
     plain, small, large = (
-        simulated(on, "all", shift=size * np.eye(6)[2]) for size in (0.0, 5e-4, 1e-3)
+        simulate_test(on, "all", shift=size * np.eye(6)[2]) for size in (0.0, 5e-4, 1e-3)
     )
     np.testing.assert_allclose(small["leg_reference"], plain["leg_reference"], rtol=0, atol=1e-15)
     np.testing.assert_allclose(small["leg_position"], plain["leg_position"], atol=2e-5)
@@ -86,8 +86,8 @@ def test_what_a_position_sensor_reads_too_much_the_machine_lacks(tmp_path: Path)
 
 
 def test_a_plan_has_the_host_s_frames_and_the_time_it_takes(tmp_path: Path) -> None:
-    on = bench(load_guide(written(tmp_path, SHORT)), "lab")
-    head = head_of(on, machine="lab")
+    on = make_bench(load_guide(written(tmp_path, SHORT)), "lab")
+    head = make_head(on, machine="lab")
     table = plan_guide(on, head, tmp_path / "plan")
     ((_, name, length, again, _, minutes, files),) = table.rows
     assert (name, length, again, files) == ("all", 9.0, 3, "all.1.csv to all.3.csv")
@@ -100,9 +100,9 @@ def test_a_plan_has_the_host_s_frames_and_the_time_it_takes(tmp_path: Path) -> N
 
 
 def test_repetitions_differ_by_their_noise_alone(tmp_path: Path) -> None:
-    on = bench(load_guide(written(tmp_path, SHORT)), "lab")
+    on = make_bench(load_guide(written(tmp_path, SHORT)), "lab")
     first, again, other = (
-        simulated(on, "all", electronics=ElectronicsSettings(), seed=seed) for seed in (1, 1, 2)
+        simulate_test(on, "all", electronics=ElectronicsSettings(), seed=seed) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first["leg_position"], again["leg_position"])
     off = first["leg_position"] - other["leg_position"]

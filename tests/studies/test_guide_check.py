@@ -13,15 +13,15 @@ from shared import cmf
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.studies import guide_check
-from cmf_mj.studies.guide import FILE, bench, head_of, load_guide, run_guide
+from cmf_mj.studies.guide import FILE, load_guide, make_bench, make_head, run_guide
 from cmf_mj.studies.guide_check import (
     SIGNATURE,
-    _measure,
+    _compare_measure,
     compare,
-    enough,
+    compare_signatures,
+    enough_repetitions,
     load_master,
-    signed,
-    smallest,
+    smallest_change,
 )
 
 
@@ -29,9 +29,9 @@ from cmf_mj.studies.guide_check import (
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A master and a check of the laboratory's machine, as they are on disk."""
     where = tmp_path_factory.mktemp("guides")
-    on = bench(load_guide(written(where, SHORT)), "lab")
+    on = make_bench(load_guide(written(where, SHORT)), "lab")
     for name, seed in (("master", 0), ("new", 7)):
-        run_guide(on, head_of(on, machine="lab"), where / name, seed=seed)
+        run_guide(on, make_head(on, machine="lab"), where / name, seed=seed)
     return where
 
 
@@ -53,39 +53,48 @@ def test_the_smallest_change_is_found_with_its_power() -> None:
         t = (new.mean(axis=1) - old.mean(axis=1)) / spread
         return float(np.mean(np.abs(t) > stats.t.isf(level / 2.0, n - 1)))
 
-    assert found(smallest(5, 2, level, 4), 5, 2) == pytest.approx(0.9, abs=0.01)
-    takes = int(enough(2.0, level, 1.0, power=0.8))
+    assert found(smallest_change(5, 2, level, 4), 5, 2) == pytest.approx(0.9, abs=0.01)
+    takes = int(enough_repetitions(2.0, level, 1.0, power=0.8))
     assert found(2.0, takes - 1, takes - 1) < 0.8 < found(2.0, takes, takes)
-    assert enough(1e-6, level, 1.0) == np.inf
+    assert enough_repetitions(1e-6, level, 1.0) == np.inf
     normal = (stats.norm.isf(level / 2.0) + stats.norm.isf(0.1)) * np.sqrt(2.0 / 5000)
-    assert smallest(5000, 5000, level, 4999) == pytest.approx(normal, rel=0.01)
+    assert smallest_change(5000, 5000, level, 4999) == pytest.approx(normal, rel=0.01)
     wide = stats.t.isf(5e-7, 1) * stats.norm.isf(0.05)  # so large is e |z| 90 times of 100
-    assert smallest(2, 2, 1e-6, 1) == pytest.approx(wide, rel=1e-3)
+    assert smallest_change(2, 2, 1e-6, 1) == pytest.approx(wide, rel=1e-3)
 
 
 def test_a_measure_that_has_not_changed_is_alarmed_at_its_level() -> None:
     draw, level = np.random.default_rng(4), 0.05
     alarms = sum(
-        _measure("t", "m", *np.split(draw.normal(size=7), [5]), level, np.nan).verdict == "changed"
+        _compare_measure("t", "m", *np.split(draw.normal(size=7), [5]), level, np.nan).verdict
+        == "changed"
         for _ in range(3000)
     )
     assert stats.binom.cdf(alarms, 3000, level) > 1e-3
     assert stats.binom.sf(alarms, 3000, level) > 1e-3
     none, some = np.full(20, np.nan), np.linspace(1.0, 1.1, 20)
     for old, new in ((none, some), (some, none)):  # a phase that grazes has a bandwidth by chance
-        assert _measure("t", "m", old[:6], new[:1], 1e-3, np.nan).verdict == "as before"
-        assert _measure("t", "m", old, new, 1e-3, np.nan).verdict == "changed"
-    row = _measure("t", "m", np.array([1.0, 1.1, 0.9]), np.array([1.0]), level, 0.5)
+        assert _compare_measure("t", "m", old[:6], new[:1], 1e-3, np.nan).verdict == "as before"
+        assert _compare_measure("t", "m", old, new, 1e-3, np.nan).verdict == "changed"
+    row = _compare_measure("t", "m", np.array([1.0, 1.1, 0.9]), np.array([1.0]), level, 0.5)
     assert row.verdict == "beyond its limit"
 
 
 def test_a_measure_of_some_repetitions_is_judged_by_them_and_a_dead_channel_hides_none() -> None:
     nan, sound = np.nan, np.array([1.0, 1.1, 0.9, 1.0])
-    assert _measure("t", "m", sound, np.array([50.0, nan]), 0.01, 2.0).verdict == "beyond its limit"
-    assert _measure("t", "m", np.append(sound, nan), sound + 50.0, 0.01, nan).verdict == "changed"
-    assert _measure("t", "m", np.append(sound, nan), sound, 0.01, nan).verdict == "as before"
+    assert (
+        _compare_measure("t", "m", sound, np.array([50.0, nan]), 0.01, 2.0).verdict
+        == "beyond its limit"
+    )
+    assert (
+        _compare_measure("t", "m", np.append(sound, nan), sound + 50.0, 0.01, nan).verdict
+        == "changed"
+    )
+    assert (
+        _compare_measure("t", "m", np.append(sound, nan), sound, 0.01, nan).verdict == "as before"
+    )
     off, spread = np.array([[[0.0]], [[100.0]]]), np.array([[[0.0]], [[1.0]]])
-    assert guide_check.Signed(off, spread, np.array([[3.0]])).worst() == (100.0, 3.0)
+    assert guide_check.SignatureChange(off, spread, np.array([[3.0]])).worst() == (100.0, 3.0)
 
 
 def test_recordings_of_another_rate_are_refused(folder: Path) -> None:
@@ -116,7 +125,7 @@ def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Pat
     for _ in range(400):
         old, new = [noise() for _ in range(5)], [noise()]
         pair = (master._replace(records={"all": records}) for records in (old, new))
-        one = signed(*pair, "all")
+        one = compare_signatures(*pair, "all")
         off, degrees = one.worst()
         alarms += off > stats.t.isf(level / one.difference.size / 2.0, degrees)
     assert stats.binom.sf(alarms, 400, level) > 1e-3
@@ -126,7 +135,7 @@ def test_a_share_is_sought_of_what_has_a_size_of_its_own() -> None:
     """5 % of 8 Hz; half a decibel of a peak, which may be next to nothing."""
     old, now = np.array([7.9, 8.1, 8.0]), np.array([8.0, 8.0])
     for name, sought in (("surge -90 deg [Hz]", 0.4), ("surge peak [dB]", 0.5)):
-        row = guide_check._measure("test", name, old, now, 1e-3, float("nan"))
+        row = guide_check._compare_measure("test", name, old, now, 1e-3, float("nan"))
         assert row.sought == pytest.approx(sought)
 
 
@@ -202,8 +211,8 @@ def test_wrong_folders_and_recordings_are_refused_in_a_sentence(
     with pytest.raises(InputError, match="law is 'original'; the master's is"):
         compare(master, load_master(other))
     guide = SHORT.replace("period = 4.0", "period = 2.0")
-    short = bench(load_guide(written(tmp_path, guide)), "lab")
-    run_guide(short, head_of(short, machine="lab"), tmp_path / "short", repetitions=1)
+    short = make_bench(load_guide(written(tmp_path, guide)), "lab")
+    run_guide(short, make_head(short, machine="lab"), tmp_path / "short", repetitions=1)
     with pytest.raises(InputError, match="its guide has other tests"):
         compare(master, load_master(tmp_path / "short"))
     file = (tmp_path / "short" / "all.1.parquet").read_bytes()

@@ -19,7 +19,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
 from cmf_mj.studies.tuning.evaluation import evaluate, least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
-from cmf_mj.studies.tuning.search import Requirements, SearchResult, judged, save_law, search
+from cmf_mj.studies.tuning.search import Requirements, SearchResult, judge, save_law, search
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -77,8 +77,8 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form: Form) -> None:
-    for value, (low, high) in zip(form.start, form.free.values(), strict=True):
-        assert low <= value <= high
+    for number in form.free.values():
+        assert number.low <= number.start <= number.high
     template = make_template("mine", "Mine", ("gfd",))
     performance = evaluate(candidate(form, template, form.start), template.cabs, (None,))
     assert performance.tail.max() < 0.2
@@ -149,12 +149,12 @@ def test_a_law_that_only_friction_damps_breaks_the_limit_by_as_much_as_it_lacks(
     template, law = make_template("mine", "Mine", [rubbing(60.0)], 0.02), with_load_gain(-0.5)
     grows = least_damping(law, template.frictionless)
     assert grows < 0.0 < 0.05 < least_damping(law, template.cabs)
-    done, beyond = judged(law, template, Requirements(), (None,))
+    done, beyond = judge(law, template, Requirements(), (None,))
     assert beyond[:3] == (0.0, 0.0, 0.0) and beyond.margin_db == 0.0
     assert beyond.damping == pytest.approx(0.02 - grows, rel=1e-12)
     assert beyond.tail > 0.0 and done.tail.max() < 0.05  # it rings with faster valves
     tight = Requirements(done.peak_db.max() - 0.25, done.overshoot[..., :-1].max() - 0.125)
-    _, beyond = judged(law, template, tight, (None,))
+    _, beyond = judge(law, template, tight, (None,))
     assert beyond[:3] == pytest.approx((0.25, 0.125, 0.0), abs=1e-12)
     found = SearchResult(law, done, Requirements(0.25, 0.125, 0.0, 0.0, 0.0, 0.03), 0.0, 1)
     said = "limits not kept: peak by 0.25 dB, overshoot by 12.5 %, damping ratio by 0.030"

@@ -57,7 +57,7 @@ _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
 }
 _FITTED = {
-    (statement.at[0], statement.at[1], source, statement.field, statement.value)
+    (statement.law, statement.dof, source, statement.field, statement.value)
     for name, source in (("report", "nonlinear"), ("hardware", "hardware"))
     for statement in load_campaign(name).evidence.statements
     if not statement.held_back

@@ -122,8 +122,8 @@ class Campaign(NamedTuple):
     @property
     def sensors(self) -> SensorSettings | None:
         """Those of the data sheet; None where they are ideal."""
-        chosen = self.settings.electronics
-        return None if chosen is None else chosen.of(self.plant.machine).sensors
+        electronics = self.settings.electronics
+        return None if electronics is None else electronics.of(self.plant.machine).sensors
 
     @property
     def law(self) -> Law:
@@ -136,42 +136,42 @@ class Campaign(NamedTuple):
 
     def of(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""
-        return tuple(one for one in self.recordings if one.settings.held_back == held_back)
+        return tuple(each for each in self.recordings if each.settings.held_back == held_back)
 
 
 def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
-    """What nobody knows exactly who only has a data sheet.
+    """Unknown numbers of a machine of which only the data sheet is known.
 
     The speed of each leg, lags of drives and valves, leakage, bulk modulus, friction, and mass,
-    centre of mass and inertia of what is carried, wide about what the data sheet says.
+    centre of mass and inertia of what is carried, in wide ranges about the data sheet's.
     """
-    heavy = "cab" if cab.mass.si >= cab.platform.mass.si else "platform"
-    numbers = hydraulics.actuator()
-    weight = cab.payload.mass * STANDARD_GRAVITY / 6.0
+    unknowns = Unknowns()
+
+    def add(name: str, path: str, **distribution: Any) -> None:
+        table = {"path": path, "source": "data sheets are this far from machines"} | distribution
+        unknowns[name] = validated(Unknown, table, name)
+
+    def add_factor(name: str, path: str, low: float, high: float) -> None:
+        add(name, path, low=low, high=high, distribution="loguniform", unit="1")
+
+    add("leg_speed", "hydraulics.actuators.*.leg_speed", deviation=20.0)
+    add_factor("drive_lag", "hydraulics.drive_lag", 0.4, 2.5)
+    add_factor("valve_lag", "hydraulics.valve_lag", 0.4, 2.5)
+    add_factor("leak_rate", "hydraulics.leak_rate", 0.2, 5.0)
+    add_factor("bulk_modulus", "hydraulics.bulk_modulus", 0.4, 2.5)
+    body = "cab" if cab.mass.si >= cab.platform.mass.si else "platform"
+    add("mass", f"{body}.mass", deviation=40.0)
+    leg_load = cab.payload.mass * STANDARD_GRAVITY / 6.0
+    largest = max(0.15 * leg_load, 3.0 * hydraulics.actuator()["coulomb_friction"].si)
+    add("friction", "hydraulics.friction", effect="value", low=0.0, high=largest, unit="N")
+    add("stiction", "hydraulics.stiction", effect="value", low=1.0, high=2.5, unit="1")
     reach = 0.1 * float(cab.machine.geometry.upper[:, :2].max())
-    wide: dict[str, Any] = {"distribution": "loguniform", "unit": "1"}
-    said = {"source": "data sheets are this far from machines"}
-    ranges: dict[str, dict[str, Any]] = {
-        "leg_speed": {"path": "hydraulics.actuators.*.leg_speed", "deviation": 20.0},
-        "drive_lag": {"path": "hydraulics.drive_lag", "low": 0.4, "high": 2.5} | wide,
-        "valve_lag": {"path": "hydraulics.valve_lag", "low": 0.4, "high": 2.5} | wide,
-        "leak_rate": {"path": "hydraulics.leak_rate", "low": 0.2, "high": 5.0} | wide,
-        "bulk_modulus": {"path": "hydraulics.bulk_modulus", "low": 0.4, "high": 2.5} | wide,
-        "mass": {"path": f"{heavy}.mass", "deviation": 40.0},
-    }
-    force = max(0.15 * weight, 3.0 * numbers["coulomb_friction"].si)
-    value: dict[str, Any] = {"effect": "value", "low": 0.0, "high": force, "unit": "N"}
-    ranges["friction"] = {"path": "hydraulics.friction"} | value
-    stuck = {"path": "hydraulics.stiction", "low": 1.0, "high": 2.5, "unit": "1"}
-    ranges["stiction"] = value | stuck
-    place: dict[str, Any] = {"effect": "offset", "deviation": reach, "unit": "m"}
-    moment: dict[str, Any] = {"low": 0.3, "high": 3.0} | wide
-    for what, path, how in (
-        ("centre", "centre_of_mass", place),
-        ("moment", "second_moment", moment),
-    ):
-        ranges |= {f"{what}_{axis}": {"path": f"{heavy}.{path}.{axis}"} | how for axis in "xyz"}
-    return Unknowns({name: validated(Unknown, one | said, name) for name, one in ranges.items()})
+    for axis in "xyz":
+        path = f"{body}.centre_of_mass.{axis}"
+        add(f"centre_{axis}", path, effect="offset", deviation=reach, unit="m")
+    for axis in "xyz":
+        add_factor(f"moment_{axis}", f"{body}.second_moment.{axis}", 0.3, 3.0)
+    return unknowns
 
 
 def load_campaign(folder: str | Path) -> Campaign:
@@ -179,63 +179,76 @@ def load_campaign(folder: str | Path) -> Campaign:
 
     Raises `InputError` that names the file, the recording and what is wrong.
     """
-    where = _READY / f"{folder}.toml" if str(folder) in SHIPPED else Path(folder)
-    path = where / FILE if where.is_dir() else where
-    where = path.parent
-    table = read_toml(path)
-    if "base" in table:
-        base = check_name("base", str(table.pop("base")), SHIPPED)
-        before, inner = read_toml(_READY / f"{base}.toml"), ("evidence", "deviations")
-        changes = {k: merged(before.get(k, {}), table[k], 1) for k in inner if k in table}
-        table = before | table | changes
-    settings = validated(CampaignSettings, table, str(path))
+    source = _READY / f"{folder}.toml" if str(folder) in SHIPPED else Path(folder)
+    path = source / FILE if source.is_dir() else source
+    folder = path.parent
+    settings = _read_settings(path)
     with within(path):
-        cab = load_cab(beside(where, settings.cab), beside(where, settings.machine))
-        hydraulics = hydraulics_of(cab.machine, beside(where, settings.hydraulics))
+        cab = load_cab(beside(folder, settings.cab), beside(folder, settings.machine))
+        hydraulics = hydraulics_of(cab.machine, beside(folder, settings.hydraulics))
         plant = make_plant(settings.plant, cab, hydraulics)
         unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
+        _check_unknowns(unknowns, settings)
         law = settings.law or cab.machine.law
-        every = [*unknowns.items(), *settings.held.items()]
-        for i, (name, one) in enumerate(every):
-            for other, earlier in every[:i]:
-                if name == other or one.path == earlier.path:
-                    raise InputError(f"{name}: {one.path}: is unknown or held twice; allowed: once")
-        recordings = [
-            _recording(where, name, law, settings, cab.machine) for name in settings.recordings
-        ]
+        recordings = tuple(
+            _read_recording(folder, name, law, settings, cab.machine)
+            for name in settings.recordings
+        )
         known = Unknowns({**unknowns, **settings.held}).on(plant)
-        stated = load_evidence(settings.evidence, settings.deviations, law, where, plant, known)
-    for name, one in {**unknowns, **settings.held}.items():
-        if one.path.startswith(("machine.", "effect.", "model.")):
+        evidence = load_evidence(settings.evidence, settings.deviations, law, folder, plant, known)
+        campaign = Campaign(folder, settings, plant, unknowns.on(plant), recordings, evidence)
+        fitted_numbers = [number for number in evidence.statements if not number.held_back]
+        if not campaign.of(held_back=False) and not fitted_numbers:
+            allowed = "allowed: recordings or evidence, one of them not held back"
+            raise InputError(f"has nothing to fit; {allowed}")
+    return campaign
+
+
+def _read_settings(path: Path) -> CampaignSettings:
+    """The file of a campaign, with what it takes from its `base`."""
+    table = read_toml(path)
+    if "base" in table:
+        name = check_name("base", str(table.pop("base")), SHIPPED)
+        base = read_toml(_READY / f"{name}.toml")
+        for key in {"evidence", "deviations"} & table.keys():
+            table[key] = merged(base.get(key, {}), table[key], 1)
+        table = base | table
+    return validated(CampaignSettings, table, str(path))
+
+
+def _check_unknowns(unknowns: Unknowns, settings: CampaignSettings) -> None:
+    """Refuse a name or a path that stands twice, and numbers that a fit cannot change."""
+    names, paths = set[str](), set[str]()
+    for name, unknown in (*unknowns.items(), *settings.held.items()):
+        if name in names or unknown.path in paths:
+            raise InputError(f"{name}: {unknown.path}: is unknown or held twice; allowed: once")
+        names.add(name)
+        paths.add(unknown.path)
+        if unknown.path.startswith(("machine.", "effect.", "model.")):
             allowed = "allowed: hydraulics, cab, platform, payload, legs, law, electronics"
-            raise InputError(f"{path}: {name}: {one.path!r} is refused; {allowed}")
-        if one.path.startswith("electronics.") and settings.electronics is None:
-            said = "electronics are ideal; allowed: a set that has it, such as noisy"
-            raise InputError(f"{path}: unknowns.{name}: {one.path}: {said}")
-    made = Campaign(where, settings, plant, unknowns.on(plant), tuple(recordings), stated)
-    if not (made.of(held_back=False) or any(not one.held_back for one in stated.statements)):
-        allowed = "allowed: recordings or evidence, one of them not held back"
-        raise InputError(f"{path}: has nothing to fit; {allowed}")
-    return made
+            raise InputError(f"{name}: {unknown.path!r} is refused; {allowed}")
+        if unknown.path.startswith("electronics.") and settings.electronics is None:
+            allowed = "allowed: a set that has it, such as noisy"
+            raise InputError(f"unknowns.{name}: {unknown.path}: electronics are ideal; {allowed}")
 
 
-def _recording(
+def _read_recording(
     folder: Path, name: str, law: str, settings: CampaignSettings, machine: Machine
 ) -> Recording:
-    said = settings.recordings[name]
+    recording = settings.recordings[name]
+    file, is_valves = recording.file, recording.kind == "valves"
     with within(f"recordings.{name}"):
-        columns = beside(folder, said.columns or settings.columns)
-        record = read_mapped(folder / said.file, columns, machine)
-        driven = said.kind == "valves"
-        given = "valve_command" if driven else "leg_reference"
-        for channel in (given, MEASURED[0]):
+        columns = beside(folder, recording.columns or settings.columns)
+        record = read_mapped(folder / file, columns, machine)
+        command = "valve_command" if is_valves else "leg_reference"
+        for channel in (command, "leg_position"):
             if channel not in record.channels:
-                raise InputError(f"{said.file}: {channel}: is missing; a {said.kind} needs it")
-        for channel in (given, *MEASURED):
+                raise InputError(f"{file}: {channel}: is missing; a {recording.kind} needs it")
+        for channel in (command, *MEASURED):
             gaps = (~np.isfinite(record.channels.get(channel, np.zeros(1)))).any(axis=-1)
             if gaps.any():
-                at = record.time[int(np.argmax(gaps))]
+                time = record.time[int(np.argmax(gaps))]
                 allowed = "allowed: numbers; let the column map bridge what is short"
-                raise InputError(f"{said.file}: {channel}: has none at {at:g} s; {allowed}")
-        chosen = None if driven else load_law(beside(folder, said.law or law))
-    return Recording(name, said, record, chosen)
+                raise InputError(f"{file}: {channel}: has none at {time:g} s; {allowed}")
+        recorded_law = None if is_valves else load_law(beside(folder, recording.law or law))
+    return Recording(name, recording, record, recorded_law)

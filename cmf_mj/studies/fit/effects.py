@@ -23,94 +23,96 @@ from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
-from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improved
-from cmf_mj.studies.fit.model import Change, minus
+from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improve
+from cmf_mj.studies.fit.model import Change, difference
 
 Array = NDArray[np.float64]
 
-_LEGS, _FLOOR = 0.25, 0.2
-_FLOORS = np.geomspace(8.0, 32.0, 7)  #: With the machine on it, its legs rigid [Hz].
-_AGAIN = 4  #: Most steps of a fit with an effect.
+_LEG_SHARE = 0.25  #: Compliance of legs that yield, over that of their oil.
+_FLOOR_SHARE = 0.2  #: Mass of the machine over that of a floor that yields.
+_FLOOR_FREQUENCIES = np.geomspace(8.0, 32.0, 7)  #: With the machine on it, its legs rigid [Hz].
+_REFIT_STEPS = 4  #: Most steps of a fit with an effect.
 _HELPS = 10.0  #: Gain of -ln L from which an effect is said to help.
 
 
-class Extra(NamedTuple):
-    """What a machine may have beside the numbers that are fitted."""
+class Candidate(NamedTuple):
+    """An effect that a machine may have beside the numbers that are fitted."""
 
-    on: Callable[[Plant, Sequence[str]], list[Change]]
+    changes: Callable[[Plant, Sequence[str]], list[Change]]
     """The changes to be tried, by the data sheet's machine and its legs."""
-    path: str = ""  #: Of a number; what has none yields, of hexapods alone.
-    signed: bool = False  #: Whether it may go either way.
+    path: str = ""  #: Of a number; an effect without one is a part that yields, of hexapods alone.
+    is_signed: bool = False  #: Whether it may go either way.
 
 
-def _number(path: str, unit: str, size: Callable[[Plant], float], signed: bool = False) -> Extra:
+def _of_number(
+    path: str, unit: str, size: Callable[[Plant], float], is_signed: bool = False
+) -> Candidate:
     """A number by its path, with the size that is tried; its unit is of SI."""
-    said = {"path": path, "unit": unit, "effect": "value", "low": -1.0, "high": 1.0}
-    alone = Unknowns(extra=validated(Unknown, said | {"source": "tried"}, path))
+    table = {"path": path, "unit": unit, "effect": "value", "low": -1.0, "high": 1.0}
+    unknowns = Unknowns(extra=validated(Unknown, table | {"source": "tried"}, path))
 
-    def on(sheet: Plant, legs: Sequence[str]) -> list[Change]:
+    def changes(sheet: Plant, legs: Sequence[str]) -> list[Change]:
         before = np.array([nominal(path.replace("*", leg), sheet)[0] for leg in legs])
         step = size(sheet)
 
-        def made(machine: Plant, added: Array) -> Plant:
-            value = before + added * step
-            return alone.apply({"extra": value if "*" in path else float(value[0])}, machine)
+        def change(machine: Plant, amount: Array) -> Plant:
+            value = before + amount * step
+            return unknowns.apply({"extra": value if "*" in path else float(value[0])}, machine)
 
-        return [made]
+        return [change]
 
-    return Extra(on, path, signed)
+    return Candidate(changes, path, is_signed)
 
 
-def _load(sheet: Plant, share: float) -> float:
-    """A share of a leg's static load [N]."""
+def _static_load(sheet: Plant) -> float:
+    """Load of a leg at rest [N]."""
     cab = sheet.cab_parameters
-    return share * ((cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / sheet.legs)
+    return (cab.payload.mass if cab else 0.0) * STANDARD_GRAVITY / sheet.legs
 
 
-def _legs(sheet: Plant, _: Sequence[str]) -> list[Change]:
-    """Legs that yield; one size is `_LEGS` of the compliance of their oil at neutral."""
+def _viscous_friction(sheet: Plant) -> float:
+    """A share of the static load at full speed [N s/m]."""
+    return 0.05 * _static_load(sheet) / (100.0 * sheet.parameters.leg_speed.si)
+
+
+def _yielding_legs(sheet: Plant, _: Sequence[str]) -> list[Change]:
+    """Legs that yield; one size is `_LEG_SHARE` of the compliance of their oil at neutral."""
     hydraulics = sheet.hydraulics
     oil = stiffness(hydraulics.cylinder, hydraulics.oil.bulk_modulus, np.zeros(sheet.legs))
-    stiff = float(oil.mean()) / _LEGS
-    return [lambda machine, added: on_mounts(machine, stiff / float(added[0]))]
+    mount = float(oil.mean()) / _LEG_SHARE
+    return [lambda machine, amount: on_mounts(machine, mount / float(amount[0]))]
 
 
-def _floors(sheet: Plant, _: Sequence[str]) -> list[Change]:
-    """Floors that yield; at each frequency of `_FLOORS` the number is the inverse of their mass.
+def _yielding_floors(sheet: Plant, _: Sequence[str]) -> list[Change]:
+    """Floors that yield; at each of `_FLOOR_FREQUENCIES` the number is the inverse of their mass.
 
     A floor of mass m alone answers a force with 1 / m over what its frequency says, so that at one
-    frequency it is nearly linear in 1 / m; one size makes it the machine's over `_FLOOR`.
+    frequency it is nearly linear in 1 / m; one size makes it the machine's over `_FLOOR_SHARE`.
     """
 
-    def at(hertz: float) -> Change:
-        def made(machine: Plant, added: Array) -> Plant:
-            whole = float(machine.model.body_mass.sum())
-            mass = whole / (_FLOOR * float(added[0]))
-            return on_floor(machine, Floor(mass, (mass + whole) * (2.0 * np.pi * hertz) ** 2))
+    def on_floor_of(hertz: float, machine: Plant, amount: Array) -> Plant:
+        whole = float(machine.model.body_mass.sum())
+        mass = whole / (_FLOOR_SHARE * float(amount[0]))
+        return on_floor(machine, Floor(mass, (mass + whole) * (2.0 * np.pi * hertz) ** 2))
 
-        return made
-
-    return [at(float(hertz)) for hertz in _FLOORS]
+    return [partial(on_floor_of, float(hertz)) for hertz in _FLOOR_FREQUENCIES]
 
 
 EFFECTS = {
-    "valve overlap": _number("hydraulics.overlap", "1", lambda _: 0.01),
-    "valve hysteresis": _number("hydraulics.hysteresis", "1", lambda _: 0.01),
-    "unequal null bias": _number("hydraulics.actuators.*.null_bias", "1", lambda _: 0.005, True),
-    "viscous friction": _number(
-        *("hydraulics.viscous_friction", "N s/m"),
-        lambda sheet: _load(sheet, 0.05) / (100.0 * sheet.parameters.leg_speed.si),
+    "valve overlap": _of_number("hydraulics.overlap", "1", lambda _: 0.01),
+    "valve hysteresis": _of_number("hydraulics.hysteresis", "1", lambda _: 0.01),
+    "unequal null bias": _of_number("hydraulics.actuators.*.null_bias", "1", lambda _: 0.005, True),
+    "viscous friction": _of_number("hydraulics.viscous_friction", "N s/m", _viscous_friction),
+    "Coulomb friction": _of_number("hydraulics.friction", "N", lambda s: 0.02 * _static_load(s)),
+    "entrained gas": _of_number("hydraulics.entrained_gas", "1", lambda _: 0.002),
+    "resistance of the supply hoses": _of_number(
+        "hydraulics.supply_hose", "Pa s/m^3", lambda sheet: sheet.parameters.supply_hose.si
     ),
-    "Coulomb friction": _number("hydraulics.friction", "N", lambda sheet: _load(sheet, 0.02)),
-    "entrained gas": _number("hydraulics.entrained_gas", "1", lambda _: 0.002),
-    "resistance of the supply hoses": _number(
-        *("hydraulics.supply_hose", "Pa s/m^3"), lambda sheet: sheet.parameters.supply_hose.si
-    ),
-    "a floor that yields": Extra(_floors),
-    "legs that yield": Extra(_legs),
+    "a floor that yields": Candidate(_yielding_floors),
+    "legs that yield": Candidate(_yielding_legs),
 }
-"""What a machine may have beside its numbers; of friction over a leg's static load and, viscous,
-per full speed, of hoses over what there is."""
+"""What a machine may have beside its numbers, with the size that is tried: of Coulomb friction a
+share of a leg's static load, of viscous friction one per full speed, of hoses what there is."""
 
 
 class Effect(NamedTuple):
@@ -118,7 +120,7 @@ class Effect(NamedTuple):
 
     name: Annotated[str, Field(title="effect")]
     gain: Annotated[float, Field(title="gain of -ln L", form=".1f")]
-    shift: Array  #: What the coordinates of the numbers are with it, less those without, (n,).
+    shift: Array  #: Coordinates of the numbers with it, less those without, (n,).
 
     @property
     def helps(self) -> bool:
@@ -134,71 +136,78 @@ class _Point(NamedTuple):
     cost: float
 
 
-def tried(end: Linearised, fitter: Fitter) -> list[Effect]:
+def try_effects(end: Linearised, fitter: Fitter) -> list[Effect]:
     """Gain of each effect that is no unknown yet, the largest first, from the `end` of the fit."""
-    there = {one.path for one in fitter.model.unknowns.values()}
+    unknown_paths = {unknown.path for unknown in fitter.model.unknowns.values()}
+    is_hexapod = isinstance(fitter.model.plant, Hexapod)
     points = {
-        name: _best(end, fitter, extra)
-        for name, extra in EFFECTS.items()
-        if extra.path not in there and (extra.path or isinstance(fitter.model.plant, Hexapod))
+        name: _best_point(end, fitter, candidate)
+        for name, candidate in EFFECTS.items()
+        if candidate.path not in unknown_paths and (candidate.path or is_hexapod)
     }
     if points:
-        most = min(points, key=lambda name: points[name].cost)
-        if end.cost - points[most].cost > _HELPS:
-            points[most] = _fitted(points[most])
-    mine = slice(fitter.model.size)
-    found = [
-        Effect(name, end.cost - one.cost, one.x[mine] - end.x[mine]) for name, one in points.items()
+        best = min(points, key=lambda name: points[name].cost)
+        if end.cost - points[best].cost > _HELPS:
+            points[best] = _refitted(points[best])
+    numbers = slice(fitter.model.size)
+    effects = [
+        Effect(name, end.cost - point.cost, point.x[numbers] - end.x[numbers])
+        for name, point in points.items()
     ]
-    return sorted(found, key=lambda effect: -effect.gain)
+    return sorted(effects, key=lambda effect: -effect.gain)
 
 
-def _best(end: Linearised, fitter: Fitter, extra: Extra) -> _Point:
-    """The best of what is tried with an effect, and else none of it, where the fit ended."""
-    legs = fitter.model.unknowns.legs if "*" in extra.path else ("",)
+def _best_point(end: Linearised, fitter: Fitter, candidate: Candidate) -> _Point:
+    """The best point with an effect, or without it where the fit ended."""
+    legs = fitter.model.unknowns.legs if "*" in candidate.path else ("",)
     size = fitter.model.size
-    none = np.insert(end.x, size, np.zeros(len(legs)))
-    best, most = _Point(fitter, none, end.cost), 0.0
-    for change in extra.on(fitter.model.plant, legs):
-        with_ = fitter.having(change if extra.signed else partial(_some, change))
-        points = [np.insert(end.x, size, one) for one in np.eye(len(legs))]
-        there = [one for one in with_.all(points) if one is not None]
-        if len(there) < len(legs):
+    zero = np.insert(end.x, size, np.zeros(len(legs)))
+    best, largest_gain = _Point(fitter, zero, end.cost), 0.0
+    for change in candidate.changes(fitter.model.plant, legs):
+        fitter_with = fitter.with_effect(
+            change if candidate.is_signed else partial(_positive_effect, change)
+        )
+        units = [np.insert(end.x, size, unit) for unit in np.eye(len(legs))]
+        residuals = [each for each in fitter_with.residuals_at(units) if each is not None]
+        if len(residuals) < len(legs):
             continue
-        derivatives = [*end.derivatives[:size], *(minus(one, end.residuals) for one in there)]
-        derivatives += end.derivatives[size:]
-        whole = with_.linearised(none, end.residuals, derivatives)
-        points, costs = points[:1], [with_.cost(points[0], there[0])]
-        move = np.linalg.solve(whole.hessian, whole.gradient)
-        if whole.predicted_gain > most and (extra.signed or move[size] > 0.0):
-            most = whole.predicted_gain
-            points += [none + part * move for part in (1.0, 0.5, 0.25)]
-            costs += map(with_.cost, points[1:], with_.all(points[1:]))
+        by_effect = [difference(each, end.residuals) for each in residuals]
+        derivatives = [*end.derivatives[:size], *by_effect, *end.derivatives[size:]]
+        linearised = fitter_with.linearised(zero, end.residuals, derivatives)
+        points, costs = units[:1], [fitter_with.cost(units[0], residuals[0])]
+        move = np.linalg.solve(linearised.hessian, linearised.gradient)
+        gain = linearised.predicted_gain
+        if gain > largest_gain and (candidate.is_signed or move[size] > 0.0):
+            largest_gain = gain
+            moved = [zero + part * move for part in (1.0, 0.5, 0.25)]
+            points += moved
+            costs += map(fitter_with.cost, moved, fitter_with.residuals_at(moved))
         least = int(np.argmin(costs))
         if costs[least] < best.cost:
-            best = _Point(with_, points[least], costs[least])
+            best = _Point(fitter_with, points[least], costs[least])
     return best
 
 
-def _some(change: Change, machine: Plant, added: Array) -> Plant:
+def _positive_effect(change: Change, machine: Plant, amount: Array) -> Plant:
     """A machine with an effect that it has or has not: less than nothing of it is refused."""
-    if added[0] <= 0.0:
-        raise InputError(f"effect: {added[0]:g} of it is refused; allowed: more than 0")
-    return change(machine, added)
+    if amount[0] <= 0.0:
+        raise InputError(f"effect: {amount[0]:g} of it is refused; allowed: more than 0")
+    return change(machine, amount)
 
 
-def _fitted(point: _Point) -> _Point:
-    """The numbers fitted again with an effect, from the best there is or what is weighed."""
+def _refitted(point: _Point) -> _Point:
+    """The numbers fitted again with an effect, from `point` or from what the rests weigh."""
     fitter, x, model = point.fitter, point.x, point.fitter.model
-    starts = [x]
+    others = []
     for amount in (1.0, 2.0):
-        starts.append(np.full(x.size, amount))
-        starts[-1][: model.size] = model.weighed()
-        starts[-1][x.size - model.clocks :] = x[x.size - model.clocks :]
-    costs = [point.cost, *map(fitter.cost, starts[1:], fitter.all(starts[1:]))]
-    x, width = starts[int(np.argmin(costs))], np.full(x.size, WIDTH[1])
-    for _ in range(_AGAIN):
-        row = improved(fitter, x, width)
+        start = np.full(x.size, amount)
+        start[: model.size] = model.weigh()
+        start[x.size - model.clocks :] = x[x.size - model.clocks :]
+        others.append(start)
+    costs = [point.cost, *map(fitter.cost, others, fitter.residuals_at(others))]
+    x, width = [x, *others][int(np.argmin(costs))], np.full(x.size, WIDTH[1])
+    for _ in range(_REFIT_STEPS):
+        row = improve(fitter, x, width)
         x, width = np.array(row["x"]), np.array(row["width"])
         if row["done"]:
             break

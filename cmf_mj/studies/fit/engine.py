@@ -25,7 +25,7 @@ from cmf_mj.studies.engine import Journal, one_library_thread
 from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, load_campaign
 from cmf_mj.studies.fit.evidence import Evidence
-from cmf_mj.studies.fit.iteration import STAGES, WIDTH, Fitter, Linearised, improved
+from cmf_mj.studies.fit.iteration import STAGES, WIDTH, Fitter, Linearised, improve
 from cmf_mj.studies.fit.likelihood import spread
 from cmf_mj.studies.fit.model import Model
 
@@ -37,7 +37,7 @@ _TWINS = (("drive_lag", "valve_lag"),)  #: Pairs of unknowns that may be exchang
 _TWIN_LOSS = 2.0  #: What an exchange may add to the cost: two deviations.
 _TWIN_REACH = 4.0  #: Largest coordinate that an exchange may lead to, either way.
 _SHIFT_ROW = -1  #: Row of the journal with what linearisation misses.
-_SAMPLING = 128, 2, 1  #: Draws, rounds and seed of importance sampling.
+_DRAWS, _ROUNDS, _SEED = 128, 2, 1  #: Of importance sampling.
 
 
 class Posterior(NamedTuple):
@@ -50,16 +50,16 @@ class Posterior(NamedTuple):
     degrees: float  #: Of freedom of Student's t about them.
     linearised: Linearised  #: Residuals and derivatives there.
     twins: tuple[tuple[str, str], ...]  #: Numbers that can be exchanged.
-    exchanged: Array  #: The coordinates with all twins exchanged.
-    drawn: Array  #: Points of importance sampling (m, n), of evidence alone; else none.
-    weights: Array  #: Theirs, (m,).
+    exchanged_z: Array  #: The coordinates with all twins exchanged.
+    points: Array  #: Of importance sampling (m, n), of evidence alone; else none.
+    weights: Array  #: Of these points, (m,).
     shifts: Array = np.empty((0, 0))
     """Shifts of `z` that effects which the model lacks would cause, (m, n)."""
 
     def applied(self, part: Part) -> Part:
         """A plant, or another part of the machine, with the fitted numbers."""
-        known = self.campaign.unknowns
-        return known.apply(known.at(stats.norm.cdf(self.z)), part)
+        unknowns = self.campaign.unknowns
+        return unknowns.apply(unknowns.at(stats.norm.cdf(self.z)), part)
 
     @property
     def deviation(self) -> Array:
@@ -73,27 +73,27 @@ class Posterior(NamedTuple):
         """
         if self.weights.size:
             ends = np.array([0.5 - 0.5 * share, 0.5 + 0.5 * share])
-            columns = [sampling.weighted_quantiles(z, self.weights, ends) for z in self.drawn.T]
+            columns = [sampling.weighted_quantiles(z, self.weights, ends) for z in self.points.T]
             return np.stack(columns, axis=-1)
         half = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
         low, high = self.z - half, self.z + half
         if exchange:
-            other = half[self._order()]
-            low = np.minimum(low, self.exchanged - other)
-            high = np.maximum(high, self.exchanged + other)
+            exchanged_half = half[self._exchanged_order()]
+            low = np.minimum(low, self.exchanged_z - exchanged_half)
+            high = np.maximum(high, self.exchanged_z + exchanged_half)
         low, high = low + self._all_shifts.min(axis=0), high + self._all_shifts.max(axis=0)
         return np.clip([low, high], *stats.norm.ppf([1e-6, 1.0 - 1e-6]))
 
     @property
     def _all_shifts(self) -> Array:
-        """None and `shifts`, (1 + m, n)."""
+        """No shift and `shifts`, (1 + m, n)."""
         return np.vstack([np.zeros(self.z.size), *self.shifts])
 
-    def _order(self) -> NDArray[np.int64]:
+    def _exchanged_order(self) -> NDArray[np.int64]:
         """Indices of the numbers with all twins exchanged."""
         order = np.arange(self.z.size)
-        for pair in self.twins:
-            i, j = map(self.names.index, pair)
+        for first, second in self.twins:
+            i, j = self.names.index(first), self.names.index(second)
             order[[i, j]] = j, i
         return order
 
@@ -105,13 +105,13 @@ class Posterior(NamedTuple):
     def samples(self, count: int, seed: int = 0) -> Array:
         """Coordinates of machines that the recordings allow, (count, n)."""
         if self.weights.size:
-            return np.asarray(self.drawn[sampling.resampled(self.weights, count, seed)])
+            return np.asarray(self.points[sampling.resampled(self.weights, count, seed)])
         generator = np.random.default_rng(seed)
         law = stats.multivariate_t(self.z, self.covariance, self.degrees, allow_singular=True)
-        drawn = law.rvs(count, random_state=generator).reshape(count, -1)
-        swapped = generator.random(count) < 0.5
-        drawn[swapped] = self.exchanged + (drawn[swapped] - self.z)[:, self._order()]
-        return drawn + generator.choice(self._all_shifts, count)
+        samples = law.rvs(count, random_state=generator).reshape(count, -1)
+        rows = generator.random(count) < 0.5  # about the exchanged coordinates
+        samples[rows] = self.exchanged_z + (samples[rows] - self.z)[:, self._exchanged_order()]
+        return samples + generator.choice(self._all_shifts, count)
 
 
 @one_library_thread()
@@ -121,7 +121,7 @@ def fit(
     *,
     jobs: int = 2,
     progress: Progress | None = None,
-    doing: Progress | None = None,
+    announce: Progress | None = None,
 ) -> Posterior:
     """Fit the unknowns of a campaign; finished steps in `folder` are not computed again.
 
@@ -130,7 +130,7 @@ def fit(
         folder: of the journal of steps.
         jobs: threads that simulate.
         progress: called with a line after each step.
-        doing: called with what comes next, before it.
+        announce: called with what comes next, before it.
 
     Raises `InputError` for a campaign that cannot be read, and where the machine to begin with
     cannot follow what was demanded; `OutOfBounds` where it leaves its physical bounds.
@@ -140,10 +140,10 @@ def fit(
     >>> folder = Path(tempfile.mkdtemp())
     >>> heavy = cmf_mj.load_cab(None, "lab").changed("heavy", mass=330.0)
     >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=1.0, cycles=8)
-    >>> how = {"electronics": "noisy", "record_every": 16}
-    >>> record = cmf_mj.simulate(cmf_mj.Hexapod(heavy), "original", command, **how)
+    >>> settings = {"electronics": "noisy", "record_every": 16}
+    >>> record = cmf_mj.simulate(cmf_mj.Hexapod(heavy), "original", command, **settings)
     >>> file = record.save(folder / "surge.parquet")
-    >>> said = '''machine = "lab"
+    >>> table = '''machine = "lab"
     ... law = "original"
     ... [recordings.surge]
     ... file = "surge.parquet"
@@ -152,101 +152,104 @@ def fit(
     ... path = "cab.mass"
     ... deviation = 30.0
     ... source = "a guess"'''
-    >>> written = (folder / "campaign.toml").write_text(said)
-    >>> mine = cmf_mj.fit(folder, folder / "out")
+    >>> written = (folder / "campaign.toml").write_text(table)
+    >>> posterior = cmf_mj.fit(folder, folder / "out")
     >>> from cmf_mj.studies.fit.results import physical
-    >>> print(f"{physical(mine, mine.z)[0]:.0f} kg")
+    >>> print(f"{physical(posterior, posterior.z)[0]:.0f} kg")
     330 kg
     """
     campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
-    say, doing = progress or (lambda text: None), doing or (lambda text: None)
-    identity = {
-        "campaign": campaign.settings.model_dump(mode="json", exclude_defaults=True),
-        "recordings": {one.name: one.record.digest for one in campaign.recordings},
-    }
+    report, announce = progress or (lambda text: None), announce or (lambda text: None)
+    digests = {recording.name: recording.record.digest for recording in campaign.recordings}
+    settings = campaign.settings.model_dump(mode="json", exclude_defaults=True)
+    identity = {"campaign": settings, "recordings": digests}
     journal = Journal(Path(folder) / "steps", identity)
     names = tuple(name for name, *_ in campaign.unknowns.numbers())
-    pieces = len(campaign.of(held_back=False))
+    recordings = len(campaign.of(held_back=False))
     model = Model(campaign)
-    doing("weighing at rest")
-    x = np.append(model.weighed(), np.zeros(model.clocks))
+    announce("weighing at rest")
+    x = np.append(model.weigh(), np.zeros(model.clocks))
     number, width = 0, np.full(x.size, WIDTH[1])
     if campaign.settings.simulated:
-        say("the data sheet's machine, simulated")
-        campaign = campaign._replace(evidence=_shifted(campaign, journal, jobs))
-    for stage in STAGES if pieces else ("whole",):
+        report("the data sheet's machine, simulated")
+        campaign = campaign._replace(evidence=_evidence_with_shift(campaign, journal, jobs))
+    for stage in STAGES if recordings else ("whole",):
         fitter = Fitter(campaign, stage, jobs)
         for step in range(fitter.stage.steps):
-            new = ", compiling first if new" * (number == 0)
-            doing(f"{stage} {step + 1}: {x.size + 1} machines, {pieces} recordings each{new}")
+            note = ", compiling first if new" if number == 0 else ""
+            machines = f"{x.size + 1} machines, {recordings} recordings each"
+            announce(f"{stage} {step + 1}: {machines}{note}")
             if number not in journal.results:
-                journal.add(number, [improved(fitter, x, width)])
-            row = journal.results[number][0]
+                journal.add(number, [improve(fitter, x, width)])
+            (row,) = journal.results[number]
             number += 1
-            say(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
+            report(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
             x, width = np.array(row["x"]), np.array(row["width"])
             if row["done"]:
                 break
     best = fitter.linearised_at(x, width)
-    covariance, (twins, exchanged) = spread(best.information, x), _twins(fitter, names, best)
-    drawn = (np.empty((0, len(names))), np.empty(0)) if pieces else _drawn(fitter, journal, say)
-    mine = slice(len(names))  # without clocks
+    covariance = spread(best.information, x)
+    twins, exchanged = _find_twins(fitter, names, best)
+    points, weights = np.empty((0, len(names))), np.empty(0)
+    if not recordings:
+        points, weights = _draw(fitter, journal, report)
+    numbers = slice(len(names))  # without clocks
     return Posterior(
         campaign=campaign,
         names=names,
-        z=x[mine],
-        covariance=covariance[mine, mine],
-        degrees=max(3.0, pieces - 1.0),
+        z=x[numbers],
+        covariance=covariance[numbers, numbers],
+        degrees=max(3.0, recordings - 1.0),
         linearised=best,
         twins=twins,
-        exchanged=exchanged[mine],
-        drawn=drawn[0],
-        weights=drawn[1],
+        exchanged_z=exchanged[numbers],
+        points=points,
+        weights=weights,
     )
 
 
-def _drawn(fitter: Fitter, journal: Journal, say: Progress) -> tuple[Array, Array]:
-    """Points of importance sampling and their weights, rounds from the journal where they are."""
+def _draw(fitter: Fitter, journal: Journal, report: Progress) -> tuple[Array, Array]:
+    """Points of importance sampling and their weights; the journal keeps its rounds."""
 
     def likelihoods(number: int, points: Array) -> Array:
         row = _SHIFT_ROW - 1 - number
         if row not in journal.results:
-            there = fitter.all(list(points))
-            costs = [fitter.cost(*one) for one in zip(points, there, strict=True)]
-            journal.add(row, [{"merit": costs}])
-        return np.asarray(0.5 * (points**2).sum(axis=1) - journal.results[row][0]["merit"])
+            costs = map(fitter.cost, points, fitter.residuals_at(list(points)))
+            journal.add(row, [{"merit": list(costs)}])
+        (result,) = journal.results[row]
+        return np.asarray(0.5 * (points**2).sum(axis=1) - result["merit"])
 
-    drawn = sampling.importance(likelihoods, fitter.model.size, *_SAMPLING)
-    size = sampling.effective_size(drawn.weights)
-    say(f"{len(drawn.points)} machines drawn, effective sample size {size:.0f}")
-    return drawn.points, drawn.weights
+    draws = sampling.importance(likelihoods, fitter.model.size, _DRAWS, _ROUNDS, _SEED)
+    size = sampling.effective_size(draws.weights)
+    report(f"{len(draws.points)} machines drawn, effective sample size {size:.0f}")
+    return draws.points, draws.weights
 
 
-def _shifted(campaign: Campaign, journal: Journal, jobs: int) -> Evidence:
-    """The evidence with what linearisation misses, from the journal where it is there."""
+def _evidence_with_shift(campaign: Campaign, journal: Journal, jobs: int) -> Evidence:
+    """The evidence with what linearisation misses, which the journal keeps."""
     if _SHIFT_ROW not in journal.results:
-        shift = campaign.evidence.shifted(jobs).shift
+        shift = campaign.evidence.with_shift(jobs).shift
         journal.add(_SHIFT_ROW, [{"shift": shift.tolist()}])
-    return campaign.evidence._replace(shift=np.array(journal.results[_SHIFT_ROW][0]["shift"]))
+    (row,) = journal.results[_SHIFT_ROW]
+    return campaign.evidence._replace(shift=np.array(row["shift"]))
 
 
-def _twins(
+def _find_twins(
     fitter: Fitter, names: tuple[str, ...], best: Linearised
 ) -> tuple[tuple[tuple[str, str], ...], Array]:
     """Pairs whose exchange costs next to nothing, and the coordinates with those exchanged."""
-    found, x = [], best.x
-    hydraulics = fitter.model.machine(x).parameters
-    for pair in _TWINS:
-        if not set(pair) <= set(names):
+    twins, x = [], best.x
+    fitted, sheet = fitter.model.machine(x).parameters, fitter.model.plant.parameters
+    for first, second in _TWINS:
+        if not {first, second} <= set(names):
             continue
-        moved = x.copy()
-        for one, other in (pair, pair[::-1]):
-            unknown = fitter.model.unknowns[one]
-            nominal = getattr(fitter.model.plant.parameters, one)
+        exchanged = x.copy()
+        for name, twin in ((first, second), (second, first)):
+            unknown = fitter.model.unknowns[name]
             grid = np.linspace(-_TWIN_REACH, _TWIN_REACH, 2001)
-            values = unknown.number(nominal.si, unknown.at(stats.norm.cdf(grid)))
-            moved[names.index(one)] = np.interp(getattr(hydraulics, other).si, values, grid)
-        if fitter.cost(moved, fitter.tried(moved)) - best.cost < _TWIN_LOSS:
-            found.append(pair)
-            x = moved
-    return tuple(found), x
+            values = unknown.number(getattr(sheet, name).si, unknown.at(stats.norm.cdf(grid)))
+            exchanged[names.index(name)] = np.interp(getattr(fitted, twin).si, values, grid)
+        if fitter.cost(exchanged, fitter.residuals(exchanged)) - best.cost < _TWIN_LOSS:
+            twins.append((first, second))
+            x = exchanged
+    return tuple(twins), x

@@ -65,7 +65,7 @@ MEASURES = {
 }
 """What may be stated of a law along an axis, fields of `Measures`, and its title."""
 
-_OF_RESPONSE = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db")
+_RESPONSE_MEASURES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db")
 LEAST = "least_damping"
 
 LINES = np.geomspace(0.4, 15.0, 150)  #: Lines the bandwidths are read between [Hz], 2.5 % apart.
@@ -110,9 +110,12 @@ class Statement(NamedTuple):
     """One number that is stated."""
 
     evidence: str  #: Its name in the campaign.
-    what: str  #: Title of the quantity.
+    quantity: str  #: Its title.
     field: str  #: Of `Deviations`.
-    at: tuple[str, str, str, float]  #: Law, degree of freedom, cab, frequency [Hz].
+    law: str
+    dof: str
+    cab: str  #: Empty for the campaign's.
+    frequency: float  #: Of a response [Hz].
     value: float
     deviation: float
     held_back: bool
@@ -120,18 +123,18 @@ class Statement(NamedTuple):
     def excess(self, predicted: float) -> float:
         """E of a machine; `FARTHEST` where it has no such number."""
         if self.field == LEAST:
-            off = float(np.maximum(0.0, self.value - predicted))
+            error = float(np.maximum(0.0, self.value - predicted))
         elif self.field.endswith("_hz"):
-            off = float(np.log(self.value / predicted)) if 0.0 < predicted < np.inf else np.nan
+            error = float(np.log(self.value / predicted)) if 0.0 < predicted < np.inf else np.nan
         else:
-            off = self.value - predicted
-        if self.field == "phase_deg" and abs(off) > 180.0:
-            off = (off + 180.0) % 360.0 - 180.0
-        return off / self.deviation if np.isfinite(off) else FARTHEST
+            error = self.value - predicted
+        if self.field == "phase_deg" and abs(error) > 180.0:
+            error = (error + 180.0) % 360.0 - 180.0
+        return error / self.deviation if np.isfinite(error) else FARTHEST
 
 
-class Found(NamedTuple):
-    """What a machine makes of all statements."""
+class LoopNumbers(NamedTuple):
+    """The numbers of a machine that are stated."""
 
     value: Array  #: (n,), NaN where it has no such number.
     stable: NDArray[np.bool_]  #: Of the loop behind each, (n,).
@@ -146,80 +149,86 @@ class Evidence(NamedTuple):
     unknowns: Unknowns
     shift: Array  #: d of each statement, (n,).
 
-    def linear(self, values: Values, plant: Plant) -> Found:
-        """What the linear loops of a machine with these values make of the statements.
+    def linear(self, values: Values, plant: Plant) -> LoopNumbers:
+        """The stated numbers of the linear loops of a machine with these values.
 
         Bandwidths are those of the response, also of an unstable loop: a fit must pass through it.
         """
         plants: dict[str, Linear] = {}
         laws = {name: self.unknowns.apply(values, law) for name, law in self.laws.items()}
-        found: dict[tuple[str, str, str], tuple[Any, Measures]] = {}
+        loops: dict[tuple[str, str, str], tuple[Any, Measures]] = {}
         value, stable = np.full(len(self.statements), np.nan), np.zeros(len(self.statements), bool)
-        for i, one in enumerate(self.statements):
-            law, dof, cab, hertz = one.at
+        for i, statement in enumerate(self.statements):
+            law, cab = laws[statement.law], statement.cab
             if cab not in plants:
-                plants[cab] = Linear(self._with(cab, values, plant), friction="none")
-            linear = plants[cab]
-            if one.field == LEAST:
-                loop = linear.leg_loop(laws[law])
-                poles = np.asarray(loop.poles(), dtype=complex)
-                value[i], stable[i] = _least_damping(poles, loop.dt), are_stable(poles)
+                plants[cab] = Linear(self._plant_with(cab, values, plant), friction="none")
+            if statement.field == LEAST:
+                legs = plants[cab].leg_loop(law)
+                poles = np.asarray(legs.poles(), dtype=complex)
+                value[i], stable[i] = _least_damping(poles, legs.dt), are_stable(poles)
                 continue
-            if (law, dof, cab) not in found:
-                signal = dof if isinstance(linear.plant, Hexapod) else "leg_1"
-                loop = linear.loop(laws[law], signal)
-                measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
-                if not measures.stable:
-                    widths = bandwidths(loop_response(loop, LINES))
-                    measures = _with_bandwidths(measures, widths)
-                found[law, dof, cab] = loop, measures
-            loop, measures = found[law, dof, cab]
+            case = statement.law, statement.dof, cab
+            if case not in loops:
+                loops[case] = _measured_loop(plants[cab], law, statement.dof)
+            loop, measures = loops[case]
             stable[i] = measures.stable
-            if one.field in MEASURES:
-                value[i] = getattr(measures, one.field)
+            if statement.field in MEASURES:
+                value[i] = getattr(measures, statement.field)
             else:
-                response = complex(loop_response(loop, np.array([hertz])).frdata[0, 0, 0])
+                at_line = loop_response(loop, np.array([statement.frequency]))
+                response = complex(at_line.frdata.item())
                 gain, phase = 20.0 * np.log10(abs(response)), np.degrees(np.angle(response))
-                value[i] = gain if one.field == "gain_db" else phase
-        return Found(value + self.shift, stable)
+                value[i] = gain if statement.field == "gain_db" else phase
+        return LoopNumbers(value + self.shift, stable)
 
     def simulated(self, values: Values, plant: Plant, jobs: int) -> Array:
-        """The same of the simulation; linear ones of responses and least damping ratios."""
+        """The stated numbers of the simulation; those that are no measures are linear."""
         value = self.linear(values, plant).value
-        runs = dict.fromkeys(one.at[:3] for one in self.statements if one.field in MEASURES)
+        measured = [statement for statement in self.statements if statement.field in MEASURES]
+        loops = list(dict.fromkeys((each.law, each.dof, each.cab) for each in measured))
         cases = []
-        for name, dof, cab in runs:
-            own = self._with(cab, values, plant)
-            law = bound(self.unknowns.apply(values, self.laws[name]), own)
-            carried = own.cab_parameters or load_cab(None, plant.machine)
+        for law_name, dof, cab in loops:
+            machine = self._plant_with(cab, values, plant)
+            law = bound(self.unknowns.apply(values, self.laws[law_name]), machine)
+            carried = machine.cab_parameters or load_cab(None, plant.machine)
             cases.append(make_case(law, dof, plant.name, carried, plant.parameters, quick=True))
-        results = dict(zip(runs, on_threads(run_case, cases, jobs), strict=True))
-        for i, one in enumerate(self.statements):
-            if one.field in MEASURES:
-                result = results[one.at[:3]]
+        results = dict(zip(loops, on_threads(run_case, cases, jobs), strict=True))
+        for i, statement in enumerate(self.statements):
+            if statement.field in MEASURES:
+                result = results[statement.law, statement.dof, statement.cab]
                 measures = result.measures
                 if result.response is not None:
                     measures = _with_bandwidths(measures, bandwidths(result.response))
-                value[i] = getattr(measures, one.field)
+                value[i] = getattr(measures, statement.field)
         return value
 
-    def shifted(self, jobs: int) -> "Evidence":
+    def with_shift(self, jobs: int) -> "Evidence":
         """With d of the data sheet's machine; 0 where a simulation has no such number."""
         plain = self._replace(shift=np.zeros(len(self.statements)))
-        off = plain.simulated({}, self.plant, jobs) - plain.linear({}, self.plant).value
-        return self._replace(shift=np.where(np.isfinite(off), off, 0.0))
+        shift = plain.simulated({}, self.plant, jobs) - plain.linear({}, self.plant).value
+        return self._replace(shift=np.where(np.isfinite(shift), shift, 0.0))
 
     def excess(self, values: Values, plant: Plant) -> Array:
         """E of the statements that are fitted."""
-        found = zip(self.statements, self.linear(values, plant).value.tolist(), strict=True)
-        return np.array([one.excess(value) for one, value in found if not one.held_back])
+        predicted = self.linear(values, plant).value.tolist()
+        pairs = zip(self.statements, predicted, strict=True)
+        return np.array([each.excess(value) for each, value in pairs if not each.held_back])
 
-    def _with(self, cab: str, values: Values, plant: Plant) -> Plant:
-        """The machine with a cab of its own, or the campaign's."""
+    def _plant_with(self, cab: str, values: Values, plant: Plant) -> Plant:
+        """The machine with a cab by name, or as it is without one."""
         if not cab:
             return plant
         carried = load_cab(cab, plant.machine)
         return Hexapod(self.unknowns.apply(values, carried), plant.parameters)
+
+
+def _measured_loop(linear: Linear, law: Law, dof: str) -> tuple[Any, Measures]:
+    """The loop of a degree of freedom, on single legs of the first."""
+    loop = linear.loop(law, dof if isinstance(linear.plant, Hexapod) else "leg_1")
+    measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
+    if not measures.stable:
+        measures = _with_bandwidths(measures, bandwidths(loop_response(loop, LINES)))
+    return loop, measures
 
 
 def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
@@ -230,8 +239,8 @@ def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
 
 def _with_bandwidths(measures: Measures, widths: Any) -> Measures:
     """Measures with bandwidths also where the step rings on."""
-    there = measures_from(widths)
-    return measures._replace(**{name: getattr(there, name) for name in _OF_RESPONSE})
+    of_response = measures_from(widths)
+    return measures._replace(**{name: getattr(of_response, name) for name in _RESPONSE_MEASURES})
 
 
 def load_evidence(
@@ -245,47 +254,45 @@ def load_evidence(
     """Make the statements of a campaign, `law` being its own; files lie in `folder`."""
     statements: list[Statement] = []
     laws: dict[str, Law] = {}
-    for name, said in tables.items():
+    for name, settings in tables.items():
         with within(f"evidence.{name}"):
-            chosen = said.law or law
-            laws[chosen] = load_law(beside(folder, chosen))
-            if said.cabs and not isinstance(plant, Hexapod):
+            law_name = settings.law or law
+            laws[law_name] = load_law(beside(folder, law_name))
+            if settings.cabs and not isinstance(plant, Hexapod):
                 raise InputError("cabs: is refused: single legs carry none; allowed: a hexapod")
-            for cab in said.cabs:
+            for cab in settings.cabs:
                 load_cab(cab, plant.machine)
-            mine = _statements(name, said, said.deviations or deviations, chosen)
-            known = {one.field for one in mine}
-            if unknown := [one for one in said.held_back if one not in known]:
-                allowed = ", ".join(sorted(known))
-                raise InputError(f"held_back: {unknown[0]!r} is not stated; allowed: {allowed}")
-            statements += mine
-    none = np.zeros(len(statements))
-    return Evidence(tuple(statements), laws, plant, unknowns, none)
+            stated = _statements(name, settings, settings.deviations or deviations, law_name)
+            fields = sorted({statement.field for statement in stated})
+            for field in settings.held_back:
+                if field not in fields:
+                    allowed = ", ".join(fields)
+                    raise InputError(f"held_back: {field!r} is not stated; allowed: {allowed}")
+            statements += stated
+    no_shift = np.zeros(len(statements))
+    return Evidence(tuple(statements), laws, plant, unknowns, no_shift)
 
 
 def _statements(
-    name: str, said: EvidenceSettings, deviations: Deviations, law: str
+    name: str, settings: EvidenceSettings, deviations: Deviations, law: str
 ) -> list[Statement]:
     """The numbers that one piece of evidence states."""
-    rows: list[tuple[str, str, float, float]] = []  # field, title, frequency, value
-    for field, title in (MEASURES | {LEAST: "least zeta"}).items():
-        if (value := getattr(said, field)) is not None:
-            rows.append((field, title, 0.0, value))
-    for hertz, gain, phase in said.response:
-        rows += [("gain_db", f"gain at {hertz:g} Hz [dB]", hertz, gain)]
-        rows += [("phase_deg", f"phase at {hertz:g} Hz [deg]", hertz, phase)]
-    if not rows:
+    statements: list[Statement] = []
+
+    def state(field: str, title: str, value: float, cab: str, frequency: float = 0.0) -> None:
+        quantity, loop = f"{title}, {cab}" if cab else title, (law, settings.dof, cab)
+        deviation, held_back = getattr(deviations, field), field in settings.held_back
+        number = (frequency, value, deviation, held_back)
+        statements.append(Statement(name, quantity, field, *loop, *number))
+
+    for cab in settings.cabs or ("",):
+        for field, title in (MEASURES | {LEAST: "least zeta"}).items():
+            value = getattr(settings, field)
+            if value is not None:
+                state(field, title, value, cab)
+        for hertz, gain, phase in settings.response:
+            state("gain_db", f"gain at {hertz:g} Hz [dB]", gain, cab, hertz)
+            state("phase_deg", f"phase at {hertz:g} Hz [deg]", phase, cab, hertz)
+    if not statements:
         raise InputError(f"states nothing; allowed: {', '.join([*MEASURES, LEAST, 'response'])}")
-    return [
-        Statement(
-            evidence=name,
-            what=title + (f", {cab}" if cab else ""),
-            field=field,
-            at=(law, said.dof, cab, hertz),
-            value=value,
-            deviation=getattr(deviations, field),
-            held_back=field in said.held_back,
-        )
-        for cab in said.cabs or ("",)
-        for field, title, hertz, value in rows
-    ]
+    return statements

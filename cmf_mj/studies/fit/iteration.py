@@ -17,7 +17,7 @@ from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.studies.fit.campaign import Campaign
 from cmf_mj.studies.fit.likelihood import Information, cost, information
-from cmf_mj.studies.fit.model import Change, Model, Residuals, minus
+from cmf_mj.studies.fit.model import Change, Model, Residuals, difference
 
 Array = NDArray[np.float64]
 
@@ -55,17 +55,17 @@ class Fitter:
         """Make the model of a stage, one of `STAGES`."""
         self.stage, self.jobs = STAGES[stage], jobs
         self.model = Model(campaign, top=self.stage.top, seconds=self.stage.seconds)
-        self.spacing = {one.name: self.model.spacing(one) for one in self.model.pieces}
+        self.spacing = {piece.name: self.model.spacing(piece) for piece in self.model.pieces}
         self._latest: Linearised | None = None
 
-    def having(self, change: Change) -> "Fitter":
+    def with_effect(self, change: Change) -> "Fitter":
         """This fitter with an effect added to the machine."""
-        made = copy.copy(self)
-        made.model, made._latest = copy.copy(self.model), None
-        made.model.change = change
-        return made
+        fitter = copy.copy(self)
+        fitter.model, fitter._latest = copy.copy(self.model), None
+        fitter.model.change = change
+        return fitter
 
-    def tried(self, x: Array) -> Residuals | None:
+    def residuals(self, x: Array) -> Residuals | None:
         """Residuals; None where there is no such machine, or it leaves its bounds."""
         try:
             return self.model.residuals(x)
@@ -77,23 +77,23 @@ class Fitter:
         prior = 0.5 * float(x @ x)
         return np.inf if residuals is None else cost(residuals, self.stage.order) + prior
 
-    def all(self, points: Sequence[Array]) -> list[Residuals | None]:
+    def residuals_at(self, points: Sequence[Array]) -> list[Residuals | None]:
         """Residuals at several points, on threads."""
-        return on_threads(self.tried, points, self.jobs)
+        return on_threads(self.residuals, points, self.jobs)
 
-    def derivatives(self, x: Array, here: Residuals, width: Array) -> list[Residuals]:
-        """Of the residuals by each coordinate: differences over `width` (n,), forward if it can."""
-        moves, found = np.diag(width), []
-        for number, there in enumerate(self.all([x + move for move in moves])):
+    def derivatives(self, x: Array, start: Residuals, width: Array) -> list[Residuals]:
+        """By each coordinate, from `start` at `x`: differences over `width`, forward if it can."""
+        moves, derivatives = np.diag(width), []
+        for number, end in enumerate(self.residuals_at([x + move for move in moves])):
             step = width[number]
-            if there is None:
-                there, step = self.tried(x - moves[number]), -step
-            if there is None:
+            if end is None:
+                end, step = self.residuals(x - moves[number]), -step
+            if end is None:
                 names = [name for name, *_ in self.model.unknowns.numbers()]
                 name = names[number] if number < len(names) else "effect or clock"
                 raise InputError(f"{name}: the machine leaves its bounds on either side")
-            found.append(minus(there, here, step))
-        return found
+            derivatives.append(difference(end, start, step))
+        return derivatives
 
     def linearised_at(self, x: Array, width: Array) -> "Linearised":
         """Simulated at and about `x`; kept for the last `x`: a new `width` alone is not taken."""
@@ -105,9 +105,9 @@ class Fitter:
     def linearised(
         self, x: Array, residuals: Residuals, derivatives: Sequence[Residuals]
     ) -> "Linearised":
-        """The same of known residuals and derivatives."""
-        found = information(residuals, derivatives, self.stage.order, self.spacing)
-        return Linearised(x, residuals, derivatives, found, self.cost(x, residuals))
+        """Linearised at `x` with known residuals and derivatives."""
+        known = information(residuals, derivatives, self.stage.order, self.spacing)
+        return Linearised(x, residuals, derivatives, known, self.cost(x, residuals))
 
 
 class Linearised(NamedTuple):
@@ -134,31 +134,31 @@ class Linearised(NamedTuple):
         """Cost less that of the best point, if all were linear."""
         return 0.5 * float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
 
-    def steps(self) -> list[Any]:
+    def steps(self) -> list[Array]:
         """Steps of several dampings, none longer than `_LONGEST_STEP`."""
-        found = []
+        steps = []
         for damping in _DAMPING:
             matrix = self.hessian + damping * np.diag(np.diag(self.information.matrix))
             step = np.linalg.solve(matrix, self.gradient)
-            found.append(step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-12)))
-        return found
+            longest = max(float(np.abs(step).max()), 1e-12)
+            steps.append(np.asarray(step * min(1.0, _LONGEST_STEP / longest)))
+        return steps
 
-    def after(self, step: Array, there: Residuals) -> list[Residuals]:
+    def derivatives_after(self, step: Array, residuals: Residuals) -> list[Residuals]:
         """Broyden's derivatives after a step: they give the change of residuals along it."""
-        share = step / float(step @ step)
-        missing = {
-            key: there[key]
-            - value
-            - sum(x * one[key] for x, one in zip(step, self.derivatives, strict=True))
-            for key, value in self.residuals.items()
-        }
+        missing = {}
+        for key, before in self.residuals.items():
+            slopes = (derivative[key] for derivative in self.derivatives)
+            expected = sum(x * slope for x, slope in zip(step, slopes, strict=True))
+            missing[key] = residuals[key] - before - expected
+        shares = step / float(step @ step)
         return [
-            {key: value + x * missing[key] for key, value in one.items()}
-            for x, one in zip(share, self.derivatives, strict=True)
+            {key: slope + share * missing[key] for key, slope in derivative.items()}
+            for share, derivative in zip(shares, self.derivatives, strict=True)
         ]
 
 
-def improved(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
+def improve(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
     """One iteration of Levenberg and Marquardt from `x`, as a row of the journal.
 
     Up to `_INNER` steps on one set of derivatives, which Broyden's update carries on; no step where
@@ -170,14 +170,15 @@ def improved(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
     converged = start.predicted_gain < threshold
     for _ in range(0 if converged else _INNER):
         steps = point.steps()
-        trials = fitter.all([point.x + step for step in steps])
-        costs = [fitter.cost(point.x + step, one) for step, one in zip(steps, trials, strict=True)]
+        points = [point.x + step for step in steps]
+        trials = fitter.residuals_at(points)
+        costs = [fitter.cost(x, residuals) for x, residuals in zip(points, trials, strict=True)]
         best = int(np.argmin(costs))
         trial, step, gain = trials[best], steps[best], point.cost - costs[best]
         if trial is None or gain <= 0.0:
             break
         predicted_gain = point.predicted_gain
-        point = fitter.linearised(point.x + step, trial, point.after(step, trial))
+        point = fitter.linearised(point.x + step, trial, point.derivatives_after(step, trial))
         if gain < max(threshold, 0.1 * predicted_gain):
             break
     deviation = np.sqrt(np.diag(np.linalg.inv(start.hessian)))

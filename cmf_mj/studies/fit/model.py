@@ -52,7 +52,7 @@ _MOST_RATE = 512  #: Rate at which a simulation is kept [Hz]; the recording lies
 _CLOCK = np.array([0.02, 1e-4])
 """Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
 
-_WEIGHED = 3  #: Steps of Gauss and Newton to what is nearly linear.
+_WEIGHING_STEPS = 3  #: Steps of Gauss and Newton to what is nearly linear.
 
 Residuals = Mapping[tuple[str, str], Array]
 """By recording and channel, (samples, legs), in SI; e of what is stated as `STATED`, (n, 1)."""
@@ -63,9 +63,9 @@ Change = Callable[[Plant, Array], Plant]
 """A machine with so much of an effect, in sizes (1,), or (legs,) where each leg has its own."""
 
 
-def minus(one: Residuals, other: Residuals, by: float = 1.0) -> Residuals:
-    """Difference of two sets of residuals, over `by`."""
-    return {key: (value - other[key]) / by for key, value in one.items()}
+def difference(end: Residuals, start: Residuals, step: float = 1.0) -> Residuals:
+    """Difference of two sets of residuals over a step."""
+    return {key: (value - start[key]) / step for key, value in end.items()}
 
 
 class Piece(NamedTuple):
@@ -73,40 +73,41 @@ class Piece(NamedTuple):
 
     name: str
     law: Law | None  #: That it ran; None for valve commands.
-    how: Mapping[str, Any]  #: Source, start and spacing of its `Run`.
-    since: Array  #: Times of the samples from the beginning of the simulation [s].
+    run: Mapping[str, Any]  #: Source, start and spacing of its `Run`.
+    time: Array  #: Of the samples, from the beginning of the simulation [s].
     measured: Mapping[str, Array]  #: By channel, (samples, legs).
     demand: Array  #: Of the legs, or of the valves, (samples, legs).
     rate: float  #: Of the recording [Hz].
     first: int  #: Sample from which it counts.
 
 
-def piece(recording: Recording, plant: Plant, seconds: float | None = None) -> Piece:
-    """Make one of a recording, or of its first `seconds`."""
+def make_piece(recording: Recording, plant: Plant, seconds: float | None = None) -> Piece:
+    """Prepare a recording, or its first `seconds`."""
     record, rate = recording.record, plant.machine.rate
     count = record.time.size if seconds is None else int(seconds * record.rate) + 1
     time = record.time[:count] - record.time[0]
     frames = np.arange(int(time[-1] * rate) + 1) / rate
     lead = round(LEAD * rate)
-    driven = recording.law is None
-    given = record["valve_command" if driven else "leg_reference"][:count]
+    is_valves = recording.law is None
+    demand = record["valve_command" if is_valves else "leg_reference"][:count]
     if recording.settings.kind == "step":
-        rows = given[(frames * record.rate + 1e-6).astype(int)]
+        rows = demand[(frames * record.rate + 1e-6).astype(int)]
     else:
-        rows = CubicSpline(time, given)(frames)
-    rows = np.concatenate([np.repeat(given[:1] * (not driven), lead, axis=0), rows])
-    begin = record["leg_position"][0] if driven else given[0]
-    source = ValveCommands(np.clip(rows, -1.0, 1.0)) if driven else LegDemand(rows)
-    how = {
-        "source": source,
-        "start": legs_to_pose(begin, plant.machine),
+        rows = CubicSpline(time, demand)(frames)
+    rest = np.zeros_like(demand[0]) if is_valves else demand[0]
+    rows = np.concatenate([np.tile(rest, (lead, 1)), rows])
+    start = record["leg_position"][0] if is_valves else demand[0]
+    run = {
+        "source": ValveCommands(np.clip(rows, -1.0, 1.0)) if is_valves else LegDemand(rows),
+        "start": legs_to_pose(start, plant.machine),
         "record_every": frames_a_row(plant.machine, _MOST_RATE),
-        "command_delay": 0 if driven else 1,
+        "command_delay": 0 if is_valves else 1,
     }
     measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
-    first = int(min(SETTLING[0], SETTLING[1] * record.time.size / record.rate) * record.rate)
-    since = time + lead / rate
-    return Piece(recording.name, recording.law, how, since, measured, given, record.rate, first)
+    longest, share = SETTLING
+    first = int(min(longest, share * record.time.size / record.rate) * record.rate)
+    law, time = recording.law, time + lead / rate
+    return Piece(recording.name, law, run, time, measured, demand, record.rate, first)
 
 
 class Rest(NamedTuple):
@@ -116,30 +117,32 @@ class Rest(NamedTuple):
     force: Array  #: Of the legs, positive extending [N], (legs,).
 
 
-def rests(one: Piece, plant: Plant) -> list[Rest]:
+def find_rests(piece: Piece, plant: Plant) -> list[Rest]:
     """Where the demand of a recording with all pressures stood still for two times `REST`."""
-    length, cylinders = round(REST * one.rate), plant.hydraulics.cylinder
-    if one.law is None or not set(MEASURED) <= set(one.measured):
+    length, cylinders = round(REST * piece.rate), plant.hydraulics.cylinder
+    if piece.law is None or not set(MEASURED) <= set(piece.measured):
         return []
-    still = STILL * plant.machine.half_stroke
-    found = []
-    for at in range(length, one.demand.shape[0] - length + 1, length):
-        if np.ptp(one.demand[at - length : at + length], axis=0).max() < still:
-            way, cap, rod = (one.measured[c][at : at + length].mean(axis=0) for c in MEASURED)
-            force = cylinders.cap_area * cap - cylinders.rod_area * rod
-            found.append(Rest(legs_to_pose(way, plant.machine), force))
-    return found
+    largest_move = STILL * plant.machine.half_stroke
+    rests = []
+    for begin in range(length, piece.demand.shape[0] - length + 1, length):
+        end = begin + length
+        if np.ptp(piece.demand[begin - length : end], axis=0).max() < largest_move:
+            mean = {name: piece.measured[name][begin:end].mean(axis=0) for name in MEASURED}
+            push = cylinders.cap_area * mean["cap_pressure"]
+            force = push - cylinders.rod_area * mean["rod_pressure"]
+            rests.append(Rest(legs_to_pose(mean["leg_position"], plant.machine), force))
+    return rests
 
 
-def without_noise(chosen: ElectronicsSettings | None, machine: Machine) -> Any:
+def without_noise(settings: ElectronicsSettings | None, machine: Machine) -> Any:
     """Electronics with neither noise nor steps of sensors, ADC and DAC."""
-    if chosen is None:
+    if settings is None:
         return None
-    parts = chosen.of(machine)
+    parts = settings.of(machine)
     none = {"noise_density": None, "resolution": None}
     channels = {name: getattr(parts.sensors, name).model_copy(update=none) for name in CHANNELS}
     endless = parts.servo.dac_bits.model_copy(update={"value": 0})
-    return chosen.model_copy(
+    return settings.model_copy(
         update={
             "sensors": parts.sensors.model_copy(update=channels),
             "converters": parts.converters.model_copy(update={"quantise": False}),
@@ -172,8 +175,9 @@ class Model:
         self.clocks = 2 * len(campaign.of(held_back)) * campaign.settings.clocks
         self._electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
         self.top = min(top or np.inf, campaign.settings.highest)
-        chosen = campaign.of(held_back)
-        self.pieces = tuple(piece(one, campaign.plant, seconds) for one in chosen)
+        self.pieces = tuple(
+            make_piece(recording, campaign.plant, seconds) for recording in campaign.of(held_back)
+        )
         self.evidence = campaign.evidence
 
     def values(self, z: Array) -> dict[str, Any]:
@@ -181,28 +185,29 @@ class Model:
         return self.unknowns.at(stats.norm.cdf(z[: self.size]))
 
     def machine(self, z: Array) -> Plant:
-        """The plant with these numbers, and the effect where they have those of it."""
+        """The plant with the numbers, and with the effect if `z` has coordinates of one."""
         plant = self.unknowns.apply(self.values(z), self.plant)
-        added = z[self.size : z.size - self.clocks]
-        return self.change(plant, added) if added.size else plant
+        effect = z[self.size : z.size - self.clocks]
+        return self.change(plant, effect) if effect.size else plant
 
-    def simulated(
-        self, one: Piece, z: Array, machine: Plant, late: float = 0.0, gain: float = 0.0
+    def simulate(
+        self, piece: Piece, z: Array, machine: Plant, offset: float = 0.0, skew: float = 0.0
     ) -> dict[str, Array]:
         """The channels of a recording as the `machine` of these numbers would have measured them.
 
-        Its law and sensors have theirs. The measurement's clock is `late` [s], and gains on the
-        demand's by `gain` [s/s]. Raises `OutOfBounds` as `simulate`.
+        Law and sensors have the numbers too. The measurement's clock is late by `offset` [s], and
+        gains on the demand's by `skew` [s/s]. Raises `OutOfBounds` as `simulate`.
         """
         values, electronics = self.values(z), self._electronics
         if electronics is not None:
             sensors = self.unknowns.apply(values, electronics.sensors)
             electronics = electronics.model_copy(update={"sensors": sensors})
-        law = one.law and self.unknowns.apply(values, one.law)
-        record = Run(plant=machine, law=law, electronics=electronics, **one.how).record()
-        at = one.since + late + gain * (one.since - LEAD)
+        law = piece.law and self.unknowns.apply(values, piece.law)
+        record = Run(plant=machine, law=law, electronics=electronics, **piece.run).record()
+        time = piece.time + offset + skew * (piece.time - LEAD)
         return {
-            name: np.asarray(CubicSpline(record.time, record[name])(at)) for name in one.measured
+            name: np.asarray(CubicSpline(record.time, record[name])(time))
+            for name in piece.measured
         }
 
     def residuals(self, z: Array) -> Residuals:
@@ -210,52 +215,55 @@ class Model:
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
-        plant, found = self.machine(z), dict[tuple[str, str], Array]()
+        plant, residuals = self.machine(z), dict[tuple[str, str], Array]()
         clocks = _CLOCK * z[z.size - self.clocks :].reshape(-1, 2)
-        for number, one in enumerate(self.pieces):
-            clock = clocks[number] if self.clocks else (0.0, 0.0)
-            simulated = self.simulated(one, z, plant, *clock)
-            found |= {(one.name, c): left for c, left in self.compared(one, simulated).items()}
-        if (stated := self.evidence.excess(self.values(z), plant)).size:
-            found[STATED] = stated[:, None]
-        return found
+        for number, piece in enumerate(self.pieces):
+            offset, skew = clocks[number] if self.clocks else (0.0, 0.0)
+            simulated = self.simulate(piece, z, plant, offset, skew)
+            errors = {name: piece.measured[name] - value for name, value in simulated.items()}
+            low = self.low_passed(piece, errors)
+            residuals |= {(piece.name, channel): residual for channel, residual in low.items()}
+        stated = self.evidence.excess(self.values(z), plant)
+        if stated.size:
+            residuals[STATED] = stated[:, None]
+        return residuals
 
-    def weighed(self) -> Array:
+    def weigh(self) -> Array:
         """Coordinates (n,) of the numbers as the rests of all recordings weigh them, else 0."""
-        held = [rest for one in self.pieces for rest in rests(one, self.plant)]
+        rests = [rest for piece in self.pieces for rest in find_rests(piece, self.plant)]
         z = np.zeros(self.size)
-        if not held:
+        if not rests:
             return z
-        size = FORCE * float(np.mean([rest.force for rest in held]))
+        deviation = FORCE * float(np.mean([rest.force for rest in rests]))
 
-        def forces(z: Array) -> Array:
-            machine, found = self.machine(z), []
-            for rest in held:
+        def loads(z: Array) -> Array:
+            machine, rows = self.machine(z), []
+            for rest in rests:
                 machine.place(rest.pose)
-                found.append(machine.static_load() / size)
-            return np.ravel(found)
+                rows.append(machine.static_load() / deviation)
+            return np.ravel(rows)
 
-        measured, width = np.ravel([rest.force for rest in held]) / size, 0.1
-        for _ in range(_WEIGHED):
+        measured, width = np.ravel([rest.force for rest in rests]) / deviation, 0.1
+        for _ in range(_WEIGHING_STEPS):
             try:
-                here, moves = forces(z), width * np.eye(z.size)
-                slopes = np.stack([forces(z + move) - here for move in moves]) / width
+                now, moves = loads(z), width * np.eye(z.size)
+                slopes = np.stack([loads(z + move) - now for move in moves]) / width
             except InputError:  # no machine weighs so: pressures of another one
                 break
             matrix = slopes @ slopes.T + np.eye(z.size)
-            z = z + np.linalg.solve(matrix, slopes @ (measured - here) - z)
+            z = z + np.linalg.solve(matrix, slopes @ (measured - now) - z)
         return z
 
-    def compared(self, one: Piece, simulated: Mapping[str, Array]) -> dict[str, Array]:
-        """Residuals of one recording by channel, low-passed and thinned."""
-        sections = signal.butter(4, min(self.top, 0.4 * one.rate), fs=one.rate, output="sos")
-        every, first = round(self.spacing(one) * one.rate), one.first
+    def low_passed(self, piece: Piece, histories: Mapping[str, Array]) -> dict[str, Array]:
+        """Histories of one recording below `top`, thinned, without its first samples."""
+        sections = signal.butter(4, min(self.top, 0.4 * piece.rate), fs=piece.rate, output="sos")
+        rows = slice(piece.first, None, round(self.spacing(piece) * piece.rate))
         return {
-            name: signal.sosfiltfilt(sections, one.measured[name] - value, axis=0)[first::every]
-            for name, value in simulated.items()
+            name: signal.sosfiltfilt(sections, history, axis=0)[rows]
+            for name, history in histories.items()
         }
 
-    def spacing(self, one: Piece) -> float:
+    def spacing(self, piece: Piece) -> float:
         """Time between the samples of a recording's residuals [s]."""
-        top = min(self.top, 0.4 * one.rate)
-        return max(1, int(one.rate / (2.5 * top))) / one.rate
+        top = min(self.top, 0.4 * piece.rate)
+        return max(1, int(piece.rate / (2.5 * top))) / piece.rate

@@ -77,16 +77,17 @@ POSES = (
     {"pitch": 0.7, "yaw": 0.5, "surge": -0.3},
 )
 """Poses of `hold`, each degree of freedom in parts of what it reaches alone."""
-_WHERE = ("machine", "cab")  #: Whose files are named by the way from the campaign's.
-AWAY, ELSEWHERE = POSES[1] | {"surge": 0.4}, POSES[4] | {"heave": -0.4}
+AWAY = {"heave": 0.6, "roll": 0.5, "surge": 0.4}  #: Pose of `all_legs`, in the same parts.
+ELSEWHERE = {"pitch": 0.7, "yaw": 0.5, "surge": -0.3, "heave": -0.4}  #: Pose of `other_pose`.
+_STAY = ("machine", "cab")  #: Whose files are not copied, but named from the campaign's folder.
 
 
 class Planned(NamedTuple):
     """One recording of a plan."""
 
     kind: str
-    pose: str  #: Where, in words.
-    changes: Callable[[float], list[dict[str, Any]]]  #: Of a scenario, by their size.
+    pose: str  #: In words.
+    changes: Callable[[float], list[dict[str, Any]]]  #: Of a scenario, by the size of its motion.
     part: float = 1.0  #: Of the largest size.
     held_back: bool = False
     other_law: bool = False
@@ -103,7 +104,7 @@ def plan_campaign(
     share: float = 0.4,
     other_law: Source | None = None,
 ) -> Path:
-    """Write a plan for a machine as its data sheet has it; its `campaign.toml` comes back.
+    """Write a plan for a machine as its data sheet has it; returns the path of `campaign.toml`.
 
     Machine, cab, hydraulics and laws are names or TOML files, by default the machine's; `seconds`
     is the length of each of the eight recordings. The law that is held back is by default the other
@@ -118,46 +119,51 @@ def plan_campaign(
         if not low <= value <= high:
             raise InputError(f"{field}: {value:g} is refused; allowed: {low} to {high}")
     sheet = {"machine": machine, "cab": cab, "hydraulics": hydraulics, "law": law}
-    named = {name: str(one) for name, one in sheet.items() if one is not None}
-    space = Workspace(Hexapod(cab, hydraulics, machine=machine), share)
-    if named.get("law") == space.machine.law:
-        del named["law"]
-    held = _kept("other_law", other_law, target) if other_law is not None else ""
-    named |= {name: _kept(name, one, target) for name, one in named.items() if name not in _WHERE}
-    every = max(round(space.machine.rate / (RECORDER if space.machine.name == CMF else SAMPLES)), 1)
-    usual = {"duration": seconds, "electronics": "noisy", "record_every": every}
-    held = held or str(_slower(load_law(law or space.machine.law), target / "other_law.toml"))
+    sources = {name: str(source) for name, source in sheet.items() if source is not None}
+    workspace = Workspace(Hexapod(cab, hydraulics, machine=machine), share)
+    if sources.get("law") == workspace.machine.law:
+        del sources["law"]
+    other = _copied("other_law", other_law, target) if other_law is not None else ""
+    sources |= {k: _copied(k, source, target) for k, source in sources.items() if k not in _STAY}
+    rate = RECORDER if workspace.machine.name == CMF else SAMPLES
+    every = max(round(workspace.machine.rate / rate), 1)
+    settings = {"duration": seconds, "electronics": "noisy", "record_every": every}
+    if not other:
+        flown = load_law(law or workspace.machine.law)
+        other = str(_save_slower_law(flown, target / "other_law.toml"))
     tables = {}
-    for name, one in _planned(space, seconds - LEAD).items():
-        law_ = {"law": held} if one.other_law else {}
-        run = space.fitted(one, named | usual | law_ | {"title": f"{name}: {one.pose}"})
-        scenario = run.table() | {"law": None} | named_beside(named | law_, target / SCENARIOS)
+    for name, planned in _planned_recordings(workspace, seconds - LEAD).items():
+        own_law = {"law": other} if planned.other_law else {}
+        own = own_law | {"title": f"{name}: {planned.pose}"}
+        run = workspace.fitted(planned, sources | settings | own)
+        scenario = run.table() | {"law": None} | paths_from(target / SCENARIOS, sources | own_law)
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
         command = Command.from_pose(demand(run), run.rate)
-        write_host(command, target / f"host/{name}.csv", held=one.kind == "step")
-        said = {"kind": one.kind, "held_back": one.held_back, "pose": one.pose}
-        tables[name] = said | named_beside(law_, target) | {"source": source.as_posix()}
-    head = named_beside(named, target) | {"recordings": tables}
+        write_host(command, target / f"host/{name}.csv", is_held=planned.kind == "step")
+        table = {"kind": planned.kind, "held_back": planned.held_back, "pose": planned.pose}
+        tables[name] = table | paths_from(target, own_law) | {"source": source.as_posix()}
+    head = paths_from(target, sources) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
 
 
-def write_host(command: Command, path: Path, *, held: bool) -> None:
-    """Write a command as a host's frames; between those of steps the demand is `held`."""
-    how = "zero" if held else "spline"
-    write_stream(from_command(command, min(HOST_RATE, command.rate), derivatives=how), path)
+def write_host(command: Command, path: Path, *, is_held: bool) -> None:
+    """Write a command as a host's frames, between which the demand of steps `is_held`."""
+    derivatives = "zero" if is_held else "spline"
+    frames = from_command(command, min(HOST_RATE, command.rate), derivatives=derivatives)
+    write_stream(frames, path)
 
 
-def _kept(name: str, source: Source, folder: Path) -> str:
+def _copied(name: str, source: Source, folder: Path) -> str:
     """A name as it is; of a file a copy in the folder, so that the campaign can be sent."""
-    file, ending, one = str(source).rpartition(".toml")
+    stem, ending, entry = str(source).rpartition(".toml")
     if not ending:
         return str(source)
-    text = Path(file + ending).read_text(encoding="utf-8")
-    return f"{write_text(folder / f'{name}.toml', text)}{one}"
+    text = Path(stem + ending).read_text(encoding="utf-8")
+    return f"{write_text(folder / f'{name}.toml', text)}{entry}"
 
 
-def _slower(law: Law, file: Path) -> Path:
+def _save_slower_law(law: Law, file: Path) -> Path:
     """A file of the law with its whole feedback at `SLOWER`."""
     gains = {name: (SLOWER * np.asarray(gain)).tolist() for name, gain in law.direct_gain}
     changes: dict[str, Any] = {"name": f"{law.name}_slower", "title": f"{law.title}, slower"}
@@ -165,13 +171,13 @@ def _slower(law: Law, file: Path) -> Path:
     return save_law(law.model_copy(update=changes), file, "For a recording that is held back.")
 
 
-def named_beside(named: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """Names as they are, and files as they are named in a folder."""
-    files = {key: os.path.relpath(one, folder) for key, one in named.items() if ".toml" in one}
-    return {**named} | files
+def paths_from(folder: Path, sources: Mapping[str, str]) -> dict[str, str]:
+    """Names as they are, and files by their paths from a folder."""
+    files = {k: os.path.relpath(file, folder) for k, file in sources.items() if ".toml" in file}
+    return {**sources} | files
 
 
-def _on_rows(time: float) -> float:
+def _row_time(time: float) -> float:
     """The nearest time that a row of every recording has."""
     return round(time * RECORDER) / RECORDER
 
@@ -186,14 +192,14 @@ def demand(run: Run) -> Array:
 
 
 class Workspace:
-    """What a machine leaves to a demand, and signals that take their share of it."""
+    """What a machine allows of motion, and signals that use a share of it."""
 
     def __init__(self, plant: Hexapod, share: float) -> None:
         """Take strokes, limits, masses and forces of the data sheet's machine."""
         self.machine, self._plant, self.share = plant.machine, plant, share
         self._mass, self._load = plant.reflected_mass(np.zeros(6)), plant.static_load()
         push, pull = stall_forces(plant.hydraulics).T
-        self._left = np.minimum(push - self._load, self._load + pull)
+        self._spare_force = np.minimum(push - self._load, self._load + pull)
         limits = load_motion_limits(None, self.machine)
         self._limits, self.reach = limits.leg, np.abs(limits.operational).min(axis=1)
         highest = 1.2 * plant.hydraulic_modes().frequency_hz.max()
@@ -211,35 +217,35 @@ class Workspace:
             return stroke
         speed = np.diff(legs, axis=0) * rate
         acceleration = np.diff(speed, axis=0) * rate
-        still = []
+        load_changes = []
         for pose in poses[:: max(len(poses) // 20, 1)]:
             self._plant.place(pose)
-            still.append(np.abs(self._plant.static_load() - self._load).max(axis=0))
-        force = np.abs(acceleration @ self._mass.T) + np.max(still)
+            load_changes.append(np.abs(self._plant.static_load() - self._load).max(axis=0))
+        force = np.abs(acceleration @ self._mass.T) + np.max(load_changes)
         shares = (
             np.abs(speed) / self._limits.velocity.si,
             np.abs(acceleration) / self._limits.acceleration.si,
-            force / self._left,
+            force / self._spare_force,
         )
         return max(stroke, *(float(share.max()) for share in shares))
 
-    def fitted(self, one: Planned, how: Mapping[str, Any]) -> Run:
-        """The recording at its part of the largest size, as a run."""
+    def fitted(self, planned: Planned, settings: Mapping[str, Any]) -> Run:
+        """The recording at its part of the largest size, as a run with other `settings`."""
 
         def run(size: float) -> Run:
-            return Run(**how, change=plain(one.changes(size)))
+            return Run(**settings, change=plain(planned.changes(size)))
 
-        corner = STEP_CORNER if one.kind == "step" else None
-        size = self.largest(lambda size: demand(run(size)), self.share, corner)
-        return run(one.part * size)
+        corner = STEP_CORNER if planned.kind == "step" else None
+        size = self.largest_size(lambda size: demand(run(size)), self.share, corner)
+        return run(planned.part * size)
 
-    def largest(
-        self, made: Callable[[float], Array], share: float, corner: float | None = None
+    def largest_size(
+        self, poses_of: Callable[[float], Array], share: float, corner: float | None = None
     ) -> float:
-        """Size with which the poses that are made of it use a share, or up to 3 % less."""
+        """Size whose poses, by `poses_of`, use a share, or up to 3 % less."""
         size = share
         for _ in range(12):
-            used = self.use(made(size), corner)
+            used = self.use(poses_of(size), corner)
             if 0.97 * share < used <= share:
                 break
             size *= 0.99 * share / used
@@ -257,22 +263,23 @@ class Workspace:
     def multisine(self, dof: str, size: float, span: float, seed: int) -> dict[str, Any]:
         """Two periods in one degree of freedom that take `span` [s] with their fades."""
         rate, fade = self.machine.rate, min(0.15 * span, 2.0)
+        amplitude = _rounded(size * self.reach[dof_index(dof)])
         period = float(np.floor(0.5 * (span - fade) * rate) / rate)
-        lines = {"stop": self.top, "period": period, "periods": 2, "fade": fade, "seed": seed}
-        how = {"amplitude": _rounded(size * self.reach[dof_index(dof)]), "spectrum": "acceleration"}
-        return {"kind": "multisine", "dof": dof} | how | lines
+        lines = {"spectrum": "acceleration", "stop": self.top, "seed": seed}
+        times = {"period": period, "periods": 2, "fade": fade}
+        return {"kind": "multisine", "dof": dof, "amplitude": amplitude} | lines | times
 
 
 def _rounded(value: Any) -> Any:
     return (np.round(value, 6) + 0.0).tolist()
 
 
-def _path(times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]:
+def _waypoints(times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]:
     """Poses at rest, joined by paths of least jerk."""
     return {"kind": "waypoints", "times": _rounded(times), "poses": _rounded(poses)}
 
 
-def _planned(space: Workspace, span: float) -> dict[str, Planned]:
+def _planned_recordings(workspace: Workspace, span: float) -> dict[str, Planned]:
     """The recordings, of so many seconds after the rest at neutral."""
     neutral, slot = np.zeros(6), span / len(DOFS)
 
@@ -280,47 +287,50 @@ def _planned(space: Workspace, span: float) -> dict[str, Planned]:
         return [{"at": LEAD, "fade": 0.0, "signal": list(signals)}]
 
     def hold(size: float) -> list[dict[str, Any]]:
-        poses = np.repeat([neutral, *(space.pose(one, size) for one in POSES)], 2, axis=0)
+        held = [neutral, *(workspace.pose(pose, size) for pose in POSES)]
         moves = [0.5 * (i + 1) * slot for i in range(2 * len(POSES))]
-        return once(_path([0.0, *moves, span], list(poses)))
+        return once(_waypoints([0.0, *moves, span], list(np.repeat(held, 2, axis=0))))
 
     def ramp(size: float) -> list[dict[str, Any]]:
-        out = [space.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
-        poses = [neutral, *(sign * pose for pose in out for sign in (1.0, -1.0)), neutral]
-        return once(_path(np.linspace(0.0, span, len(poses)).tolist(), poses))
+        ends = [workspace.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
+        poses = [neutral, *(sign * pose for pose in ends for sign in (1.0, -1.0)), neutral]
+        return once(_waypoints(np.linspace(0.0, span, len(poses)).tolist(), poses))
 
     def axes(size: float) -> list[dict[str, Any]]:
-        return [
-            {"at": LEAD + i * slot, "fade": 0.0, "signal": [space.multisine(dof, size, slot, i)]}
-            for i, dof in enumerate(DOFS)
-        ]
+        signals = [workspace.multisine(dof, size, slot, i) for i, dof in enumerate(DOFS)]
+        begins = [LEAD + i * slot for i in range(len(DOFS))]
+        pairs = zip(begins, signals, strict=True)
+        return [{"at": begin, "fade": 0.0, "signal": [signal]} for begin, signal in pairs]
 
     def steps(size: float) -> list[dict[str, Any]]:
-        one = {"kind": "pulse", "width": _on_rows(0.4 * slot)}
-        sizes = enumerate(_rounded(size * space.reach))
-        pulses = (
-            {"dof": DOFS[i], "amplitude": a, "at": _on_rows((i + 0.2) * slot)} for i, a in sizes
-        )
-        return once(*(one | pulse for pulse in pulses))
+        pulse = {"kind": "pulse", "width": _row_time(0.4 * slot)}
+        amplitudes = _rounded(size * workspace.reach)
+        pulses = [
+            pulse | {"dof": dof, "amplitude": amplitudes[i], "at": _row_time((i + 0.2) * slot)}
+            for i, dof in enumerate(DOFS)
+        ]
+        return once(*pulses)
 
-    def everything(first: int, where: Mapping[str, float] | None, size: float) -> Any:
-        moved = []
-        if where is not None:
-            pose = space.pose(where, 0.5 * space.share)
-            moved = [_path([0.0, 2.0, span - 2.0, span], [neutral, pose, pose, neutral])]
-        seeded = enumerate(DOFS, first)
-        return once(*moved, *(space.multisine(dof, size, span, seed) for seed, dof in seeded))
+    def all_axes(seed: int, direction: Mapping[str, float] | None, size: float) -> Any:
+        signals = []
+        if direction is not None:
+            pose = workspace.pose(direction, 0.5 * workspace.share)
+            times = [0.0, 2.0, span - 2.0, span]
+            signals = [_waypoints(times, [neutral, pose, pose, neutral])]
+        signals += [workspace.multisine(dof, size, span, seed + i) for i, dof in enumerate(DOFS)]
+        return once(*signals)
 
     multisine = partial(Planned, "multisine")
+    held_back = partial(multisine, held_back=True)
     return {
         "hold": Planned("hold", "five poses", hold),
         "ramp": Planned("ramp", "about neutral", ramp, 0.25),
         "axes_small": multisine("neutral", axes, 0.25),
         "axes_large": multisine("neutral", axes),
-        "all_legs": multisine("up, rolled and ahead", partial(everything, 10, AWAY)),
+        "all_legs": multisine("up, rolled and ahead", partial(all_axes, 10, AWAY)),
         "steps": Planned("step", "neutral", steps),
-        "other_pose": multisine("pitched and yawed", partial(everything, 20, ELSEWHERE), 1.0, True),
-        "other_law": multisine("neutral", partial(everything, 30, None), 1.0, True, True),
+        "other_pose": held_back("pitched and yawed", partial(all_axes, 20, ELSEWHERE)),
+        "other_law": held_back("neutral", partial(all_axes, 30, None), other_law=True),
     }
 
 
@@ -342,15 +352,15 @@ def record_campaign(
     hold the channels of that CSV, the demand and the data sheet, and no number of the machine.
     `progress` is called with (recordings done, in all).
     """
-    place = Path(folder) / FILE
-    names = list(read_toml(place).get("recordings", ()))
+    file = Path(folder) / FILE
+    names = list(read_toml(file).get("recordings", ()))
     if not names:
-        raise InputError(f"{place}: recordings: are missing; allowed: at least one")
-    table = tomlkit.parse(place.read_text(encoding="utf-8"))
-    said = table["recordings"]
-    runs = {name: load_scenario(place.parent / said[name]["source"]) for name in names}
-    sheet, kept = runs[names[0]], ("demand_pose", *load_columns().channels)
-    about = load_machine(sheet.machine).known()
+        raise InputError(f"{file}: recordings: are missing; allowed: at least one")
+    table = tomlkit.parse(file.read_text(encoding="utf-8"))
+    recordings = table["recordings"]
+    runs = {name: load_scenario(file.parent / recordings[name]["source"]) for name in names}
+    sheet, channels = runs[names[0]], ("demand_pose", *load_columns().channels)
+    sheet_metadata = load_machine(sheet.machine).known()
     if machine is None:
         machine, cab = sheet.machine, cab or sheet.cab
         hydraulics = hydraulics or sheet.hydraulics
@@ -359,18 +369,20 @@ def record_campaign(
         gains = load_unknowns("valve_gains")
         plant = gains.apply(gains.draw("random", 1, seed)[0], plant)
 
-    def made(name: str) -> str:
-        noise = np.random.SeedSequence(seed, spawn_key=(names.index(name),)).generate_state(1)
+    def record(name: str) -> str:
+        key = (names.index(name),)
+        (noise_seed,) = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)
         with within(name):
-            run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise[0])).record()
-        known = {key: run.metadata[key] for key in ("sample_rate", "law")} | about
-        channels = {key: run[key] for key in kept if key in run.channels}
-        units = {key: run.units[key] for key in channels}
-        record = Record(run.time, channels, units, known | {"command": {"kind": "scenario"}})
+            run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise_seed)).record()
+        metadata = {key: run.metadata[key] for key in ("sample_rate", "law")}
+        metadata |= sheet_metadata | {"command": {"kind": "scenario"}}
+        histories = {channel: run[channel] for channel in channels if channel in run.channels}
+        units = {channel: run.units[channel] for channel in histories}
+        recording = Record(run.time, histories, units, metadata)
         if plant.machine.name == CMF:
-            return write_facility_csv(record, place.parent / f"{name}.csv").name
-        return record.save(place.parent / f"{name}.parquet").name
+            return write_facility_csv(recording, file.parent / f"{name}.csv").name
+        return recording.save(file.parent / f"{name}.parquet").name
 
-    for name, file in zip(names, on_threads(made, names, jobs, progress), strict=True):
-        said[name]["file"] = file
-    return write_text(place, tomlkit.dumps(table))
+    for name, written in zip(names, on_threads(record, names, jobs, progress), strict=True):
+        recordings[name]["file"] = written
+    return write_text(file, tomlkit.dumps(table))

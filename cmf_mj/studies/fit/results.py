@@ -32,7 +32,8 @@ from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 
-CAB, SAMPLES = "fitted", 400  #: Name of the cab and of the sensors in files; machines drawn.
+FITTED = "fitted"  #: Name of the cab and of the sensors in files.
+SAMPLES = 400  #: Machines drawn.
 
 
 def paths(posterior: Posterior) -> tuple[str, ...]:
@@ -44,50 +45,58 @@ def physical(posterior: Posterior, z: Array) -> Array:
     """Numbers in SI at coordinates (..., n)."""
     campaign, share = posterior.campaign, stats.norm.cdf(z)
     columns = [
-        one.number(campaign.nominal(path)[0], one.at(share[..., i]))
-        for i, (_, one, path) in enumerate(campaign.unknowns.numbers())
+        unknown.number(campaign.nominal(path)[0], unknown.at(share[..., i]))
+        for i, (_, unknown, path) in enumerate(campaign.unknowns.numbers())
     ]
     return np.stack(columns, axis=-1)
 
 
 def numbers(posterior: Posterior) -> Table:
     """Every number with its 90 % interval."""
-    value = physical(posterior, np.vstack([posterior.z, posterior.bounds()])).T.tolist()
-    known = ["yes" if one else "no" for one in posterior.identified()]
+    best, low, high = physical(posterior, np.vstack([posterior.z, posterior.bounds()])).tolist()
+    identified = posterior.identified()
     campaign, rows = posterior.campaign, []
-    for (_, one, path), three, found in zip(campaign.unknowns.numbers(), value, known, strict=True):
-        unit = campaign.nominal(path)[1]
-        if unit == "SI" and one.effect != "factor":
-            unit = si_unit(one.unit)
-        rows.append((path, *three, unit, found))
+    for i, (_, unknown, path) in enumerate(campaign.unknowns.numbers()):
+        _, unit = campaign.nominal(path)
+        if unit == "SI" and unknown.effect != "factor":
+            unit = si_unit(unknown.unit)
+        rows.append((path, best[i], low[i], high[i], unit, "yes" if identified[i] else "no"))
     columns = ("number", ("value", ".5g"), ("low", ".5g"), ("high", ".5g"), "unit", "identifiable")
     return Table("Numbers of the machine, with 90 % intervals", columns, rows)
 
 
 def save(posterior: Posterior, folder: str | Path) -> Path:
-    """Write all files of a fit; gives the machine's."""
-    where = Path(folder)
+    """Write all files of a fit; returns the path of the machine's."""
+    target = Path(folder)
     table = numbers(posterior)
-    write_csv(plain_path(where, "numbers.csv"), table.header, table.rows)
+    write_csv(plain_path(target, "numbers.csv"), table.header, table.rows)
     drawn = physical(posterior, posterior.samples(SAMPLES))
     columns = dict(zip(paths(posterior), drawn.T, strict=True))
-    write_parquet(pa.table(columns), plain_path(where, "samples.parquet"))
-    write_text(plain_path(where, "box.toml"), tomlkit.dumps(box(posterior)))
+    write_parquet(pa.table(columns), plain_path(target, "samples.parquet"))
+    write_text(plain_path(target, "box.toml"), tomlkit.dumps(box(posterior)))
     if any(path.startswith("electronics.") for path in paths(posterior)):
-        known, sensors = posterior.campaign.unknowns, posterior.campaign.sensors
-        assert sensors is not None
-        said = {name: one.model_copy(update=_provenance(posterior)) for name, one in known.items()}
-        made = Unknowns(said).apply(known.at(stats.norm.cdf(posterior.z)), sensors)
-        fitted = made.model_dump(mode="json", exclude_none=True, exclude={"name"})
-        write_text(plain_path(where, "sensors.toml"), tomlkit.dumps({"base": "ideal", CAB: fitted}))
+        write_text(plain_path(target, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
     if posterior.campaign.plant.cab_parameters is None:
-        return where
-    machine = tomlkit.dumps(_machine(posterior, where))
-    return write_text(plain_path(where, "machine.toml"), machine)
+        return target
+    law = posterior.applied(posterior.campaign.law)
+    law = law.model_copy(update={"name": f"{law.name}_recorded"})
+    save_law(law, plain_path(target, "law.toml"))
+    return write_text(plain_path(target, "machine.toml"), tomlkit.dumps(_machine(posterior)))
 
 
-def _machine(posterior: Posterior, where: Path) -> dict[str, Any]:
-    """The file of the fitted machine; its law is written beside it.
+def _sensors(posterior: Posterior) -> dict[str, Any]:
+    """The file of the fitted sensors."""
+    unknowns, sensors = posterior.campaign.unknowns, posterior.campaign.sensors
+    assert sensors is not None
+    source = _provenance(posterior)
+    fitted = Unknowns({k: u.model_copy(update=source) for k, u in unknowns.items()})
+    changed = fitted.apply(unknowns.at(stats.norm.cdf(posterior.z)), sensors)
+    table = changed.model_dump(mode="json", exclude_none=True, exclude={"name"})
+    return {"base": "ideal", FITTED: table}
+
+
+def _machine(posterior: Posterior) -> dict[str, Any]:
+    """The file of the fitted machine, whose law is `law.toml` beside it.
 
     A drawn model is left out: the numbers are those of the file, the machine is drawn from them.
     """
@@ -95,33 +104,33 @@ def _machine(posterior: Posterior, where: Path) -> dict[str, Any]:
     machine, cab, oil = plant.machine, plant.cab_parameters, plant.parameters
     assert cab is not None
     table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
-    law = posterior.applied(posterior.campaign.law)
-    save_law(law.model_copy(update={"name": f"{law.name}_recorded"}), plain_path(where, "law.toml"))
     bodies = cab.model_dump(mode="json", exclude_none=True)
     station = machine.cabs[cab.base].model_dump(mode="json")["station"]
-    parts = ("mass", "centre_of_mass", "inertia")
-    flow = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
+    inertial = ("mass", "centre_of_mass", "inertia")
+    hydraulics = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
     table |= {
         "name": f"{machine.name}_fitted".replace(" ", "_"),
         "title": f"{machine.title}, fitted to recordings",
         "law": "law.toml",
-        "hydraulics": {"base": "hardware"} | flow,
-        "platform": {part: bodies["platform"][part] for part in parts},
-        "cabs": {CAB: {part: bodies[part] for part in parts} | {"station": station}},
+        "hydraulics": {"base": "hardware"} | hydraulics,
+        "platform": {part: bodies["platform"][part] for part in inertial},
+        "cabs": {FITTED: {part: bodies[part] for part in inertial} | {"station": station}},
         "legs": table["legs"] | bodies["legs"],
     }
-    return _identified(posterior, table)
+    _mark_identified(posterior, table)
+    return table
 
 
 def _provenance(posterior: Posterior) -> dict[str, Any]:
     """Status and source of what was fitted: recordings, and who states the evidence."""
     campaign = posterior.campaign
-    files = [f"{one.name} {one.record.digest}" for one in campaign.of(held_back=False)]
-    fitted_to = {one.evidence for one in campaign.evidence.statements if not one.held_back}
-    stated = [one.source for name, one in campaign.settings.evidence.items() if name in fitted_to]
-    kinds = (("recordings ", files), ("what is stated in ", stated))
-    source = " and ".join(kind + ", ".join(dict.fromkeys(each)) for kind, each in kinds if each)
-    return {"status": "identified", "source": f"fitted to {source}"}
+    files = [f"{each.name} {each.record.digest}" for each in campaign.of(held_back=False)]
+    used = {number.evidence for number in campaign.evidence.statements if not number.held_back}
+    evidence = campaign.settings.evidence
+    sources = dict.fromkeys(evidence[name].source for name in evidence if name in used)
+    texts = [f"recordings {', '.join(dict.fromkeys(files))}"] if files else []
+    texts += [f"what is stated in {', '.join(sources)}"] if sources else []
+    return {"status": "identified", "source": f"fitted to {' and '.join(texts)}"}
 
 
 _FIELDS = {name: (field,) for name, field in DERIVED.items()} | {
@@ -134,29 +143,29 @@ _FIELDS = {name: (field,) for name, field in DERIVED.items()} | {
 """What a number changes in a machine's file, where its path has another name for it."""
 
 
-def _identified(posterior: Posterior, table: dict[str, Any]) -> dict[str, Any]:
-    """The file's numbers that were fitted, with status and source."""
+def _mark_identified(posterior: Posterior, table: dict[str, Any]) -> None:
+    """Write status and source to the numbers of a machine's `table` that were fitted."""
     provenance = _provenance(posterior)
-    bodies = {"cab": [table["cabs"][CAB]], "platform": [table["platform"]]}
+    bodies = {"cab": [table["cabs"][FITTED]], "platform": [table["platform"]]}
     bodies["payload"] = bodies["cab"] + bodies["platform"]
     for path in paths(posterior):
-        root, *rest = path.split(".")
+        root, *groups, last = path.split(".")
         if root == "hydraulics":
             entry: Any = table["hydraulics"]
-            for part in rest[:-1]:
-                entry = entry[part]
-            changed = [entry[field] for field in _FIELDS.get(rest[-1], rest[-1:])]
+            for group in groups:
+                entry = entry[group]
+            changed = [entry[field] for field in _FIELDS.get(last, (last,))]
         elif root == "legs":
             changed = [table["legs"][field] for field in Legs.model_fields]
         else:
-            fields = _FIELDS.get(rest[0], rest[:1])
+            field_of_body, *_ = (*groups, last)
+            fields = _FIELDS.get(field_of_body, (field_of_body,))
             changed = [body[field] for body in bodies.get(root, ()) for field in fields]
         for quantity in changed:
             quantity |= provenance
-    return table
 
 
-_OF_BOX = {
+_BOX_PATHS = {
     "drive_lag": r"hydraulics\.(.*\.)?drive_lag",
     "valve_lag": r"hydraulics\.(.*\.)?valve_lag",
     "valve_gain": r"hydraulics\.(.*\.)?(leg_speed|valve_gain)",
@@ -167,7 +176,7 @@ _OF_BOX = {
     "cab_place": r"cab\.centre_of_mass\.[xyz]",
     "cab_inertia": r"cab\.(inertia|density|second_moment\.[xyz])|payload\.density",
 }
-"""Paths of the machine that a number of the box stands for."""
+"""Patterns of the machine's paths that a number of the box stands for."""
 
 
 def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
@@ -176,17 +185,18 @@ def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     Of n numbers each has the share 1 - (1 - share) / n. The larger half width counts, in %. Lags
     keep their order, since a loop is the same with two of them exchanged.
     """
-    each = 1.0 - (1.0 - share) / len(posterior.names)
-    ends = posterior.bounds(each, exchange=False)
+    share_each = 1.0 - (1.0 - share) / len(posterior.names)
+    ends = posterior.bounds(share_each, exchange=False)
     bounds, best = physical(posterior, ends), physical(posterior, posterior.z)
-    off = np.abs(bounds - best).max(axis=0)
-    ratio = np.minimum(off / np.maximum(np.abs(best), 1e-12), WIDEST)
-    listed, table = paths(posterior), load_box().model_dump(mode="json", exclude_defaults=True)
+    half_width = np.abs(bounds - best).max(axis=0)
+    ratio = np.minimum(half_width / np.maximum(np.abs(best), 1e-12), WIDEST)
+    table = load_box().model_dump(mode="json", exclude_defaults=True)
     source = f"{100 * share:g} % of the machines that the recordings allow, all numbers together"
-    for name, pattern in _OF_BOX.items():
-        size = off if name == "cab_place" else 100.0 * ratio
-        widths = [float(size[i]) for i, p in enumerate(listed) if re.fullmatch(pattern, p)]
-        if widths:
-            width = float(f"{max(1e-4, *widths):.4g}")
-            table["unknowns"][name] |= {"deviation": width, "source": source}
+    for name, pattern in _BOX_PATHS.items():
+        deviations = half_width if name == "cab_place" else 100.0 * ratio
+        matches = [re.fullmatch(pattern, path) is not None for path in paths(posterior)]
+        if any(matches):
+            largest = max(1e-4, float(deviations[matches].max()))
+            deviation = float(f"{largest:.4g}")
+            table["unknowns"][name] |= {"deviation": deviation, "source": source}
     return table | {"title": "What the recordings leave open"}

@@ -6,9 +6,9 @@ first round draws from it. Every later one draws from
     q(z) = 0.5 t(z; m, S, 5) + 0.3 t(z; m, (S + 1) / 2, 5) + 0.2 p(z)
 
 with Student's t for its heavy tails. Mean and covariance are those of all machines so far under
-weights w^a, a so small that their effective sample size is `_TEMPERED` of a round; so few show too
-little spread, which the second part makes up for. With as many machines in each round
-all are weighted by the mixture of the rounds (balance heuristic),
+weights w^a, a so small that their effective sample size is `_TEMPERED_SIZE` of a round; so few show
+too little spread, which the second part makes up for. With as many machines in each round all are
+weighted by the mixture of the rounds (balance heuristic),
 
     w = p(z) L(z) / mean(q1(z), q2(z), ...),        effective sample size = (sum w)^2 / sum w^2
 """
@@ -28,8 +28,10 @@ Array = NDArray[np.float64]
 _TAILS = 5.0  #: Degrees of freedom of every later round's distributions.
 _SHARES = (0.5, 0.3)
 """Shares of a later round that are drawn from its two distributions; the rest is of the prior."""
-_TEMPERED = 0.08  #: Effective sample size of mean and covariance, over the machines of a round.
-_WIDER = 0.05  #: Variance added to the covariance.
+_TEMPERED_SIZE = (
+    0.08  #: Effective sample size of mean and covariance, over the machines of a round.
+)
+_ADDED_VARIANCE = 0.05  #: Variance added to the covariance.
 _EDGE = 1e-6  #: Least distance of a quantile from 0 and 1.
 
 
@@ -52,9 +54,9 @@ class _Round(NamedTuple):
         chi = stats.chi2.ppf(np.clip(uniform[:, -1], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
         component, limit, begin = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
         for share, spread in zip(_SHARES, self.spreads, strict=True):
-            here = (component >= begin) & (component < begin + share)
-            away = points[here] @ np.linalg.cholesky(spread).T / np.sqrt(chi[here])[:, None]
-            points[here] = np.clip(self.mean + away, -limit, limit)
+            rows = (component >= begin) & (component < begin + share)
+            distances = points[rows] @ np.linalg.cholesky(spread).T / np.sqrt(chi[rows])[:, None]
+            points[rows] = np.clip(self.mean + distances, -limit, limit)
             begin += share
         return points
 
@@ -70,8 +72,8 @@ class _Round(NamedTuple):
 def moments(points: Array, weights: Array) -> tuple[Array, Array]:
     """Mean and covariance of points (n, k) with weights (n,) of sum 1."""
     mean = weights @ points
-    apart = points - mean
-    return mean, apart.T @ (apart * weights[:, None])
+    centred = points - mean
+    return mean, centred.T @ (centred * weights[:, None])
 
 
 class Draws(NamedTuple):
@@ -103,23 +105,23 @@ def importance(
     """
     if rounds < 1 or count < 1 or count & (count - 1):
         raise InputError(f"{rounds} rounds of {count}: allowed: at least 1, of a power of 2")
-    points, known = _normal(cube("sobol", count, size, seed)), np.empty(0)
-    drawn, identity = list[_Round](), np.eye(size)
+    points, likelihood = _normal(cube("sobol", count, size, seed)), np.empty(0)
+    later_rounds, identity = list[_Round](), np.eye(size)
     while True:
-        known = np.append(known, likelihoods(len(drawn), points[known.size :]))
+        number = len(later_rounds)
+        likelihood = np.append(likelihood, likelihoods(number, points[likelihood.size :]))
         prior = stats.norm.logpdf(points).sum(axis=1)
-        densities = [prior, *(each.log_density(points, prior) for each in drawn)]
+        densities = [prior, *(each.log_density(points, prior) for each in later_rounds)]
         ratio = prior - (np.logaddexp.reduce(densities, axis=0) - np.log(len(densities)))
-        if len(drawn) == rounds - 1:
-            return Draws(points, known, ratio)
+        if number == rounds - 1:
+            return Draws(points, likelihood, ratio)
         if moments_of is None:
-            mean, spread = moments(points, tempered(known + ratio, _TEMPERED * count))
+            mean, spread = moments(points, tempered(likelihood + ratio, _TEMPERED_SIZE * count))
         else:
             mean, spread = moments_of(points, ratio)
-        near = spread + _WIDER * identity
-        key = [seed, 2, len(drawn)]
-        drawn.append(_Round(mean, (near, 0.5 * (near + identity))))
-        points = np.vstack([points, drawn[-1].draw(count, key)])
+        spread = spread + _ADDED_VARIANCE * identity
+        later_rounds.append(_Round(mean, (spread, 0.5 * (spread + identity))))
+        points = np.vstack([points, later_rounds[-1].draw(count, [seed, 2, number])])
 
 
 def normalised(log_weights: Array) -> Array:
@@ -142,10 +144,10 @@ def tempered(log_weights: Array, count: float) -> Array:
     weights, possible = normalised(log_weights), np.isfinite(log_weights)
     if effective_size(weights) >= count:
         return weights
-    apart = log_weights - log_weights.max()
+    relative = log_weights - log_weights.max()
 
     def surplus(log_power: float) -> float:
-        return effective_size(normalised(np.exp(log_power) * apart)) - count
+        return effective_size(normalised(np.exp(log_power) * relative)) - count
 
     floored = np.where(possible, log_weights, -1e6)
     floored -= floored.max()
@@ -156,11 +158,11 @@ def tempered(log_weights: Array, count: float) -> Array:
     if surplus_floored(1e-6) > 0.0:
         power = optimize.brentq(surplus_floored, 1e-6, 1.0)
         if power > 1e-3:  # where the floor counts as 0
-            return normalised(power * apart)
-    least = np.log(1e-9 / max(1.0, -apart[possible].min()))
+            return normalised(power * relative)
+    least = np.log(1e-9 / max(1.0, -relative[possible].min()))
     if surplus(least) <= 0.0:
         return np.asarray(possible / possible.sum())
-    return normalised(np.exp(optimize.brentq(surplus, least, 0.0)) * apart)
+    return normalised(np.exp(optimize.brentq(surplus, least, 0.0)) * relative)
 
 
 def effective_size(weights: Array) -> float:
@@ -171,19 +173,19 @@ def effective_size(weights: Array) -> float:
 def resampled(weights: Array, count: int, seed: int) -> NDArray[np.int64]:
     """Indices of so many machines drawn by their weights, systematically, in order."""
     start = np.random.default_rng([seed, 3]).random()
-    at = np.searchsorted(np.cumsum(weights), (start + np.arange(count)) / count)
-    return np.minimum(at, np.flatnonzero(weights)[-1]).astype(np.int64)
+    indices = np.searchsorted(np.cumsum(weights), (start + np.arange(count)) / count)
+    return np.minimum(indices, np.flatnonzero(weights)[-1]).astype(np.int64)
 
 
-def weighted_quantiles(values: Array, weights: Array, at: Array) -> Array:
+def weighted_quantiles(values: Array, weights: Array, shares: Array) -> Array:
     """Quantiles of weighted values that are no NaN; NaN where there are none."""
     known = ~np.isnan(values) & (weights > 0.0)
     if not known.any():
-        return np.full(np.shape(at), np.nan)
+        return np.full(np.shape(shares), np.nan)
     order = np.argsort(values[known], kind="stable")
     sorted_values, sorted_weights = values[known][order], weights[known][order]
     middle = np.cumsum(sorted_weights) - 0.5 * sorted_weights
-    return np.asarray(np.interp(at, middle / sorted_weights.sum(), sorted_values))
+    return np.asarray(np.interp(shares, middle / sorted_weights.sum(), sorted_values))
 
 
 def _normal(uniform: Array) -> Array:

@@ -7,7 +7,7 @@ simulation has is the square root of the ports, and the geometry.
 """
 
 from collections.abc import Sequence
-from itertools import product
+from functools import partial
 from typing import NamedTuple
 
 import control
@@ -47,8 +47,11 @@ heave and yaw are easier."""
 
 
 @allocating
-def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
-    """Run the law against a sampled linear plant (A, B, C), one frame of delay."""
+def run_linear_loop(dcl, state, drive, drive_state, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
+    """Run the law against a sampled linear plant (A, B, C), one frame of delay.
+
+    The legs' positions of all frames are written to `legs_out`, (frames, legs).
+    """
     a, b, c = plant
     legs, command = demand.shape[0], dcl.workspace.command
     x = np.zeros(a.shape[0])
@@ -63,7 +66,7 @@ def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: 
         legs_out[frame] = feedback.position
         x = a @ x + b @ command
         blocks.step(dcl, state, demand, feedback)
-        servo.step(drive, driven, True, command, feedback.position)
+        servo.step(drive, drive_state, True, command, feedback.position)
 
 
 class LinearCab(NamedTuple):
@@ -94,12 +97,12 @@ def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
     a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
     assert plant.cab_parameters is not None
     return LinearCab(
-        plant.cab_parameters,
-        pose_jacobian(np.zeros(6), plant.machine),
-        rows["leg_velocity"],
-        (rows["cap_pressure"], rows["rod_pressure"]),
-        (a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
-        sampled,
+        carrier=plant.cab_parameters,
+        jacobian=pose_jacobian(np.zeros(6), plant.machine),
+        velocity=rows["leg_velocity"],
+        pressures=(rows["cap_pressure"], rows["rod_pressure"]),
+        sampled=(a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
+        system=sampled,
     )
 
 
@@ -121,40 +124,37 @@ def step_response(
 
     The law is bound to the cab; `dofs` are indices, `gains` valve gains over the nominal, (6,).
     """
-    machine = cab.carrier.machine
+    machine, axes = cab.carrier.machine, list(dofs)
     a, b, c = cab.sampled
-    chosen = list(dofs)
-    size = REPORT_AMPLITUDES[chosen] * STEP_PER_AMPLITUDE
+    size = REPORT_AMPLITUDES[axes] * STEP_PER_AMPLITUDE
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
-    still = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
-    state = engaged(dcl, np.zeros(legs), still)
-    moved = np.empty((round(STEP_TIME * machine.rate), legs))
-    demand = cab.jacobian[:, chosen] @ size
-    electronics = servo.load_servo_settings(None, fitting(machine))
-    drive, driven = servo.make_servo_electronics(electronics, law.frame), servo.start(legs)
+    feedback = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
+    state = engaged(dcl, np.zeros(legs), feedback)
+    positions = np.empty((round(STEP_TIME * machine.rate), legs))
+    demand = cab.jacobian[:, axes] @ size
+    settings = servo.load_servo_settings(None, fitting(machine))
+    drive, drive_state = servo.make_servo_electronics(settings, law.frame), servo.start(legs)
     plant = a, np.ascontiguousarray(b * gains), c
-    run(dcl, state, drive, driven, plant, demand, still, moved)
-    return moved @ np.linalg.inv(cab.jacobian)[chosen].T / size
+    run_linear_loop(dcl, state, drive, drive_state, plant, demand, feedback, positions)
+    return positions @ np.linalg.inv(cab.jacobian)[axes].T / size
 
 
-def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
-    taken, gains = bound(law, cab.carrier), scale * valve_gains(seed)
-    legs = closed_loop_response(
-        taken,
-        cab.velocity * gains,
-        LINES,
-        pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
-    )
+def _evaluate_case(law: Law, cab: LinearCab, seed: int | None, scale: float) -> Performance:
+    """Measures of one cab and one set of valve gains."""
+    bound_law, gains = bound(law, cab.carrier), scale * valve_gains(seed)
+    pressures = cab.pressures[0] * gains, cab.pressures[1] * gains
+    legs = closed_loop_response(bound_law, cab.velocity * gains, LINES, pressures=pressures)
     pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
     widths = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
-    steps = [step_response(taken, cab, dofs, gains) for dofs in STEPPED]
-    return [
-        [LINES[-1] if np.isnan(width.phase_hz) else width.phase_hz for width in widths],
-        [width.peak_db for width in widths],
-        [float(step.max() - 1.0) for step in steps],
-        [float(np.abs(step[-len(step) // 10 :] - 1.0).max()) for step in steps],
-    ]
+    phase = np.array([width.phase_hz for width in widths])
+    steps = [step_response(bound_law, cab, dofs, gains) for dofs in STEPPED]
+    return Performance(
+        phase_hz=np.where(np.isnan(phase), LINES[-1], phase),
+        peak_db=np.array([width.peak_db for width in widths]),
+        overshoot=np.array([step.max() - 1.0 for step in steps]),
+        tail=np.array([np.abs(step[-len(step) // 10 :] - 1.0).max() for step in steps]),
+    )
 
 
 def evaluate(
@@ -164,10 +164,10 @@ def evaluate(
 
     `seeds` are those of the valve gains, None for the nominal ones; `scale` is a factor on all.
     """
-    cases = list(product(cabs, seeds))
-    results = on_threads(lambda case: _one(law, case[0], case[1], scale), cases, jobs=len(cases))
+    cases = [partial(_evaluate_case, law, cab, seed, scale) for cab in cabs for seed in seeds]
+    results = on_threads(lambda case: case(), cases, jobs=len(cases))
     shape = (len(cabs), len(seeds), -1)
-    return Performance(*(np.array(part).reshape(shape) for part in zip(*results, strict=True)))
+    return Performance(*(np.reshape(parts, shape) for parts in zip(*results, strict=True)))
 
 
 def least_damping(law: Law, cabs: Sequence[LinearCab]) -> float:

@@ -40,17 +40,12 @@ from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
 
 HEAVY = 2  #: Modes of the pair of surge and sway, which have separate gains.
-
 EASY = 2  #: The next modes, yaw and heave, whose chirp and step ask little of the valves.
-
 EASY_REACH = 8.0  #: Frequency that bounds the acceleration of their reference [Hz].
-
-APPROACH, SMOOTH = 3.5, 6.5
-"""Frequencies at which a plan's reference closes small errors, and that bounds its jerk [Hz]."""
-
+APPROACH = 3.5  #: Frequency at which a plan's reference closes small errors [Hz].
+SMOOTH = 6.5  #: Frequency that bounds the jerk of a plan's reference [Hz].
 LOAD_CORNER = 5.0
 """Corner of the plan's load feedback [Hz]: above what cabs are disturbed at, where it gives way."""
-
 INTEGRAL = 10.0  #: Gain of the plan's error integral [%/(in s)].
 
 Values = Mapping[str, float]  #: What a search chose, by name.
@@ -73,16 +68,31 @@ class Template(NamedTuple):
     heavier: float  #: sqrt(K M) of the lowest mode of its first cab over that of the CMF's.
 
 
+class FreeNumber(NamedTuple):
+    """A number that a search chooses: Hz, 1, %/in, %/(in/s), %/(in/s^2) or %/klbf by its name."""
+
+    low: float
+    high: float
+    start: float  #: Where the search starts: that of a shipped law, of earlier searches.
+
+
 class Form(NamedTuple):
     """One form of law."""
 
-    free: Mapping[str, tuple[float, float]]
-    """Bounds of what is searched: Hz, 1, %/in, %/(in/s), %/(in/s^2), %/klbf by the name."""
-    start: tuple[float, ...]  #: Where the search starts: shipped laws, of earlier searches.
+    free: Mapping[str, FreeNumber]
     law: Callable[[Template, Values], Law]
     spread: float = 0.1  #: Deviation of the first candidates, as a share of the bounds.
     reach: Callable[[Values], float] = lambda _: np.inf
     """Frequency to which its reference can follow the chirp [Hz]."""
+
+    @property
+    def start(self) -> list[float]:
+        """Values where the search starts."""
+        return [number.start for number in self.free.values()]
+
+    def named(self, values: Sequence[float]) -> Values:
+        """Values by name."""
+        return dict(zip(self.free, map(float, values), strict=True))
 
 
 _ON_MOTION = ("acceleration", "forward_velocity", "forward_acceleration")
@@ -94,53 +104,49 @@ def make_template(
 ) -> Template:
     """What a search needs besides the form; `friction` as `linearize` takes it."""
     plants = [Hexapod(cab) for cab in cabs]
-    modes = {plant.cab: nominal_modes(plant) for plant in plants}
-    legs = SingleLegs(machine=plants[0].machine)
+    machine, actuator = plants[0].machine, plants[0].parameters
     linear = frictionless = tuple(linear_cab(plant, friction) for plant in plants)
     if friction not in (None, "none"):
         frictionless = tuple(linear_cab(plant, "none") for plant in plants)
-    moved = [
-        np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
-        for cab in linear
+    legs = SingleLegs(machine=machine)
+    modes = {plant.cab: nominal_modes(plant) for plant in plants}
+    shapes = [np.array(modes[cab.cab].shape) for cab in linear]
+    amplitudes = [
+        np.abs(shape @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
+        for shape, cab in zip(shapes, linear, strict=True)
     ]
-    known = modes | {legs.name: nominal_modes(legs)}
-    machine, cmf = plants[0].machine, modes_of_cab(load_cab())
-    first, set_of_cmf = modes_of_cab(load_cab(None, machine)), load_hydraulics()
-    largest = [np.abs(np.array(modes[cab.cab].shape)).max(axis=1) for cab in linear]
-    fastest = float(f"{units.from_si('in/s', machine.limits.leg.velocity.si):.6g}")
+    largest = np.max([np.abs(shape).max(axis=1) for shape in shapes], axis=0)
+    leg_speed = float(f"{units.from_si('in/s', machine.limits.leg.velocity.si):.6g}")
+    first, cmf = modes_of_cab(load_cab(None, machine)), modes_of_cab(load_cab())
     return Template(
-        name,
-        title,
-        known,
-        np.max(moved, axis=0) / units.INCH,
-        fastest / np.max(largest, axis=0),
-        linear,
-        frictionless,
-        plants[0].parameters,
-        machine.frame,
-        plants[0].parameters.leg_speed.si / set_of_cmf.leg_speed.si,
-        first.frequency[0] * first.mass[0] / (cmf.frequency[0] * cmf.mass[0]),
+        name=name,
+        title=title,
+        modes=modes | {legs.name: nominal_modes(legs)},
+        amplitude=np.max(amplitudes, axis=0) / units.INCH,
+        rate=leg_speed / largest,
+        cabs=linear,
+        frictionless=frictionless,
+        actuator=actuator,
+        frame=machine.frame,
+        faster=actuator.leg_speed.si / load_hydraulics().leg_speed.si,
+        heavier=first.frequency[0] * first.mass[0] / (cmf.frequency[0] * cmf.mass[0]),
     )
 
 
 def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
     """The law of some values of `form.free`, rounded as its table prints them."""
-    found = {}
-    for name, value in named(form, values).items():
-        on = name.removesuffix("_heavy").removesuffix("_light")
-        scale = template.faster if name in _ON_MOTION or on in ("position", "velocity") else 1.0
-        scale *= template.faster * template.heavier if on == "load" else 1.0
-        found[name] = float(f"{value / scale:.4g}")
-    return form.law(template, found)
+    gains = {}
+    for name, value in form.named(values).items():
+        kind = name.removesuffix("_heavy").removesuffix("_light")
+        scale = template.faster if name in _ON_MOTION or kind in ("position", "velocity") else 1.0
+        scale *= template.faster * template.heavier if kind == "load" else 1.0
+        gains[name] = float(f"{value / scale:.4g}")
+    return form.law(template, gains)
 
 
-def named(form: Form, values: Sequence[float]) -> Values:
-    """Values by name."""
-    return dict(zip(form.free, map(float, values), strict=True))
-
-
-def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
-    heavy, light = sign * at[f"{name}_heavy"], sign * at[f"{name}_light"]
+def _by_mode(gains: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
+    """Gains of all modes, those of the heavy ones first."""
+    heavy, light = sign * gains[f"{name}_heavy"], sign * gains[f"{name}_light"]
     return (heavy,) * HEAVY + (light,) * (len(REPORT_AMPLITUDES) - HEAVY)
 
 
@@ -153,62 +159,61 @@ def _modal(template: Template, **fields: object) -> Law:
     return Law.model_validate(common | {"coordinates": "hydraulic_modes"} | fields)
 
 
-def _modal_plan(template: Template, at: Values) -> Law:
+def _modal_plan(template: Template, gains: Values) -> Law:
     actuator = template.actuator
-    bounds = np.array(_six(at, "acceleration"))
+    bounds = np.array(_by_mode(gains, "acceleration"))
     bounds[HEAVY : HEAVY + EASY] = EASY_REACH
     swing = actuator.supply_pressure.si - actuator.return_pressure.si
     stall = 0.5 * swing * (actuator.cap_area + actuator.rod_area) / (1e3 * units.POUND_FORCE)
-    speed, *lags = (
-        float(f"{units.from_si(unit, getattr(actuator, field).si):.6g}")
-        for field, unit in (("leg_speed", "in/s/%"), ("drive_lag", "Hz"), ("valve_lag", "Hz"))
-    )
     plan = Plan(
-        speed=speed,
-        drive_lag=lags[0],
-        valve_lag=lags[1],
+        speed=float(f"{units.from_si('in/s/%', actuator.leg_speed.si):.6g}"),
+        drive_lag=float(f"{units.from_si('Hz', actuator.drive_lag.si):.6g}"),
+        valve_lag=float(f"{units.from_si('Hz', actuator.valve_lag.si):.6g}"),
         leak_rate=actuator.leak_rate.si,
-        pairs=((at["first_pair"], at["first_damping"]), (at["second_pair"], at["second_damping"])),
-        pole=at["pole"],
+        pairs=(
+            (gains["first_pair"], gains["first_damping"]),
+            (gains["second_pair"], gains["second_damping"]),
+        ),
+        pole=gains["pole"],
         rate=_rounded(template.rate),
         acceleration=_rounded((2.0 * np.pi * bounds) ** 2 * template.amplitude),
         smooth=SMOOTH,
         approach=APPROACH,
         stall=float(f"{stall:.4g}"),
-        position=_six(at, "position"),
-        velocity=_six(at, "velocity"),
+        position=_by_mode(gains, "position"),
+        velocity=_by_mode(gains, "velocity"),
     )
     return _modal(
         template,
         direct_gain=Gains(error_integral=float(f"{INTEGRAL / template.faster:.4g}")),
         plan=plan,
-        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=LOAD_CORNER),
+        load_feedback=LoadFeedback(gain=_by_mode(gains, "load"), corner=LOAD_CORNER),
     )
 
 
-def _modal_feedback(template: Template, at: Values) -> Law:
+def _modal_feedback(template: Template, gains: Values) -> Law:
     return _modal(
         template,
         direct_gain=Gains(
-            reference=_six(at, "position"),
-            position=_six(at, "position", -1.0),
-            velocity=_six(at, "velocity", -1.0),
+            reference=_by_mode(gains, "position"),
+            position=_by_mode(gains, "position", -1.0),
+            velocity=_by_mode(gains, "velocity", -1.0),
         ),
-        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=0.5),
+        load_feedback=LoadFeedback(gain=_by_mode(gains, "load"), corner=0.5),
     )
 
 
-def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
+def _on_velocity(template: Template, gains: Values, **fields: object) -> Law:
     """Velocity feedback with its net position gain and velocity gain as chosen."""
     flown = load_law("velocity").at_rate(round(1.0 / template.frame))
     back = flown.output_gain / template.faster
     through = -back / (1.0 - flown.state_gain)
-    gains = flown.direct_gain.model_copy(
+    direct_gain = flown.direct_gain.model_copy(
         update={
-            "reference": at["position"],
-            "position": float(f"{through - at['position']:.6g}"),
-            "velocity": -at["velocity"],
-            "acceleration": -at.get("acceleration", 0.0),
+            "reference": gains["position"],
+            "position": float(f"{through - gains['position']:.6g}"),
+            "velocity": -gains["velocity"],
+            "acceleration": -gains.get("acceleration", 0.0),
         }
     )
     changes = {
@@ -216,86 +221,95 @@ def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
         "title": template.title,
         "source": "",
         "output_gain": back,
-        "direct_gain": gains,
+        "direct_gain": direct_gain,
     }
     return flown.model_copy(update=changes | fields)
 
 
-def _pressure(template: Template, at: Values) -> Law:
-    load = LoadFeedback(gain=at["load"], corner=at["corner"])
-    return _on_velocity(template, at, load_feedback=load)
+def _pressure(template: Template, gains: Values) -> Law:
+    load = LoadFeedback(gain=gains["load"], corner=gains["corner"])
+    return _on_velocity(template, gains, load_feedback=load)
 
 
-def _feed_forward(template: Template, at: Values) -> Law:
+def _feed_forward(template: Template, gains: Values) -> Law:
     model = ReferenceModel(
-        natural_frequency=at["filter"],
+        natural_frequency=gains["filter"],
         damping_ratio=0.7,
-        velocity=at["forward_velocity"],
-        acceleration=at["forward_acceleration"],
+        velocity=gains["forward_velocity"],
+        acceleration=gains["forward_acceleration"],
     )
-    return _on_velocity(template, at, reference_model=model)
+    return _on_velocity(template, gains, reference_model=model)
 
 
-def _acceleration(template: Template, at: Values) -> Law:
-    pole = float(f"{np.exp(-2.0 * np.pi * at['filter'] * template.frame):.4g}")
+def _acceleration(template: Template, gains: Values) -> Law:
+    pole = float(f"{np.exp(-2.0 * np.pi * gains['filter'] * template.frame):.4g}")
     filtered = {"accelerometer_pole": pole, "accelerometer_gain": float(f"{1.0 - pole:.4g}")}
-    return _on_velocity(template, at, **filtered)
+    return _on_velocity(template, gains, **filtered)
 
 
-_OUTER = {"position": (10.0, 80.0), "velocity": (0.0, 6.0)}
+def _outer(position: float, velocity: float) -> dict[str, FreeNumber]:
+    """Gains on position and velocity of forms without modes, by their starts."""
+    bounded_position = FreeNumber(10.0, 80.0, position)
+    return {"position": bounded_position, "velocity": FreeNumber(0.0, 6.0, velocity)}
+
 
 FORMS: Mapping[str, Form] = {
     "modal_plan": Form(
         {
-            "first_pair": (4.0, 20.0),
-            "first_damping": (0.35, 1.2),
-            "second_pair": (6.0, 60.0),
-            "second_damping": (0.4, 1.6),
-            "pole": (5.5, 60.0),
-            "acceleration_heavy": (3.0, 9.0),
-            "acceleration_light": (3.0, 9.0),
-            "position_heavy": (15.0, 60.0),
-            "position_light": (15.0, 60.0),
-            "velocity_heavy": (-0.5, 9.0),
-            "velocity_light": (-0.5, 4.0),
-            "load_heavy": (-3.0, 6.0),
-            "load_light": (-3.0, 6.0),
+            "first_pair": FreeNumber(4.0, 20.0, start=14.3),
+            "first_damping": FreeNumber(0.35, 1.2, start=0.506),
+            "second_pair": FreeNumber(6.0, 60.0, start=58.0),
+            "second_damping": FreeNumber(0.4, 1.6, start=1.0),
+            "pole": FreeNumber(5.5, 60.0, start=6.7),
+            "acceleration_heavy": FreeNumber(3.0, 9.0, start=6.18),
+            "acceleration_light": FreeNumber(3.0, 9.0, start=6.92),
+            "position_heavy": FreeNumber(15.0, 60.0, start=46.0),
+            "position_light": FreeNumber(15.0, 60.0, start=41.0),
+            "velocity_heavy": FreeNumber(-0.5, 9.0, start=6.75),
+            "velocity_light": FreeNumber(-0.5, 4.0, start=0.0),
+            "load_heavy": FreeNumber(-3.0, 6.0, start=2.88),
+            "load_light": FreeNumber(-3.0, 6.0, start=0.0),
         },
-        (14.3, 0.506, 58.0, 1.0, 6.7, 6.18, 6.92, 46.0, 41.0, 6.75, 0.0, 2.88, 0.0),
         _modal_plan,
         spread=0.05,
-        reach=lambda at: min(at["acceleration_heavy"], at["acceleration_light"]),  # w^2 a <= A
+        reach=lambda gains: min(gains["acceleration_heavy"], gains["acceleration_light"]),
     ),
-    "velocity": Form(_OUTER, (25.5, 3.1), _on_velocity),
+    "velocity": Form(_outer(25.5, 3.1), _on_velocity),
     "pressure": Form(
-        _OUTER | {"load": (0.0, 10.0), "corner": (0.1, 5.0)}, (32.5, 3.7, 0.19, 1.3), _pressure
+        {
+            **_outer(32.5, 3.7),
+            "load": FreeNumber(0.0, 10.0, start=0.19),
+            "corner": FreeNumber(0.1, 5.0, start=1.3),
+        },
+        _pressure,
     ),
     "feed_forward": Form(
-        _OUTER
-        | {
-            "forward_velocity": (0.0, 3.0),
-            "forward_acceleration": (0.0, 0.2),
-            "filter": (5.0, 40.0),
+        {
+            **_outer(18.0, 2.83),
+            "forward_velocity": FreeNumber(0.0, 3.0, start=1.42),
+            "forward_acceleration": FreeNumber(0.0, 0.2, start=0.033),
+            "filter": FreeNumber(5.0, 40.0, start=34.0),
         },
-        (18.0, 2.83, 1.42, 0.033, 34.0),
         _feed_forward,
     ),
     "acceleration": Form(
-        _OUTER | {"acceleration": (0.0, 0.2), "filter": (1.0, 60.0)},
-        (25.5, 3.1, 0.025, 2.5),
+        {
+            **_outer(25.5, 3.1),
+            "acceleration": FreeNumber(0.0, 0.2, start=0.025),
+            "filter": FreeNumber(1.0, 60.0, start=2.5),
+        },
         _acceleration,
     ),
     "modal": Form(
         {
-            "position_heavy": (10.0, 80.0),
-            "position_light": (10.0, 80.0),
-            "velocity_heavy": (-2.0, 4.0),
-            "velocity_light": (-2.0, 4.0),
-            "load_heavy": (-3.0, 8.0),
-            "load_light": (-3.0, 8.0),
+            "position_heavy": FreeNumber(10.0, 80.0, start=60.3),
+            "position_light": FreeNumber(10.0, 80.0, start=56.0),
+            "velocity_heavy": FreeNumber(-2.0, 4.0, start=3.27),
+            "velocity_light": FreeNumber(-2.0, 4.0, start=1.17),
+            "load_heavy": FreeNumber(-3.0, 8.0, start=1.04),
+            "load_light": FreeNumber(-3.0, 8.0, start=1.62),
         },
-        (60.3, 56.0, 3.27, 1.17, 1.04, 1.62),
         _modal_feedback,
     ),
 }
-"""All forms by name."""
+"""All forms by name. The reference of a plan can follow the chirp while w^2 a <= A."""

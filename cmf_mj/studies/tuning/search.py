@@ -29,12 +29,10 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.studies.engine import libraries
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate, least_damping
-from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate, named
+from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate
 
 FASTER = 1.5  #: Factor on all valve gains at which the loop must still be well damped.
-
 MEAN = 0.1  #: Weight of the mean bandwidth next to the lowest.
-
 Seeds = Sequence[int | None]  #: Sets of valve gains, `valve_gains`.
 
 
@@ -50,11 +48,14 @@ class Requirements(NamedTuple):
 
 
 _WEIGHTS = Requirements(0.3, 0.03, 0.06, 0.05, 1.0, 0.01)
-_EXCESS = (
-    *("peak by {:.2f} dB", "overshoot by {:.1%}", "overshoot of all axes at once by {:.1%}"),
-    *("what is left after a step by {:.1%}", "peak with faster valves by {:.2f} dB"),
-    "damping ratio by {:.3f}",
-)
+_EXCESS_TEXTS = {
+    "peak_db": "peak by {:.2f} dB",
+    "overshoot": "overshoot by {:.1%}",
+    "together": "overshoot of all axes at once by {:.1%}",
+    "tail": "what is left after a step by {:.1%}",
+    "margin_db": "peak with faster valves by {:.2f} dB",
+    "damping": "damping ratio by {:.3f}",
+}
 
 
 class SearchResult(NamedTuple):
@@ -69,33 +70,35 @@ class SearchResult(NamedTuple):
     @property
     def verdict(self) -> str:
         """Which limits are not kept, and by how much."""
-        pairs = zip(_EXCESS, self.excess, strict=True)
-        broken = ", ".join(text.format(over) for text, over in pairs if not over <= 0.0)
+        excess = self.excess._asdict()
+        broken = [text.format(excess[k]) for k, text in _EXCESS_TEXTS.items() if not excess[k] <= 0]
         if broken:
-            return f"limits not kept: {broken.replace('%', ' %')}"
-        return f"all limits kept: {', '.join(text.split(' by ')[0] for text in _EXCESS)}"
+            return f"limits not kept: {', '.join(broken).replace('%', ' %')}"
+        names = (text.partition(" by ")[0] for text in _EXCESS_TEXTS.values())
+        return f"all limits kept: {', '.join(names)}"
 
 
-def judged(
+def judge(
     law: Law, template: Template, limits: Requirements, seeds: Seeds
 ) -> tuple[Performance, Requirements]:
     """What a law does with friction as stated, and by how much it is beyond each limit."""
     performance = evaluate(law, template.cabs, seeds)
-    without = performance
+    frictionless = performance
     if template.frictionless is not template.cabs:
-        without = evaluate(law, template.frictionless, seeds)
+        frictionless = evaluate(law, template.frictionless, seeds)
     faster = evaluate(law, template.frictionless, (None,), scale=FASTER)
+    in_one, in_all = performance.overshoot[..., :-1], performance.overshoot[..., -1]  # `STEPPED`
     worst = Requirements(
-        performance.peak_db.max(),
-        performance.overshoot[..., :-1].max(),
-        performance.overshoot[..., -1].max(),
-        np.max([one.tail.max() for one in (performance, without, faster)]),
-        faster.peak_db.max(),
-        least_damping(law, template.frictionless),
+        peak_db=performance.peak_db.max(),
+        overshoot=in_one.max(),
+        together=in_all.max(),
+        tail=np.max([each.tail.max() for each in (performance, frictionless, faster)]),
+        margin_db=faster.peak_db.max(),
+        damping=least_damping(law, template.frictionless),
     )
-    over = np.subtract(worst, limits)
-    over[-1] *= -1.0  # the damping ratio must be at least its limit
-    return performance, Requirements(*np.maximum(0.0, over).tolist())
+    excess = Requirements(*np.subtract(worst, limits).tolist())
+    excess = excess._replace(damping=limits.damping - worst.damping)  # which is a least one
+    return performance, Requirements(*np.maximum(0.0, excess).tolist())
 
 
 def cost(
@@ -103,10 +106,10 @@ def cost(
 ) -> float:
     """What is minimised."""
     with libraries().limit(limits=1):  # the same bits on any number of cores, and faster
-        performance, beyond = judged(candidate(form, template, values), template, limits, seeds)
-    excess = sum(over / weight for over, weight in zip(beyond, _WEIGHTS, strict=True))
-    slowest = min(float(performance.phase_hz.min()), form.reach(named(form, values)))
-    total = -slowest - MEAN * float(performance.phase_hz.mean()) + excess
+        performance, excess = judge(candidate(form, template, values), template, limits, seeds)
+    penalty = sum(over / weight for over, weight in zip(excess, _WEIGHTS, strict=True))
+    slowest = min(float(performance.phase_hz.min()), form.reach(form.named(values)))
+    total = -slowest - MEAN * float(performance.phase_hz.mean()) + penalty
     return float(total) if np.isfinite(total) else 1e3
 
 
@@ -127,9 +130,10 @@ def search(
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
-    limits, chosen = limits or Requirements(), FORMS[check_name("form", form, FORMS)]
-    first = np.array(chosen.start)
-    low, high = np.array(list(chosen.free.values())).T
+    limits, law_form = limits or Requirements(), FORMS[check_name("form", form, FORMS)]
+    first = np.array(law_form.start)
+    low = np.array([number.low for number in law_form.free.values()])
+    high = np.array([number.high for number in law_form.free.values()])
 
     def values_of(point: NDArray[np.float64]) -> list[float]:
         return list(low + (high - low) * np.asarray(point))
@@ -139,20 +143,22 @@ def search(
         warnings.simplefilter("ignore")
         import cma
 
-        strategy = cma.CMAEvolutionStrategy((first - low) / (high - low), chosen.spread, options)
-    best, tried = (np.inf, first.tolist()), 0
-    while tried < evaluations and not strategy.stop():
+        share = (first - low) / (high - low)
+        strategy = cma.CMAEvolutionStrategy(share, law_form.spread, options)
+    least_cost, best_values, count = np.inf, first.tolist(), 0
+    while count < evaluations and not strategy.stop():
         points = strategy.ask()
-        costs = [cost(chosen, values_of(point), template, limits, seeds) for point in points]
+        costs = [cost(law_form, values_of(point), template, limits, seeds) for point in points]
         strategy.tell(points, costs)
-        tried += len(points)
-        least = int(np.argmin(costs))
-        if costs[least] < best[0]:
-            best = costs[least], values_of(points[least])
+        count += len(points)
+        best = int(np.argmin(costs))
+        if costs[best] < least_cost:
+            least_cost, best_values = costs[best], values_of(points[best])
         if progress is not None:
-            progress(min(tried, evaluations), evaluations)
-    law = candidate(chosen, template, best[1])
-    return SearchResult(law, *judged(law, template, limits, seeds), best[0], tried)
+            progress(min(count, evaluations), evaluations)
+    law = candidate(law_form, template, best_values)
+    performance, excess = judge(law, template, limits, seeds)
+    return SearchResult(law, performance, excess, least_cost, count)
 
 
 def save_law(law: Law, path: str | Path, heading: str = "") -> Path:

@@ -12,7 +12,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
 from cmf_mj.studies.fit import effects
 from cmf_mj.studies.fit.campaign import load_campaign
-from cmf_mj.studies.fit.effects import EFFECTS, Effect, tried
+from cmf_mj.studies.fit.effects import EFFECTS, Effect, try_effects
 from cmf_mj.studies.fit.iteration import Fitter
 from tests.studies.fit.test_fit import campaign
 
@@ -23,7 +23,7 @@ def gains(folder: Path, machine: Plant) -> list[Effect]:
     """What effects gain on recordings of a machine whose numbers are those of the data sheet."""
     fitter = Fitter(load_campaign(campaign(folder / "campaign", machine)), "whole", jobs=2)
     there = np.array([0.0, 0.0, *stats.norm.ppf([1.0 / 3.0] * 2)])  # factors 1, of lags in 0.5 to 2
-    return tried(fitter.linearised_at(there, np.full(there.size, 0.03)), fitter)
+    return try_effects(fitter.linearised_at(there, np.full(there.size, 0.03)), fitter)
 
 
 @pytest.mark.slow
@@ -48,7 +48,7 @@ def test_what_yields_is_named(
 def test_the_number_of_a_spring_is_its_compliance() -> None:
     """One size of legs that yield is a fourth of the compliance of the oil in them."""
     plant = cmf_mj.Hexapod(machine="lab")
-    (change,) = EFFECTS["legs that yield"].on(plant, ("",))
+    (change,) = EFFECTS["legs that yield"].changes(plant, ("",))
     once, twice = (change(plant, np.array([size])).model.eq_solref[0] for size in (1.0, 2.0))
     np.testing.assert_allclose(once, 2.0 * twice)
     oil = 6541476.69587172  # N/m, beta A (1 / h + ratio / h) of the data sheet
@@ -60,7 +60,9 @@ def test_floors_are_tried_at_the_frequencies_they_swing_at() -> None:
     plant = cmf_mj.Hexapod(machine="lab")
     mass = float(plant.model.body_mass.sum())
     for change, hertz in zip(
-        EFFECTS["a floor that yields"].on(plant, ("",)), np.geomspace(8.0, 32.0, 7), strict=True
+        EFFECTS["a floor that yields"].changes(plant, ("",)),
+        np.geomspace(8.0, 32.0, 7),
+        strict=True,
     ):
         model = change(plant, np.array([0.5])).model
         assert model.body("floor").mass[0] == pytest.approx(10.0 * mass)

@@ -20,7 +20,7 @@ from cmf_mj.studies.fit import doubt as doubts
 from cmf_mj.studies.fit import engine
 from cmf_mj.studies.fit import evidence as evidence_module
 from cmf_mj.studies.fit.campaign import FILE, SHIPPED, Campaign, load_campaign
-from cmf_mj.studies.fit.doubt import Stated, doubt, stated
+from cmf_mj.studies.fit.doubt import StatedNumber, doubt, stated_numbers
 from cmf_mj.studies.fit.engine import fit
 from cmf_mj.studies.fit.evidence import Evidence, Statement
 from cmf_mj.studies.fit.results import numbers, physical
@@ -32,7 +32,7 @@ TRUE = 1.15
 def shipped(name: str, laws: tuple[str, ...]) -> Campaign:
     """A shipped campaign with the evidence of these laws alone."""
     campaign = load_campaign(name)
-    kept = [one for one in campaign.evidence.statements if one.at[0] in laws]
+    kept = [one for one in campaign.evidence.statements if one.law in laws]
     evidence = campaign.evidence._replace(statements=tuple(kept), shift=np.zeros(len(kept)))
     return campaign._replace(evidence=evidence)
 
@@ -43,7 +43,7 @@ def least(leg_speed: float) -> dict[str, tuple[float, bool]]:
     plant = campaign.unknowns.apply({"leg_speed": leg_speed}, campaign.plant)
     found = campaign.evidence.linear({"leg_speed": leg_speed}, plant)
     rows = zip(campaign.evidence.statements, found.value, found.stable, strict=True)
-    return {one.at[2]: (float(x), bool(ok)) for one, x, ok in rows if one.field == "least_damping"}
+    return {one.cab: (float(x), bool(ok)) for one, x, ok in rows if one.field == "least_damping"}
 
 
 # -- what a statement counts ----------------------------------------------------------------------
@@ -53,9 +53,7 @@ def test_a_statement_counts_by_its_deviation() -> None:
     """Frequencies by their logarithm, ratios as they are, least ones by what they fall short."""
 
     def one(field: str, value: float, deviation: float) -> Statement:
-        return Statement(
-            "mine", "it", field, ("velocity", "heave", "", 0.0), value, deviation, False
-        )
+        return Statement("mine", "it", field, "velocity", "heave", "", 0.0, value, deviation, False)
 
     assert one("phase_bandwidth_hz", 2.0, 0.1).excess(2.0 * np.exp(-0.1)) == pytest.approx(1.0)
     assert one("damping_ratio", 0.4, 0.1).excess(0.5) == pytest.approx(-1.0)
@@ -89,9 +87,9 @@ def test_a_simulation_binds_its_law_to_the_cab_of_the_statement(
         return [SimpleNamespace(measures=measures, response=None) for _ in cases]
 
     monkeypatch.setattr(evidence_module, "on_threads", no_runs)
-    once = made.shifted(1)
+    once = made.with_shift(1)
     assert once.shift[0] != 0.0
-    assert once.shifted(1).shift[0] == once.shift[0]
+    assert once.with_shift(1).shift[0] == once.shift[0]
 
 
 def test_a_campaign_changes_its_base_inside_evidence(tmp_path: Path) -> None:
@@ -126,7 +124,7 @@ def test_shipped_campaigns_state_what_is_published() -> None:
             printed = {
                 getattr(row, one.field)
                 for row in published_results()
-                if (row.law, row.dof) == (one.at[0], "heave") and of in (None, row.of)
+                if (row.law, row.dof) == (one.law, "heave") and of in (None, row.of)
             }
             assert one.value in printed, (name, one)
 
@@ -152,7 +150,7 @@ def test_report_set_meets_the_non_linear_rows() -> None:
     campaign = shipped("report", (*laws, "acceleration"))
     found = campaign.evidence.simulated({}, campaign.plant, 2)
     for one, value in zip(campaign.evidence.statements, found, strict=True):
-        if (one.at[0], one.field) != ("velocity_error", "damping_ratio"):
+        if (one.law, one.field) != ("velocity_error", "damping_ratio"):
             assert abs(one.excess(float(value))) <= 1.0, (one, value)
 
 
@@ -186,8 +184,8 @@ def test_step_runs_judge_as_the_linear_loop() -> None:
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few machines are drawn."""
-    monkeypatch.setattr(engine, "_SAMPLING", (16, 2, 1))
-    monkeypatch.setattr(doubts, "stated", partial(stated, samples=24))
+    monkeypatch.setattr(engine, "_DRAWS", 16)
+    monkeypatch.setattr(doubts, "stated_numbers", partial(stated_numbers, samples=24))
 
 
 # -- fits to evidence -----------------------------------------------------------------------------
@@ -229,7 +227,7 @@ def test_a_response_gives_the_speed_of_another_machine(
     again = fit(tmp_path / "campaign", tmp_path / "out", progress=lambda _: None)
     assert np.array_equal(again.z, posterior.z)  # from its journal
     found = doubt(posterior, effects=False)
-    assert found.explained, found.verdict
+    assert found.is_explained, found.verdict
     assert found.verdict == "The model explains what is stated: all is close."
     assert {one.role for one in found.stated} == {"fitted"}
     assert all(one.low <= one.fitted <= one.high for one in found.stated)
@@ -243,7 +241,7 @@ def test_what_is_held_back_speaks_against_the_model(
     right = {"source": "test", "dof": "surge", "response": response}
     path = written(tmp_path / "campaign", {"right": right, "wrong": wrong})
     found = doubt(fit(path, tmp_path / "out"), effects=False)
-    assert not found.explained
+    assert not found.is_explained
     assert "The model does not explain what is stated." in found.verdict
     assert "wrong, peak [dB]: held back, stated 20, the fitted machine has" in found.verdict
 
@@ -267,7 +265,7 @@ def test_fit_finds_known_numbers_through_a_biased_linear_model(
     kept = [
         one
         for one in campaign.evidence.statements
-        if (one.at[0], one.field) != ("position_error_rate", "gain_bandwidth_hz")
+        if (one.law, one.field) != ("position_error_rate", "gain_bandwidth_hz")
     ]
     evidence = campaign.evidence._replace(statements=tuple(kept), shift=np.zeros(len(kept)))
     campaign = campaign._replace(evidence=evidence)
@@ -315,13 +313,13 @@ def test_spread_holds_what_is_fitted_and_repeats(tmp_path: Path) -> None:
     """Numbers that are held widen it; same seed, same numbers."""
     known = {"source": "test", "dof": "heave", "phase_bandwidth_hz": 8.0}
     lag = {"path": "hydraulics.drive_lag", "low": 0.5, "high": 2.0, "unit": "1", "source": "test"}
-    rows: dict[bool, list[Stated]] = {}
+    rows: dict[bool, list[StatedNumber]] = {}
     for held in (False, True):
         more = {"held": {"lag": lag}} if held else {}
         path = written(tmp_path / f"{held}", {"heave": known}, **more)
         posterior = fit(path, tmp_path / f"{held}.out")
-        rows[held] = stated(posterior, samples=16)
-    assert rows[True] == stated(posterior, samples=16)
+        rows[held] = stated_numbers(posterior, samples=16)
+    assert rows[True] == stated_numbers(posterior, samples=16)
     (narrow,), (wide,) = rows[False], rows[True]
     assert wide.high - wide.low > 1.2 * (narrow.high - narrow.low)
 

@@ -106,8 +106,8 @@ def test_the_machine_is_found_and_twins_are_said(found: tuple[Posterior, Path]) 
             assert value == pytest.approx(real, rel=0.01)
     assert posterior.twins == (("drive_lag", "valve_lag"),)
     low, high = posterior.bounds()
-    assert np.all((low < posterior.exchanged) & (posterior.exchanged < high))
-    assert abs(posterior.exchanged - posterior.z).max() > 0.1
+    assert np.all((low < posterior.exchanged_z) & (posterior.exchanged_z < high))
+    assert abs(posterior.exchanged_z - posterior.z).max() > 0.1
     least, most = posterior.bounds(exchange=False)
     assert np.all((low <= least) & (least < posterior.z) & (posterior.z < most) & (most <= high))
     assert np.array_equal(most - least < high - low, [p.endswith("_lag") for p in truth])
@@ -116,8 +116,8 @@ def test_the_machine_is_found_and_twins_are_said(found: tuple[Posterior, Path]) 
 def test_a_held_back_recording_is_predicted(found: tuple[Posterior, Path]) -> None:
     doubts = doubt.doubt(found[0])
     assert [one.recording for one in doubts.predictions] == ["axis_4"]
-    assert doubts.predictions[0].close
-    assert doubts.explained, doubts.verdict
+    assert doubts.predictions[0].is_close
+    assert doubts.is_explained, doubts.verdict
     assert "cannot be separated" in doubts.verdict
 
 
@@ -139,7 +139,7 @@ def test_the_fitted_machine_is_a_file_that_commands_take(found: tuple[Posterior,
 def test_steps_are_taken_from_the_journal(found: tuple[Posterior, Path]) -> None:
     posterior, folder = found
     said: list[str] = []
-    again = fit(folder / "campaign", folder / "out", jobs=1, doing=said.append)
+    again = fit(folder / "campaign", folder / "out", jobs=1, announce=said.append)
     assert said[:2] == [
         "weighing at rest",
         "slow 1: 5 machines, 2 recordings each, compiling first if new",
@@ -154,7 +154,7 @@ def test_a_number_with_no_room_is_named(
     """Of a machine that leaves its bounds however its mass changes."""
     fitter, x = Fitter(found[0].campaign, "slow", jobs=1), found[0].z
     here = found[0].linearised.residuals
-    monkeypatch.setattr(fitter, "tried", lambda at: here if at[1] == x[1] else None)
+    monkeypatch.setattr(fitter, "residuals", lambda at: here if at[1] == x[1] else None)
     with pytest.raises(InputError, match="^mass: the machine leaves its bounds"):
         fitter.derivatives(x, here, np.full(x.size, 0.01))
 
@@ -235,7 +235,7 @@ def test_overlap_that_the_model_lacks_is_named(tmp_path: Path) -> None:
     made = campaign(tmp_path / "campaign", hidden(overlap=0.02))
     posterior = fit(made, tmp_path / "out", jobs=2)
     doubts = doubt.doubt(posterior)
-    assert not doubts.explained
+    assert not doubts.is_explained
     effect = doubts.effects[0]
     assert effect.name == "valve overlap"
     assert effect.helps
@@ -252,7 +252,7 @@ def test_offset_of_two_clocks_is_found_in_what_was_held_back() -> None:
     simulated = np.random.default_rng(1).normal(size=(5120, 2))
     turned = np.fft.rfft(simulated, axis=0) * np.exp(2j * np.pi * lines * late)[:, None]
     measured = np.fft.irfft(turned, 5120, axis=0)
-    found = doubt._late(*doubt._ratio(measured, simulated, rate))
+    found = doubt._clock_offset(*doubt._ratios(measured, simulated, rate))
     assert found == pytest.approx(late, abs=3e-4)
 
 

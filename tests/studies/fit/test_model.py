@@ -10,7 +10,7 @@ from scipy import stats
 import cmf_mj
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.studies.fit.campaign import FILE, load_campaign
-from cmf_mj.studies.fit.model import Model, rests
+from cmf_mj.studies.fit.model import Model, find_rests
 
 RATE = 128
 POSES = np.array([[0, 0, 0, 0, 0, 0], [0, 0, 0, 0.2, 0, 0], [0, 0, 0, 0, 0.2, 0]])
@@ -54,7 +54,7 @@ def test_rests_weigh_what_is_carried(
 ) -> None:
     """Of three poses, friction of 5 N in each leg costs 2 % and a tenth of what was not known."""
     model = held(tmp_path, 3.0, friction)
-    values = model.values(model.weighed())
+    values = model.values(model.weigh())
     assert values["mass"] == pytest.approx(0.85, rel=share)
     for axis, off in WHERE.items():
         assert values[f"centre_{axis}"] == pytest.approx(off, abs=place), axis
@@ -62,5 +62,5 @@ def test_rests_weigh_what_is_carried(
 
 def test_what_moves_is_not_weighed(tmp_path: Path) -> None:
     model = held(tmp_path, 0.4)
-    assert rests(model.pieces[0], model.plant) == []
-    np.testing.assert_array_equal(stats.norm.cdf(model.weighed()), 0.5)
+    assert find_rests(model.pieces[0], model.plant) == []
+    np.testing.assert_array_equal(stats.norm.cdf(model.weigh()), 0.5)

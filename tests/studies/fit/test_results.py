@@ -158,11 +158,11 @@ def test_a_number_of_the_law_changes_the_law_of_every_recording(tmp_path: Path) 
     model = Model(found.campaign)
     other = law.model_copy(update={"derivative_pole": AT * law.derivative_pole})
     closed, driven = (
-        model.simulated(one, found.z, model.plant)["leg_position"] for one in model.pieces
+        model.simulate(one, found.z, model.plant)["leg_position"] for one in model.pieces
     )
     piece = model.pieces[0]
-    due = Run(plant=plant, law=other, **piece.how).record()
-    expected = CubicSpline(due.time, due["leg_position"])(piece.since)
+    due = Run(plant=plant, law=other, **piece.run).record()
+    expected = CubicSpline(due.time, due["leg_position"])(piece.time)
     np.testing.assert_array_equal(closed, expected)
     assert np.abs(closed - piece.measured["leg_position"]).max() > 1e-6
     assert np.isfinite(driven).all()
