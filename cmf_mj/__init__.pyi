@@ -4,8 +4,8 @@ from .analysis.frequency_response import bandwidths as bandwidths
 from .analysis.frequency_response import frequency_response as frequency_response
 from .analysis.linear.assembly import linearize as linearize
 from .analysis.linear.linear import Linear as Linear
-from .analysis.measures import StepMetrics as StepMetrics
-from .analysis.measures import step_metrics as step_metrics
+from .analysis.step_response import StepMetrics as StepMetrics
+from .analysis.step_response import step_metrics as step_metrics
 from .control.law import Law as Law
 from .control.law import law_names as law_names
 from .control.law import load_law as load_law

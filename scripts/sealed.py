@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from cmf_mj import Hexapod, simulate
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.measures import are_stable
+from cmf_mj.analysis.linear.poles import are_stable
 from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.analysis.spectra import welch_response

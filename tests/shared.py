@@ -26,7 +26,7 @@ from cmf_mj import (
 from cmf_mj.analysis.frequency_response import Bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.poles import leg_model
+from cmf_mj.analysis.linear.plants import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app

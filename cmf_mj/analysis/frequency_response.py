@@ -2,16 +2,11 @@
 
 A response goes from the DCL's leg demand to the leg feedback, both transformed to the degree of
 freedom by `legs_to_pose`, as the report does, or of a single leg; host delay and DCU are outside.
-The estimator is H1,
-
-    H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
-
-unbiased here because the demand is free of noise: periodic records are averaged over their whole
-periods after the first, others by Welch's method (`cmf_mj.analysis.spectra`, which has
-the others).
+The estimator is H1 (`cmf_mj.analysis.spectra`), unbiased because the demand is free of noise:
+periodic records are averaged over their whole periods after the first, others by Welch's method.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, get_args
 
 import control
@@ -20,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.measurable import (
     DRIVEN_SHARE,
-    check_alike,
+    check_one_session,
     demand_share,
     dof_history,
     least_demand,
@@ -28,9 +23,11 @@ from cmf_mj.analysis.measurable import (
 from cmf_mj.analysis.periodic import matrix_response, periodic_response, sine_response, stitch
 from cmf_mj.analysis.spectra import (
     SEGMENT,
+    Complex,
     Estimate,
     Estimator,
-    mean_of_both,
+    Real,
+    mean_of_h1_and_h2,
     report_response,
     welch_response,
 )
@@ -43,13 +40,12 @@ from cmf_mj.signals.composite import OrthogonalMultisines
 from cmf_mj.signals.signal import Signal
 from cmf_mj.signals.single import Multisine
 
-_HIGHEST = 10.5  #: Highest line of rounds [Hz], above the 10 Hz of Table 2-3.
-
-GRAZE = 10.0  #: Distance of the phase from -90 deg within which it counts as grazing [deg].
-
-LINGER = 4.0  #: How many times as far the phase goes about -90 deg as before where it lingers.
-
-NOISE = 2.0  #: How far above -90 deg the phase must come back to fall through it once more [deg].
+_ROUNDS_BAND = (2.0 / SEGMENT, 10.5)  #: Lines of rounds [Hz], to above the 10 Hz of Table 2-3.
+_GRAZE = 10.0  #: Distance of the phase from -90 deg within which it counts as grazing [deg].
+_LINGER = 4.0
+"""Octaves that the phase takes from `_GRAZE` above -90 deg to as much below, over those that it
+takes for the `_GRAZE` before, from which it counts as lingering."""
+_PHASE_NOISE = 2.0  #: How far above -90 deg the phase must come back to fall once more [deg].
 
 
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
@@ -62,10 +58,10 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
 
     def __init__(
         self,
-        response: NDArray[np.complex128],
-        omega: NDArray[np.float64],
-        coherence: NDArray[np.float64],
-        bound: NDArray[np.float64] | None = None,
+        response: Complex,
+        omega: Real,
+        coherence: Real,
+        bound: Real | None = None,
         **keywords: Any,
     ) -> None:
         """Wrap a SISO response at `omega` [rad/s], (K,); `keywords` as of python-control."""
@@ -74,31 +70,30 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         self.coherence = coherence
         """Coherence of each line, 0 to 1, (K,)."""
         self.bound = bound if bound is not None else np.full(np.shape(coherence), np.nan)
-        """Radius of the circle about each line's response that holds the true one with 95 %
-        probability, (K,): random error only; infinite from one average, NaN where not known."""
+        """Radius of the 95 % circle about each response, (K,); NaN where not known."""
 
     @property
-    def frequency(self) -> NDArray[np.float64]:
+    def frequency(self) -> Real:
         """Frequencies [Hz], (K,)."""
         return np.asarray(self.omega) / (2.0 * np.pi)
 
     @property
-    def response(self) -> NDArray[np.complex128]:
+    def response(self) -> Complex:
         """Complex response, (K,)."""
         return np.asarray(self.frdata[0, 0])
 
     def at(self, lines: NDArray[np.bool_]) -> "FrequencyResponse":
         """The response at some of its lines, chosen by a mask (K,)."""
-        parts = (self.response, np.asarray(self.omega), self.coherence, self.bound)
-        return FrequencyResponse(*(np.asarray(part)[lines] for part in parts))
+        arrays = (self.response, np.asarray(self.omega), self.coherence, self.bound)
+        return FrequencyResponse(*(np.asarray(array)[lines] for array in arrays))
 
     @property
-    def gain_db(self) -> NDArray[np.float64]:
+    def gain_db(self) -> Real:
         """Gain [dB], (K,)."""
         return 20.0 * np.log10(np.abs(self.response))
 
     @property
-    def phase_deg(self) -> NDArray[np.float64]:
+    def phase_deg(self) -> Real:
         """Phase unwrapped from the lowest line, which lies within +-180 deg, [deg], (K,)."""
         return np.degrees(np.unwrap(np.angle(self.response)))
 
@@ -107,22 +102,19 @@ class Bandwidths(NamedTuple):
     """Where a response leaves its pass band; NaN where it does not within the measured lines.
 
     At a lightly damped pair the phase may dip, come back and fall again. It *grazes* -90 deg where
-    it comes back to within `GRAZE` of it after having left, or lingers there: on a scale of log
-    frequency it takes more than four times as far from `GRAZE` above to `GRAZE` below as for the
-    `GRAZE` before (a second-order system 1.9 to 2.3 times, of a damping ratio up to 3). A small
+    it comes back to within 10 deg of it after having left, or lingers there: on a scale of log
+    frequency it takes more than four times as far from 10 deg above to 10 deg below as for the
+    10 deg before (a second-order system 1.9 to 2.3 times, of a damping ratio up to 3). A small
     change of the machine or of the amplitude then moves `phase_hz` about between both ends.
     """
 
     phase_hz: float  #: First frequency at which the phase falls through -90 deg [Hz].
-    gain_hz: float
-    """First frequency at which the gain falls through -3 dB, from absolute 0 dB [Hz]."""
+    gain_hz: float  #: First frequency at which the gain falls through -3 dB of absolute 0 dB [Hz].
     peak_db: float  #: Largest gain [dB].
     later_phase_hz: float
-    """Last fall of the phase through -90 deg after it came back to `NOISE` above it [Hz]; NaN where
-    it falls but once."""
-    graze_from_hz: float
-    """Where the phase grazes -90 deg, its first fall through `GRAZE` above it [Hz]; else NaN."""
-    graze_to_hz: float  #: Likewise its last fall through `GRAZE` below [Hz].
+    """Last fall of the phase through -90 deg after a return to 2 deg above it [Hz], or NaN."""
+    graze_from_hz: float  #: Its first fall through 10 deg above -90 deg where it grazes that [Hz].
+    graze_to_hz: float  #: Likewise its last fall through 10 deg below [Hz].
 
 
 def frequency_response(
@@ -130,13 +122,11 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Estimate the response from leg demand to leg feedback in one degree of freedom.
 
-    The record is of a chirp, multisine or any other broad excitation; `dof` may be a leg, `leg_1`
-    and so on, and is by default what the command moved. `segment` is the length of Welch's segments
-    [s], for records that are not periodic. The `estimator` is `h1` or `report`, that of Appendix A,
-    with its segments, or over the periods of a multisine the mean of H1 and H2.
-
-    The lines lie within the excited band. Raises `InputError` without excitation in this degree of
-    freedom, and for a record shorter than a segment or legs that no pose has.
+    The record is of a chirp, multisine or any other broad excitation, whose band the lines lie in;
+    `dof` may be a leg, `leg_1` and so on, and is by default what the command moved. `segment` is
+    the length of Welch's segments [s], for records that are not periodic. The `estimator` is `h1`
+    or `report`, that of Appendix A, over the periods of a multisine the mean of H1 and H2. Raises
+    `InputError` without excitation, for a record shorter than a segment or legs without a pose.
 
     >>> command = cmf_mj.signals.multisine("heave", 0.005, period=4.0, periods=2)
     >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)
@@ -146,16 +136,15 @@ def frequency_response(
     """
     check_name("estimator", estimator, get_args(Estimator))
     command = record.excitation
-    chosen = dof if dof is not None else command.axis
-    demand = dof_history(record, "leg_reference", chosen)
-    feedback = dof_history(record, "leg_position", chosen)
-    if np.ptp(demand) < least_demand(record, chosen):
-        raise InputError(
-            f"dof: the record holds no demand in {chosen}; it moved {command.axis or 'another'}"
-        )
+    axis = dof if dof is not None else command.axis
+    demand = dof_history(record, "leg_reference", axis)
+    feedback = dof_history(record, "leg_position", axis)
+    if np.ptp(demand) < least_demand(record, axis):
+        moved = command.axis or "another"
+        raise InputError(f"dof: the record holds no demand in {axis}; it moved {moved}")
     if isinstance(command, Multisine):
-        periodic = excited_response(demand, feedback, record.rate, command)
-        return _wrapped(mean_of_both(periodic) if estimator == "report" else periodic)
+        h1 = excited_response(demand, feedback, record.rate, command)
+        return _wrapped(mean_of_h1_and_h2(h1) if estimator == "report" else h1)
     # The rest before the excitation is the base line; it also lets the start-up settle.
     begin = max(round(command.lead * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
@@ -167,17 +156,13 @@ def frequency_response(
 
 
 def excited_response(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
+    x: Real,
+    y: Real,
     rate: float,
     command: Signal,
     segment: float = SEGMENT,
 ) -> Estimate:
-    """Response by H1, over whole periods of a multisine, by Welch's method otherwise.
-
-    x and y are (N,), `command` is the excitation, `Record.signal`. Raises `InputError` for a period
-    that is not a whole number of samples, or a record shorter than a segment.
-    """
+    """Response by H1, over whole periods of a multisine, by Welch's method otherwise; x, y (N,)."""
     if not isinstance(command, Multisine):
         band = _band(command, rate, segment)
         return welch_response(x, y, rate, segment=segment, band=band, pad=True)
@@ -188,8 +173,8 @@ def excited_response(
     orders = np.arange(frequency.size)
     lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
     lines &= frequency <= command.stop + 1e-9
-    whole = slice(command.periods * samples)
-    return periodic_response(x[whole], y[whole], rate, command.period, orders[lines])
+    periods = slice(command.periods * samples)
+    return periodic_response(x[periods], y[periods], rate, command.period, orders[lines])
 
 
 def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:
@@ -204,12 +189,12 @@ def rounds_response(
     """One response from several records of single sines, such as the facility's five rounds.
 
     `h1`: where a record carries its dwells, each is fitted by least squares over whole cycles.
-    Records without are put end to end, estimated by Welch's method, and of its lines those are kept
-    that the demand drives. `report`: as Appendix A does it, all records end to end in their order,
-    a straight line taken off, and its estimator over the whole, all lines up to 10.5 Hz, those
-    between the sines too. `dof` is a degree of freedom or a leg, default the one the first command
-    moved. Raises `InputError` for no records, no demand, one record given twice, and records that
-    differ in rate, axis, law or machine.
+    Records without dwells are put end to end and estimated by Welch's method, at the lines that the
+    demand drives. `report`: as Appendix A does it, all records end to end in their order, without
+    a straight line, and its estimator over the whole, all lines up to 10.5 Hz, also between the
+    sines. `dof` is a degree of freedom or a leg, default the one the first command moved. Raises
+    `InputError` for no records, no demand, one record given twice, and records that differ in rate,
+    axis, law or machine.
     """
     check_name("estimator", estimator, get_args(Estimator))
     if not records:
@@ -217,57 +202,65 @@ def rounds_response(
     rates = sorted({record.rate for record in records})
     if len(rates) > 1:
         raise InputError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
-    check_alike(records)
-    chosen = dof if dof is not None else records[0].signal.axis
-    pairs = [
-        tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
-        for record in records
-    ]
-    if max(np.ptp(x) for x, _ in pairs) < max(least_demand(r, chosen) for r in records):
-        raise InputError(f"dof: the records hold no demand in {chosen}")
-    band = (2.0 / SEGMENT, _HIGHEST)
+    check_one_session(records)
+    axis, rate = dof if dof is not None else records[0].signal.axis, rates[0]
+    demands = [dof_history(record, "leg_reference", axis) for record in records]
+    motions = [dof_history(record, "leg_position", axis) for record in records]
+    if max(map(np.ptp, demands)) < max(least_demand(record, axis) for record in records):
+        raise InputError(f"dof: the records hold no demand in {axis}")
     if estimator == "report":
-        x, y = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-        return _wrapped(report_response(x, y, rates[0], band=band))
+        x, y = np.concatenate(demands), np.concatenate(motions)
+        return _wrapped(report_response(x, y, rate, band=_ROUNDS_BAND))
     if all(record.signal.dwells for record in records):
-        fits = []
-        for record, (x, y) in zip(records, pairs, strict=True):
-            per_frame = record.rate / record.signal.rate
-            for dwell in record.signal.dwells:
-                # Inwards to whole samples; the fit takes the whole cycles that are left.
-                first = int(np.ceil(dwell.start * per_frame))
-                last = int((dwell.start + dwell.frames) * per_frame) + 1
-                fits.append(
-                    sine_response(x[first:last], y[first:last], record.rate, dwell.frequency)
-                )
+        rounds = zip(records, demands, motions, strict=True)
+        fits = [fit for record, x, y in rounds for fit in _dwell_fits(record, x, y)]
         return _wrapped(stitch(fits))
-    x, y = (
-        np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
-    )
-    estimate = welch_response(x, y, rates[0], band=band, pad=True)
-    driven = demand_share(x, rates[0], estimate.frequency) > DRIVEN_SHARE
-    return _wrapped(estimate).at(driven)
+    x = np.concatenate([demand - demand[0] for demand in demands])
+    y = np.concatenate([motion - motion[0] for motion in motions])
+    estimate = welch_response(x, y, rate, band=_ROUNDS_BAND, pad=True)
+    is_driven = demand_share(x, rate, estimate.frequency) > DRIVEN_SHARE
+    return _wrapped(estimate).at(is_driven)
+
+
+def _dwell_fits(record: Record, x: Real, y: Real) -> Iterator[Estimate]:
+    """Response at each dwell of a record with input and output (N,)."""
+    samples_per_frame = record.rate / record.signal.rate
+    for dwell in record.signal.dwells:
+        # Inwards to whole samples; the fit takes the whole cycles that lie between.
+        first = int(np.ceil(dwell.start * samples_per_frame))
+        last = int((dwell.start + dwell.frames) * samples_per_frame) + 1
+        yield sine_response(x[first:last], y[first:last], record.rate, dwell.frequency)
 
 
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     """The full 6 by 6 response from pose demand to pose feedback, of one run.
 
-    The record is of `signals.orthogonal_multisines` in all six degrees of freedom. Each column is
-    measured at its lines and interpolated to the lines of all, NaN outside them; m and rad per m
-    and rad, outputs in rows.
+    The record is of `signals.orthogonal_multisines`. Each column is measured at its lines and
+    interpolated to the lines of all, NaN outside them; in m and rad, outputs in rows.
     """
     command = record.signal_as(OrthogonalMultisines)
     record.excitation  # noqa: B018 - refused here if the record is too slow
-    whole = slice(round(command.period * record.rate) * command.periods)
+    periods = slice(round(command.period * record.rate) * command.periods)
     machine = recorded_machine(record.metadata)
-    demand, feedback = (
-        legs_to_pose(record[name][whole], machine) for name in ("leg_reference", "leg_position")
-    )
-    how = (record.rate, command.period)
-    frequency, response = matrix_response(demand, feedback, *how, band=command.band)
+    demand = legs_to_pose(record["leg_reference"][periods], machine)
+    feedback = legs_to_pose(record["leg_position"][periods], machine)
+    rate, period = record.rate, command.period
+    frequency, response = matrix_response(demand, feedback, rate, period, band=command.band)
     names = {"inputs": [f"{dof}_demand" for dof in DOFS], "outputs": list(DOFS)}
     matrix, omega = np.moveaxis(response, 0, -1), 2.0 * np.pi * frequency
     return control.FrequencyResponseData(matrix, omega, name="response", **names)
+
+
+def crosstalk(response: Complex, unit: ArrayLike) -> Real:
+    """Largest gains from the demand of one axis to the motion of another, (n, n), diagonal NaN.
+
+    `response` is (n, n, K), outputs in rows; lines that are NaN are passed over. Motions count in
+    `unit` of each axis, such as 0.33 in and 0.2 deg, (n,): 1 is as much as was demanded.
+    """
+    size = np.asarray(unit, dtype=float)
+    gains = np.nanmax(np.abs(response), axis=-1) * size[None, :] / size[:, None]
+    np.fill_diagonal(gains, np.nan)
+    return np.asarray(gains)
 
 
 def _wrapped(estimate: Estimate) -> FrequencyResponse:
@@ -289,35 +282,39 @@ def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
     return line_bandwidths(frequency, np.asarray(response.frdata[0, 0]))
 
 
-def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> Bandwidths:
+def line_bandwidths(frequency: ArrayLike, response: Complex) -> Bandwidths:
     """`bandwidths` of a complex response (K,) at lines [Hz], (K,), ascending."""
     lines = np.asarray(frequency, dtype=np.float64)
     if lines.size == 0:
         raise InputError("response: has no lines; allowed: at least 1")
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
-    through = falls(lines, phase, 0.0)
-    back = lines[(phase > NOISE) & (lines > through[0])]
-    again = back.size and through[-1] > back[-1]
-    later = float(through[-1]) if again else float("nan")
-    gain_hz = float(falls(lines, gain, -3.0)[0])
-    return Bandwidths(float(through[0]), gain_hz, float(gain.max()), later, *_graze(lines, phase))
+    phase_falls = falls(lines, phase, 0.0)
+    returns = lines[(phase > _PHASE_NOISE) & (lines > phase_falls[0])]
+    falls_again = returns.size and phase_falls[-1] > returns[-1]
+    graze_from, graze_to = _graze(lines, phase)
+    return Bandwidths(
+        phase_hz=float(phase_falls[0]),
+        gain_hz=float(falls(lines, gain, -3.0)[0]),
+        peak_db=float(gain.max()),
+        later_phase_hz=float(phase_falls[-1]) if falls_again else float("nan"),
+        graze_from_hz=graze_from,
+        graze_to_hz=graze_to,
+    )
 
 
-def falls(
-    frequency: NDArray[np.float64], values: NDArray[np.float64], level: float
-) -> NDArray[np.float64]:
+def falls(frequency: Real, values: Real, level: float) -> Real:
     """Frequencies at which values fall through a level, NaN alone where they do not."""
-    i = np.flatnonzero((values[1:] < level) & (values[:-1] >= level))
-    if i.size == 0:
+    rows = np.flatnonzero((values[1:] < level) & (values[:-1] >= level))
+    if rows.size == 0:
         return np.array([np.nan])
-    share = (level - values[i]) / (values[i + 1] - values[i])
-    return np.asarray(frequency[i] + share * (frequency[i + 1] - frequency[i]))
+    share = (level - values[rows]) / (values[rows + 1] - values[rows])
+    return np.asarray(frequency[rows] + share * (frequency[rows + 1] - frequency[rows]))
 
 
-def _graze(frequency: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[float, float]:
+def _graze(frequency: Real, phase: Real) -> tuple[float, float]:
     """Both ends of the band in which the phase over -90 deg grazes 0; NaN where it does not."""
-    before, above, below = (falls(frequency, phase, n * GRAZE) for n in (2, 1, -1))
-    again = max(above.size, below.size) > 1
-    lingers = np.log(below[-1] / above[0]) > LINGER * np.log(above[0] / before[0])
-    return (float(above[0]), float(below[-1])) if again or lingers else (float("nan"), float("nan"))
+    before, above, below = (falls(frequency, phase, level * _GRAZE) for level in (2, 1, -1))
+    comes_back = max(above.size, below.size) > 1
+    lingers = np.log(below[-1] / above[0]) > _LINGER * np.log(above[0] / before[0])
+    return (float(above[0]), float(below[-1])) if comes_back or lingers else (np.nan, np.nan)

@@ -10,8 +10,7 @@ ARX minimises sum e^2 of A y = B u + e (Eq 4.10), linear in theta = (a, b):
 It is consistent where the noise enters so. Noise of a sensor enters as y = B/A u + v; past outputs
 in phi then hold it, and poles are biased towards more damping.
 
-Any leg signal s is mapped to a degree of freedom by J^-1 s, positions by `legs_to_pose`: a law has
-the same gains on all legs, and a box of a degree of freedom is closed with it like one of a leg.
+Along a degree of freedom leg rates are mapped by J^-1, positions by `legs_to_pose`.
 """
 
 from collections.abc import Sequence
@@ -38,10 +37,10 @@ RATE = 64.0  #: Least rate of series [Hz]: far above what is excited all poles c
 RECORDER = 128.0  #: Least rate of measured responses [Hz], the facility recorder's.
 BAND = (0.1, 10.0)  #: Where a box is believed [Hz]: the report's band of interest (section 4.2).
 
-_SHORTEST = 32  # samples behind a decimation, at least
-_SWEEPS = 30  # of the fit of a response
-_SHARE = 0.6  # of a single run that is fitted; the rest validates
-_BROAD = ("multisine", "chirp", "noise")
+_LEAST_SAMPLES = 32  #: Behind a decimation.
+_SWEEPS = 30  #: Rounds of the fit of a response.
+_FITTED_SHARE = 0.6  #: Of a single run; the rest validates.
+_BROAD_SIGNALS = ("multisine", "chirp", "noise")
 
 
 @dataclass(frozen=True)
@@ -51,21 +50,22 @@ class Experiment:
     input: Real  #: (N,).
     output: Real  #: (N,).
     step: float  #: Sampling interval [s].
-    names: tuple[str, str] = ("input", "output")
+    names: tuple[str, str] = ("input", "output")  #: Of input and output.
     reference: Real | None = None  #: What the law followed, (N,).
 
     def split(self, share: float) -> "list[Experiment]":
         """The first share of the run, and the rest."""
-        at, runs = round(share * self.input.size), list[Experiment]()
-        for part in (slice(at), slice(at, None)):
-            followed = None if self.reference is None else self.reference[part]
-            cut = replace(self, input=self.input[part], output=self.output[part])
-            runs.append(replace(cut, reference=followed))
-        return runs
+        row = round(share * self.input.size)
+        return [self._part(slice(row)), self._part(slice(row, None))]
+
+    def _part(self, rows: slice) -> "Experiment":
+        reference = None if self.reference is None else self.reference[rows]
+        return replace(self, input=self.input[rows], output=self.output[rows], reference=reference)
 
 
 def _check_length(samples: int, factor: int) -> None:
-    if samples < (least := _SHORTEST * factor):
+    least = _LEAST_SAMPLES * factor
+    if samples < least:
         raise InputError(f"record: {samples} samples; allowed: {least} or more")
 
 
@@ -77,7 +77,8 @@ def decimated(values: Real, factor: int) -> Real:
     """
     _check_length(len(values), factor)
     while factor > 1:
-        stage = next((q for q in range(8, 1, -1) if factor % q == 0), factor)
+        divisors = [q for q in range(2, 9) if factor % q == 0]
+        stage = max(divisors, default=factor)
         values, factor = np.asarray(signal.decimate(values, stage, axis=0)), factor // stage
     return values
 
@@ -85,9 +86,8 @@ def decimated(values: Real, factor: int) -> Real:
 def experiment(record: Record, axis: str, rate: float = RATE) -> Experiment:
     """Valve command and leg velocity along a leg or degree of freedom, less their means.
 
-    The record has `valve_command`, `leg_reference`, `leg_position` and `leg_velocity`; `axis` is
-    surge to yaw, or leg_1 and so on. The series have the least rate from `rate` [Hz] on that
-    divides the record's. Commands are fractions of full command (rotations: times rad/m),
+    `axis` is surge to yaw, or leg_1 and so on. The series have the least rate from `rate` [Hz] on
+    that divides the record's. Commands are fractions of full command (rotations: times rad/m),
     velocities in m/s or rad/s.
 
     A command c acts d frames late and is held over a frame. It jumps at the sampling instants; its
@@ -95,42 +95,54 @@ def experiment(record: Record, axis: str, rate: float = RATE) -> Experiment:
     box contains neither the frames of delay nor the hold.
     """
     factor, machine = max(1, int(record.rate // rate)), recorded_machine(record.metadata)
-    late = (int(record.metadata.get("command_delay", 1)) + 0.5) * record.rate / machine.rate
     _check_length(record.time.size, factor)
-    place = np.arange(record.time.size, dtype=float)
-    spline = interpolate.make_interp_spline(place, record["valve_command"])
-    channels = [record[f"leg_{name}"] for name in ("velocity", "reference", "position")]
-    channels.insert(0, spline(np.clip(place - late, 0.0, None)))
-    legs = [decimated(values, factor) for values in channels]
-    names = [*DOFS, *(f"leg_{i + 1}" for i in range(legs[0].shape[1]))]
-    column = names.index(check_name("axis", axis, names))
-    if column < len(DOFS):
-        pose, zero = legs_to_pose(legs[3], machine), np.zeros_like(legs[3])
-        turned = [leg_motion_to_pose(pose, v, zero, machine).velocity for v in legs[:2]]
-        legs = [*turned, legs_to_pose(legs[2], machine)]
-    along = (values[:, column % len(DOFS)] for values in legs[:3])
-    u, y, reference = (signal.detrend(values, type="constant") for values in along)
-    ports = (f"{axis}_command", f"{axis}_velocity")
-    return Experiment(u, y, factor / record.rate, ports, reference)
+    command = decimated(_acting_commands(record, machine.rate), factor)
+    velocity, reference, position = (
+        decimated(record[f"leg_{name}"], factor) for name in ("velocity", "reference", "position")
+    )
+    legs = [f"leg_{leg + 1}" for leg in range(command.shape[1])]
+    check_name("axis", axis, [*DOFS, *legs])
+    if axis in DOFS:
+        pose, zero = legs_to_pose(position, machine), np.zeros_like(position)
+        command, velocity = (
+            leg_motion_to_pose(pose, values, zero, machine).velocity
+            for values in (command, velocity)
+        )
+        reference = legs_to_pose(reference, machine)
+    column = (DOFS if axis in DOFS else legs).index(axis)
+    u, y, followed = (
+        signal.detrend(values[:, column], type="constant")
+        for values in (command, velocity, reference)
+    )
+    names = (f"{axis}_command", f"{axis}_velocity")
+    return Experiment(u, y, factor / record.rate, names, followed)
+
+
+def _acting_commands(record: Record, control_rate: int) -> Real:
+    """Valve commands, (N, n), as they act: behind the delay and half a frame of hold."""
+    frames = int(record.metadata.get("command_delay", 1)) + 0.5
+    row = np.arange(record.time.size, dtype=float)
+    spline = interpolate.make_interp_spline(row, record["valve_command"])
+    return np.asarray(spline(np.clip(row - frames * record.rate / control_rate, 0.0, None)))
 
 
 def plant_response(record: Record, axis: str) -> FrequencyResponse:
-    """Response from valve command to leg velocity: reference to one over reference to the other.
+    """Response from valve command to leg velocity in SI, (reference to one) over (to the other).
 
-    So no law's feedback biases it. The record, as for `experiment`, is of a chirp, noise or
-    multisine along the axis; lines lie in its band, in SI per full command. Bounds of both add.
+    No law's feedback biases it. The record is of a chirp, noise or multisine along the axis.
     """
     run = experiment(record, axis, RECORDER)
     if run.reference is None or np.ptp(run.reference) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
-    below, above = (
-        excited_response(run.reference, one, 1.0 / run.step, record.signal)
-        for one in (run.input, run.output)
+    to_input, to_output = (
+        excited_response(run.reference, series, 1.0 / run.step, record.signal)
+        for series in (run.input, run.output)
     )
-    response = above.response / below.response
-    bound = sum(each.radius / np.abs(each.response) for each in (below, above)) * np.abs(response)
-    coherence = np.minimum(below.coherence, above.coherence)
-    return FrequencyResponse(response, 2.0 * np.pi * below.frequency, coherence, bound)
+    response = to_output.response / to_input.response
+    relative_bounds = (fit.radius / np.abs(fit.response) for fit in (to_input, to_output))
+    bound = sum(relative_bounds) * np.abs(response)
+    coherence = np.minimum(to_input.coherence, to_output.coherence)
+    return FrequencyResponse(response, 2.0 * np.pi * to_input.frequency, coherence, bound)
 
 
 class Orders(NamedTuple):
@@ -182,27 +194,28 @@ class BlackBox:
 
     def poles(self) -> list[Pole]:
         """Poles with their standard errors; dp/da_i = -p^(na - i) / A'(p) for a simple one."""
-        found, a, na = [], self.denominator, self.orders.na
+        poles, a, na = [], self.denominator, self.orders.na
         for p in np.roots(a).astype(complex):
             s = np.log(p) / self.step
             slope = -np.vander([p], na)[0] / np.polyval(np.polyder(a), p)
             # |s| changes by the part of ds = dp / (p T) along s.
-            along = (np.conj(s) / abs(s) * slope / (p * self.step)).real / (2.0 * np.pi)
-            error = float(np.sqrt(along @ self.covariance[:na, :na] @ along))
-            found.append(Pole(complex(p), abs(s) / (2.0 * np.pi), error, float(-s.real / abs(s))))
-        return found
+            hertz_slope = (np.conj(s) / abs(s) * slope / (p * self.step)).real / (2.0 * np.pi)
+            error = float(np.sqrt(hertz_slope @ self.covariance[:na, :na] @ hertz_slope))
+            poles.append(Pole(complex(p), abs(s) / (2.0 * np.pi), error, float(-s.real / abs(s))))
+        return poles
 
     def response(self, frequency: ArrayLike) -> FrequencyResponse:
         """Frequency response at lines [Hz], (K,), with a circle of at least 95 % about each."""
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         (na, nb, nk), lag = self.orders, self.orders.lag
-        late = np.exp(-2j * np.pi * np.outer(f * self.step, np.arange(lag + 1)))
-        below = late[:, : na + 1] @ self.denominator
-        g = late[:, : nk + nb] @ self.numerator / below
-        slope = np.hstack([-late[:, 1 : na + 1] * g[:, None], late[:, nk : nk + nb]])
-        parts = np.stack([(slope / below[:, None]).real, (slope / below[:, None]).imag], axis=1)
-        largest = np.linalg.eigvalsh(parts @ self.covariance @ parts.transpose(0, 2, 1))[:, -1]
-        bound = np.sqrt(stats.chi2.ppf(0.95, 2) * largest)
+        delays = np.exp(-2j * np.pi * np.outer(f * self.step, np.arange(lag + 1)))
+        denominator = delays[:, : na + 1] @ self.denominator
+        g = delays[:, : nk + nb] @ self.numerator / denominator
+        slope = np.hstack([-delays[:, 1 : na + 1] * g[:, None], delays[:, nk : nk + nb]])
+        slope = slope / denominator[:, None]
+        plane = np.stack([slope.real, slope.imag], axis=1)
+        variances = np.linalg.eigvalsh(plane @ self.covariance @ plane.transpose(0, 2, 1))
+        bound = np.sqrt(stats.chi2.ppf(0.95, 2) * variances[:, -1])
         return FrequencyResponse(g, 2.0 * np.pi * f, np.ones(f.size), bound)
 
 
@@ -211,39 +224,43 @@ def _inverse(table: Real) -> Real:
     size = np.linalg.norm(table, axis=0)
     if not size.all():
         raise InputError("runs: an input or output is zero all the time")
-    left, values, right = np.linalg.svd(table / size, full_matrices=False)
-    if values[-1] < 1e-13 * values[0]:
+    u, singular_values, v_transposed = np.linalg.svd(table / size, full_matrices=False)
+    if singular_values[-1] < 1e-13 * singular_values[0]:
         raise InputError("orders: the runs do not tell these parameters apart; lower them")
-    return np.asarray((right.T / values) @ left.T / size[:, None])
+    return np.asarray((v_transposed.T / singular_values) @ u.T / size[:, None])
 
 
 def arx(runs: Sequence[Experiment], orders: Orders | tuple[int, int, int]) -> BlackBox:
-    """Fit an ARX model to runs of the same signals and rate; none is joined to the next.
+    """Fit an ARX model to runs of the same signals and rate; poles outside the unit circle stay.
 
-    Poles outside the unit circle stay. Raises `InputError` for orders out of range, runs of several
-    steps, too few samples or an input that does not excite the model.
+    Raises `InputError` for orders out of range, runs of several steps, too few samples or an input
+    that does not excite the model.
     """
-    chosen = Orders(*orders)
+    orders = Orders(*orders)
     for name, least in (("na", 1), ("nb", 1), ("nk", 0)):
-        if getattr(chosen, name) < least:
-            raise InputError(f"{name}: {getattr(chosen, name)} must be at least {least}")
-    if len(steps := sorted({run.step for run in runs})) != 1:
+        if getattr(orders, name) < least:
+            raise InputError(f"{name}: {getattr(orders, name)} must be at least {least}")
+    steps = sorted({run.step for run in runs})
+    if len(steps) != 1:
         raise InputError(f"runs: have steps of {steps} s; one or more of the same step are needed")
-    short, count = min(run.output.size for run in runs), chosen.na + chosen.nb
-    if short <= chosen.lag + count:
-        raise InputError(f"orders: {tuple(chosen)} are too high for {short} samples")
-    (na, nb, nk), lag, tables = chosen, chosen.lag, list[Real]()
-    for run in runs:  # -y[k-1] .. -y[k-na], u[k-nk] .. u[k-nk-nb+1] from sample `lag` on
-        end = run.output.size
-        past = [-run.output[lag - i : end - i] for i in range(1, na + 1)]
-        past += [run.input[lag - i : end - i] for i in range(nk, nk + nb)]
-        tables.append(np.column_stack(past))
-    phi, y = np.concatenate(tables), np.concatenate([run.output[lag:] for run in runs])
+    samples, count = min(run.output.size for run in runs), orders.na + orders.nb
+    if samples <= orders.lag + count:
+        raise InputError(f"orders: {tuple(orders)} are too high for {samples} samples")
+    phi = np.concatenate([_regressors(run, orders) for run in runs])
+    y = np.concatenate([run.output[orders.lag :] for run in runs])
     inverse = _inverse(phi)
     theta = inverse @ y
     variance = float(np.sum((y - phi @ theta) ** 2)) / (y.size - count)
     covariance = variance * (inverse @ inverse.T)
-    return BlackBox(chosen, theta, covariance, runs[0].step, runs[0].names)
+    return BlackBox(orders, theta, covariance, runs[0].step, runs[0].names)
+
+
+def _regressors(run: Experiment, orders: Orders) -> Real:
+    """Rows -y[k-1] .. -y[k-na], u[k-nk] .. u[k-nk-nb+1] from sample `orders.lag` on."""
+    (na, nb, nk), lag, end = orders, orders.lag, run.output.size
+    past_outputs = [-run.output[lag - i : end - i] for i in range(1, na + 1)]
+    past_inputs = [run.input[lag - i : end - i] for i in range(nk, nk + nb)]
+    return np.column_stack(past_outputs + past_inputs)
 
 
 def simulated(box: BlackBox, run: Experiment) -> Real:
@@ -278,25 +295,27 @@ def to_continuous(box: BlackBox) -> Continuous:
     D H = N, repeated with the weight 1 / |D H| of the time before (C. Sanathanan and J. Koerner,
     IEEE Trans. Automatic Control 8 (1963) 56-58), need no start.
     """
-    if not BAND[1] < 0.5 / box.step:
-        raise InputError(f"step: {box.step} s; allowed: below {0.5 / BAND[1]} s")
+    lowest, highest = BAND
+    if not highest < 0.5 / box.step:
+        raise InputError(f"step: {box.step} s; allowed: below {0.5 / highest} s")
     f, na = np.geomspace(*BAND, 200), box.orders.na
-    h, scale = box.response(f).response, 2.0 * np.pi * float(np.sqrt(BAND[0] * BAND[1]))
+    h, scale = box.response(f).response, 2.0 * np.pi * float(np.sqrt(lowest * highest))
     powers = np.vander(2j * np.pi * f / scale, na + 1)
     table = np.hstack([powers[:, 1:], -h[:, None] * powers[:, 1:]])
-    above, below = np.zeros(na), np.eye(1, na + 1)[0]
+    numerator, denominator = np.zeros(na), np.eye(1, na + 1)[0]
     for _ in range(_SWEEPS):
-        weight = 1.0 / np.abs(h * (powers @ below))
-        left, right = table * weight[:, None], h * powers[:, 0] * weight
-        system, target = np.vstack([left.real, left.imag]), np.concatenate([right.real, right.imag])
+        weight = 1.0 / np.abs(h * (powers @ denominator))
+        rows, values = table * weight[:, None], h * powers[:, 0] * weight
+        system, target = (np.concatenate([part.real, part.imag]) for part in (rows, values))
         size = np.linalg.norm(system, axis=0)
-        above, below[1:] = np.split(np.linalg.lstsq(system / size, target)[0] / size, 2)
-    apart = (powers[:, 1:] @ above) / (powers @ below) / h - 1.0
-    turned = scale ** np.arange(na + 1.0)
-    parts = (units.from_si("in/s/%", above * turned[1:]).tolist(), (below * turned).tolist())
-    ports: dict[str, Any] = {"input_unit": "%", "output_unit": "in/s", "outputs": ["leg_velocity"]}
-    velocity = UnitTransferFunction(*parts, **ports)
-    return Continuous(velocity, float(np.sqrt(np.mean(np.abs(apart) ** 2))))
+        solution = np.linalg.lstsq(system / size, target)[0] / size
+        numerator, denominator[1:] = np.split(solution, 2)
+    deviation = (powers[:, 1:] @ numerator) / (powers @ denominator) / h - 1.0
+    scales = scale ** np.arange(na + 1.0)
+    above, below = units.from_si("in/s/%", numerator * scales[1:]), denominator * scales
+    names: dict[str, Any] = {"input_unit": "%", "output_unit": "in/s", "outputs": ["leg_velocity"]}
+    velocity = UnitTransferFunction(above.tolist(), below.tolist(), **names)
+    return Continuous(velocity, float(np.sqrt(np.mean(np.abs(deviation) ** 2))))
 
 
 @dataclass(frozen=True)
@@ -314,18 +333,18 @@ class Identified:
 def identify(
     records: Sequence[Record], axis: str, orders: tuple[int, int, int] = (4, 3, 1)
 ) -> Identified:
-    """Identify leg velocity from valve command along a leg or degree of freedom.
+    """Identify leg velocity from valve command along an `axis`, surge to yaw or leg_1 and so on.
 
     The last record validates, the others are fitted jointly; of a single one the first 0.6 are
-    fitted. `axis` is surge to yaw, or leg_1 and so on; `orders` are na, nb, nk, by default those of
-    a drive lag, an oil mode and its leakage.
+    fitted. `orders` are na, nb, nk, by default of a drive lag, an oil mode and its leakage.
     """
     if not records:
         raise InputError("records: none given; at least one is needed")
     runs = [experiment(record, axis) for record in records]
-    *fitted, validation = runs if len(runs) > 1 else runs[0].split(_SHARE)
+    *fitted, validation = runs if len(runs) > 1 else runs[0].split(_FITTED_SHARE)
     box = arx(fitted, orders)
-    broad = [record for record in records if record.signal.kind in _BROAD]
-    fits = [fit_percentage(run.output, simulated(box, run)) for run in (*fitted, validation)]
+    broad = [record for record in records if record.signal.kind in _BROAD_SIGNALS]
+    estimation_fit = min(fit_percentage(run.output, simulated(box, run)) for run in fitted)
+    validation_fit = fit_percentage(validation.output, simulated(box, validation))
     response = plant_response(broad[-1], axis) if broad else None
-    return Identified(axis, box, min(fits[:-1]), fits[-1], to_continuous(box), response)
+    return Identified(axis, box, estimation_fit, validation_fit, to_continuous(box), response)

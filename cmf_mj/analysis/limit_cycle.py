@@ -9,7 +9,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 
 _TAIL = 4.0  #: Length of the oscillation examined [s].
-_LEAST_SWING = 10.0 * units.PSI  #: Amplitude from which there is one [Pa].
+_LEAST_AMPLITUDE = 10.0 * units.PSI  #: Amplitude below which the oscillation has died down [Pa].
 
 
 class LimitCycle(NamedTuple):
@@ -22,14 +22,14 @@ class LimitCycle(NamedTuple):
 
 def limit_cycle(record: Record) -> LimitCycle:
     """The oscillation over the last 4 s; raises `InputError` for a shorter record."""
-    if (seconds := record.time.size / record.rate) < _TAIL:
-        raise InputError(f"record: {seconds:.3g} s are too short; allowed: {_TAIL:g} s or more")
-    tail = round(_TAIL * record.rate)
-    swing = (record["cap_pressure"] - record["rod_pressure"])[-tail:, 0]
-    swing = swing - swing.mean()
-    amplitude = float(np.ptp(swing)) / 2.0
+    tail, duration = round(_TAIL * record.rate), record.time.size / record.rate
+    if duration < _TAIL:
+        raise InputError(f"record: {duration:.3g} s are too short; allowed: {_TAIL:g} s or more")
+    pressure = (record["cap_pressure"] - record["rod_pressure"])[-tail:, 0]
+    pressure = pressure - pressure.mean()
+    amplitude = float(np.ptp(pressure)) / 2.0
     acceleration = float(np.abs(record["leg_acceleration"][-tail:, 0]).max())
-    if amplitude < _LEAST_SWING:
+    if amplitude < _LEAST_AMPLITUDE:
         return LimitCycle(float("nan"), amplitude, acceleration)
-    spectrum = np.abs(np.fft.rfft(swing * np.hanning(tail)))
+    spectrum = np.abs(np.fft.rfft(pressure * np.hanning(tail)))
     return LimitCycle(float(np.argmax(spectrum) / _TAIL), amplitude, acceleration)

@@ -1,4 +1,4 @@
-"""What a record must be like to be measured, and which lines of it can be."""
+"""Conditions on a record for its measures, and the motion along an axis that it holds."""
 
 from collections.abc import Sequence
 
@@ -14,26 +14,16 @@ from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian
 from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
 
-DRIVEN_SHARE = 1e-2
-"""Demand power over its largest line from which on a line of single sines counts as driven."""
-
-EXCITED_SHARE = 1e-5
-"""Likewise for any excitation: a multisine of equal accelerations has 1e-4 at ten times its corner.
-"""
-
-_ELASTIC = 0.05  #: What legs may be beyond their stops, which give way [m].
-
-NO_DEMAND = 1e-9
-"""Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
-
-CLEAR = 0.8
-"""Coherence from which on a line is read: below it, the report's estimator is 1 dB high or more."""
-
-_ALIKE = (
+DRIVEN_SHARE = 1e-2  #: Demand power over its largest line from which a line of sines counts.
+EXCITED_SHARE = 1e-5  #: Likewise of any excitation; a multisine has 1e-4 at ten times its corner.
+_STOP_TRAVEL = 0.05  #: How far legs may be beyond their stops, which give way [m].
+NO_DEMAND = 1e-9  #: Demand [m or rad] that is round-off of the transformation from the legs.
+CLEAR = 0.8  #: Coherence below which a line is not read: the report's estimator is 1 dB high.
+_SESSION_FIELDS = (
     *("machine", "machine_parameters", "plant", "cab", "cab_parameters", "hydraulics"),
     *("hydraulic_parameters", "law", "law_parameters", "command_delay", "events"),
 )
-"""What the metadata of rounds must agree in, as far as they tell."""
+"""Fields of the metadata in which rounds must agree, where they have them."""
 
 
 def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
@@ -52,13 +42,13 @@ def checked_legs(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
     if values.size == 0:
         raise InputError(f"{channel}: shape is {values.shape}; allowed: rows of a number a leg")
     if not dof.startswith("leg_"):
-        most = recorded_machine(record.metadata).half_stroke + _ELASTIC
-        beyond = np.abs(values) > most
-        if beyond.any():
-            row, leg = np.argwhere(beyond)[0]
+        limit = recorded_machine(record.metadata).half_stroke + _STOP_TRAVEL
+        beyond_stops = np.argwhere(np.abs(values) > limit)
+        if beyond_stops.size:
+            row, leg = beyond_stops[0]
             raise InputError(
                 f"{channel}: {values[row, leg]:g} m of leg {leg + 1} in row {row} is refused; "
-                f"allowed: within its stops, +-{most:g} m"
+                f"allowed: within its stops, +-{limit:g} m"
             )
     return values
 
@@ -66,31 +56,30 @@ def checked_legs(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
 def least_demand(record: Record, dof: str) -> float:
     """Range of a demand [m or rad] from which on it can be measured.
 
-    A file's last decimal q rounds each leg by up to q/2, which moves a degree of freedom by up to
-    q sum_j |(J^-1)_j|; ten times that is 1 dB of round-off at most.
+    Ten times q sum_j |(J^-1)_j|, by which a file's last decimal q rounds it: 1 dB at most.
     """
-    spread, last = 1.0, record.metadata.get("recording", {}).get("last_place", 0.0)
+    rounding, last_place = 1.0, record.metadata.get("recording", {}).get("last_place", 0.0)
     if not dof.startswith("leg_"):
         jacobian = pose_jacobian(np.zeros(6), recorded_machine(record.metadata))
-        spread = float(np.abs(np.linalg.inv(jacobian)[dof_index(dof)]).sum())
-    return max(10.0 * last * spread, NO_DEMAND)
+        rounding = float(np.abs(np.linalg.inv(jacobian)[dof_index(dof)]).sum())
+    return max(10.0 * last_place * rounding, NO_DEMAND)
 
 
-def check_alike(records: Sequence[Record]) -> None:
-    """Refuse rounds that cannot be of one session, as far as they tell."""
-    sources = [{"axis": record.excitation.axis or None, **record.metadata} for record in records]
-    for field in ("axis", *_ALIKE):
-        values = [of[field] for of in sources if of.get(field) is not None]
-        for other in values:
-            if other != values[0]:
-                pair = f"{values[0]!r} and {other!r} " if isinstance(other, str) else ""
+def check_one_session(records: Sequence[Record]) -> None:
+    """Refuse rounds whose metadata or samples show that they are not of one session."""
+    tables = [{"axis": record.excitation.axis or None, **record.metadata} for record in records]
+    for field in ("axis", *_SESSION_FIELDS):
+        values = [table[field] for table in tables if table.get(field) is not None]
+        for value in values:
+            if value != values[0]:
+                pair = f"{values[0]!r} and {value!r} " if isinstance(value, str) else ""
                 raise InputError(f"records: {field}: {pair}differ; rounds are of one session")
-    held = [record["leg_position"].tobytes() for record in records]
-    if len(set(held)) < len(held):
-        first, last = next((held.index(one), k) for k, one in enumerate(held) if one in held[:k])
-        raise InputError(
-            f"records: {first + 1} and {last + 1} hold the same samples; a round counts once"
-        )
+    number_of_samples = dict[bytes, int]()
+    for number, record in enumerate(records, start=1):
+        earlier = number_of_samples.setdefault(record["leg_position"].tobytes(), number)
+        if earlier != number:
+            pair = f"{earlier} and {number}"
+            raise InputError(f"records: {pair} hold the same samples; a round counts once")
 
 
 def demand_share(

@@ -1,18 +1,8 @@
 """What a law achieves along one axis, measured on records or computed from a linear loop.
 
-With y0 the rest before a step, y1 the mean of the last second and r the demanded step,
-
-    overshoot           OS = max((y - y1) / (y1 - y0))
-    damping ratio       zeta = -ln OS / sqrt(pi^2 + ln^2 OS)     second order, from overshoot
-    steady-state error  (r - (y1 - y0)) / r
-    rise time           10 % to 90 % of y1 - y0,   settling time into 2 % of it
-
-A run is *stable* when its ringing ends or is ending: over the last second no leg swings more than
-2 % of the largest leg step, or the swing is less than 0.75 of that three seconds earlier. A mode at
-3 Hz then has a damping ratio of at least 0.005; a limit cycle has a ratio of 1. It also holds its
-position: no leg ends farther from its demand than a leg would that stood still. A linear loop is
-stable when all of its poles lie within the unit circle; one at 1, an integrator's, holds no
-position.
+`Measures` join the bandwidths of a response, the measures of a step (`step_response`), and the
+damping of a pair of poles (`linear.poles`). A linear loop is stable when all of its poles lie
+within the unit circle; one at 1, an integrator's, holds no position.
 
 A damping ratio is read in three ways, which agree for a second-order system without static error:
 
@@ -37,56 +27,30 @@ from cmf_mj.analysis.frequency_response import (
     frequency_response,
 )
 from cmf_mj.analysis.linear.loop import STEP_DURATION, loop_response, loop_step
-from cmf_mj.analysis.measurable import checked_legs, dof_history, least_demand
+from cmf_mj.analysis.linear.poles import (
+    PoleDamping,
+    are_stable,
+    least_damped_mode,
+    oscillations,
+    slowest_oscillation,
+)
 from cmf_mj.analysis.spectra import SEGMENT
-from cmf_mj.core.errors import InputError, NoPoseError
-from cmf_mj.core.units import FRAME
+from cmf_mj.analysis.step_response import (
+    StepMetrics,
+    damping_from_overshoot,
+    measure_step,
+    step_metrics,
+)
+from cmf_mj.core.errors import NoPoseError
 from cmf_mj.record.record import Record
-from cmf_mj.signals.single import Step
 
-TAIL = 1.0  #: Length of the window that gives the final value and the verdict [s].
+FREQUENCIES = np.linspace(0.02, 20.0, 4000)  #: Lines of the bandwidths of a linear loop [Hz].
+BAND = (0.1, 10.0)  #: Frequencies of the responses of several axes [Hz].
+_AXIS_FREQUENCIES = np.geomspace(*BAND, 120)
+"""Lines of the responses of several axes [Hz], next to those of their poles."""
+_BLOCK = 64  #: Frames between the states that a step response goes through.
 
-NO_OVERSHOOT = 1e-3
-"""Overshoot below which a step response counts as having none (damping ratio 0.91)."""
-
-RESIDUAL = 0.02  #: Swing over the last window, relative to the leg step, that counts as settled.
-
-DECAY = 0.75  #: Swing of the last window over that of `DECAY_TIME` earlier that counts as ending.
-
-DECAY_TIME = 3.0  #: Distance of the two windows of the verdict [s].
-
-REST, REST_TIME = 0.1, 0.25
-"""Motion before the step, over the step, and the time it is looked for in [s], up to which a
-response counts as one from rest."""
-
-LEAST_RATE = 64.0
-"""Least sampling rate [Hz]: four samples a cycle of the legs' fastest modes, 15 Hz, of whose swing
-they show 0.71 or more."""
-
-
-class StepMetrics(NamedTuple):
-    """Measures of one step; fractions of the step unless a unit is given.
-
-    >>> cmf_mj.StepMetrics._fields[:3]
-    ('overshoot', 'damping_ratio', 'steady_state_error')
-    """
-
-    overshoot: float  #: Largest excess over the final value.
-    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
-    steady_state_error: float  #: Demanded minus reached.
-    rise_time: float  #: 10 to 90 % [s].
-    settling_time: float  #: From the step to staying within 2 % of the final value [s].
-    residual: float
-    """Largest leg swing of the last second over the largest leg step; NaN of a linear loop."""
-    stable: bool  #: The verdict.
-
-
-def damping_from_overshoot(overshoot: float) -> float:
-    """Damping ratio of the second-order system with this overshoot; 0 from 1, NaN without one."""
-    if not 0.0 < overshoot < 1.0:
-        return 0.0 if overshoot >= 1.0 else float("nan")
-    logarithm = np.log(overshoot)
-    return float(-logarithm / np.hypot(np.pi, logarithm))
+_NAN = float("nan")
 
 
 def resonant_damping(peak: float) -> float:
@@ -94,137 +58,22 @@ def resonant_damping(peak: float) -> float:
 
     NaN for a peak of no more than 1, which every damping ratio above 0.707 has.
     """
-    return float(np.sin(0.5 * np.arcsin(1.0 / peak))) if peak > 1.0 else float("nan")
-
-
-def measure_step(
-    reached: NDArray[np.float64], rate: float, *, final: float, demanded: float = 1.0
-) -> StepMetrics:
-    """Measure a step response of a stable system, one that ends, at `final`.
-
-    `reached` is the motion from rest, sampled from the step on, (N,); `demanded` is the step.
-    """
-    shape = reached / final
-    overshoot = float(shape.max() - 1.0)
-    ten = int(np.argmax(shape >= 0.1))
-    ninety = int(np.argmax(shape >= 0.9))
-    outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
-    inside = int(outside[-1]) + 1 if outside.size else 0
-    return StepMetrics(
-        overshoot=overshoot,
-        damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
-        steady_state_error=1.0 - final / demanded,
-        rise_time=(ninety - ten) / rate,
-        settling_time=inside / rate,
-        residual=float("nan"),
-        stable=True,
-    )
-
-
-def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
-    """Measure a step response from leg demand to leg feedback in one degree of freedom.
-
-    The record is of a `signals.step` that goes on for at least five seconds after the step, another
-    is refused; `dof` is by default what the command moved. Where the legs have gone so far apart
-    that no pose has them, the run is unstable and the measures of shape are NaN.
-
-    >>> command = cmf_mj.signals.step("heave", 0.0254, duration=6.5)
-    >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)
-    >>> round(cmf_mj.step_metrics(record).overshoot, 2)
-    0.22
-    """
-    command, rate = record.signal_as(Step), record.rate
-    chosen = dof if dof is not None else command.dof
-    if rate < LEAST_RATE:
-        raise InputError(f"record_every: {rate:g} samples a second; allowed: from {LEAST_RATE:g}")
-    begin, end = float(record.time[0]), float(record.time[-1]) + 1.0 / rate
-    if end - command.at < DECAY_TIME + 2.0 * TAIL - 1e-6 or begin >= command.at:
-        raise InputError(
-            f"record: must begin before the step at {command.at:g} s and must go on for "
-            f"{DECAY_TIME + 2.0 * TAIL} s after the step; it has {begin:g} to {end:g} s"
-        )
-    checked_legs(record, "leg_position", chosen)
-    demand = dof_history(record, "leg_reference", chosen)
-    at = int(np.searchsorted(record.time, command.at - 1e-9))
-    demanded = float(demand[-1] - demand[at - 1])
-    if abs(demanded) < least_demand(record, chosen):
-        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
-    residual, stable = _verdict(record)
-    try:
-        feedback = dof_history(record, "leg_position", chosen)
-    except NoPoseError:
-        nan = float("nan")
-        return StepMetrics(nan, nan, nan, nan, nan, residual, False)
-    tail = round(TAIL * rate)
-    rest = float(feedback[at - 1])
-    final = float(feedback[-tail:].mean())
-    size = final - rest
-    before = float(np.ptp(feedback[max(at - round(REST_TIME * rate), 0) : at]))
-    if stable and before > REST * abs(demanded):
-        raise InputError(
-            f"record: moves by {before:.3g} m or rad in the {REST_TIME} s before a step of "
-            f"{abs(demanded):.3g}; allowed: {REST:g} of it, so a larger step or a later one"
-        )
-    measured = measure_step(feedback[at:] - rest, rate, final=size, demanded=demanded)
-    if stable and not measured.rise_time > 0.0:
-        raise InputError(
-            f"record: goes from 10 to 90 % of the step within a sample of {1.0 / rate:.4g} s; "
-            "allowed: a motion, in a record that shows it"
-        )
-    return measured._replace(residual=residual, stable=stable and not ends_off_demand(record))
-
-
-def _verdict(record: Record) -> tuple[float, bool]:
-    legs: NDArray[np.float64] = record["leg_position"]
-    reference = record["leg_reference"]
-    size = float(np.abs(reference[-1] - reference[0]).max())
-    tail, back = round(TAIL * record.rate), round(DECAY_TIME * record.rate)
-    last = float(np.ptp(legs[-tail:], axis=0).max())
-    earlier = float(np.ptp(legs[-tail - back : -back], axis=0).max())
-    residual = last / size
-    return residual, bool(residual < RESIDUAL or last < DECAY * earlier)
-
-
-def ends_off_demand(record: Record) -> bool:
-    """Whether a step ends with a leg farther from its demand than if it had stood still.
-
-    With x the legs' mean of the last second less their rest, r the step of their demands, both (n,)
-    [m], that is max |x - r| > max |r|: a law without position feedback, or with its sign turned.
-    """
-    legs, reference = record["leg_position"], record["leg_reference"]
-    demanded = reference[-1] - reference[0]
-    moved = legs[-round(TAIL * record.rate) :].mean(axis=0) - legs[0]
-    return bool(np.abs(moved - demanded).max() > np.abs(demanded).max())
-
-
-FREQUENCIES = np.linspace(0.02, 20.0, 4000)
-"""Lines the bandwidths of a linear loop are read from [Hz]."""
-
-OSCILLATING = 0.9
-"""Damping ratio below which a pair of poles oscillates; above, it may be two equal real poles."""
-
-_INSIDE = 1.0 - 1e-9
-"""Modulus below which a pole counts as within the unit circle, not as an integrator's."""
-
-_NAN = float("nan")
+    return float(np.sin(0.5 * np.arcsin(1.0 / peak))) if peak > 1.0 else _NAN
 
 
 class Measures(NamedTuple):
     """What a law achieves along one axis, a degree of freedom or a leg.
 
-    NaN stands for what is not there or was not measured: a crossing beyond the lines, a damping
-    ratio without an overshoot. Steps count in fractions of the step. A loop that is unstable, or
-    a machine whose step rings on, has neither bandwidth nor peak nor measures of a step: what a
-    sweep shows then is mostly its limit cycle.
+    NaN stands for what is not there or was not measured. Steps count in fractions of the step. A
+    loop that is unstable, or a machine whose step rings on, has neither bandwidth nor peak nor
+    measures of a step: a sweep shows its limit cycle.
     """
 
     phase_bandwidth_hz: float = _NAN  #: First fall of the phase through -90 deg [Hz].
-    gain_bandwidth_hz: float = _NAN
-    """First fall of the gain through -3 dB, from absolute 0 dB [Hz]."""
+    gain_bandwidth_hz: float = _NAN  #: First fall of the gain through -3 dB of absolute 0 dB [Hz].
     peak_gain_db: float = _NAN  #: Largest gain [dB].
     later_phase_hz: float = _NAN  #: Last fall through -90 deg, NaN where it falls but once [Hz].
-    graze_from_hz: float = _NAN
-    """Where the phase grazes -90 deg, from which frequency on; see `Bandwidths` [Hz]."""
+    graze_from_hz: float = _NAN  #: From where the phase grazes -90 deg, see `Bandwidths` [Hz].
     graze_to_hz: float = _NAN  #: Likewise to which frequency [Hz].
     overshoot: float = _NAN  #: Largest excess over the final value.
     damping_ratio: float = _NAN  #: From the overshoot; NaN below an overshoot of 0.001.
@@ -232,11 +81,9 @@ class Measures(NamedTuple):
     rise_time: float = _NAN  #: 10 to 90 % of the final value [s].
     settling_time: float = _NAN  #: From the step to staying within 2 % of the final value [s].
     stable: bool = False
-    """Of records the verdict on the step, of a linear loop whether all poles lie within the unit
-    circle; False where nothing was judged."""
+    """Verdict on the step, or of a linear loop whether all poles lie within the unit circle."""
     mode_damping_ratio: float = _NAN
-    """Of one pair of poles of a linear loop, negative where it grows; which one says the function
-    that measures. NaN from records."""
+    """Of one pair of poles of a linear loop, which the function that measures names."""
     mode_frequency_hz: float = _NAN  #: Modulus of that pair [Hz].
 
     @property
@@ -258,14 +105,11 @@ class Measures(NamedTuple):
 def measures_from(
     widths: Bandwidths | None = None,
     step: StepMetrics | None = None,
-    mode: tuple[float, float] = (_NAN, _NAN),
+    pair: PoleDamping | None = None,
 ) -> Measures:
-    """Measures from those of a response, of a step and of a mode; what is absent is NaN.
-
-    A step that rings on leaves those of the mode alone. `mode` is the damping ratio and the
-    frequency [Hz] of a pair of poles.
-    """
-    measures = Measures(mode_damping_ratio=mode[0], mode_frequency_hz=mode[1])
+    """Measures of a response, a step and a pair of poles; the pair's alone if the step rings on."""
+    pair = pair or PoleDamping()
+    measures = Measures(mode_damping_ratio=pair.damping_ratio, mode_frequency_hz=pair.frequency_hz)
     if step is not None and not step.stable:
         return measures
     if widths is not None:
@@ -277,17 +121,22 @@ def measures_from(
             graze_from_hz=widths.graze_from_hz,
             graze_to_hz=widths.graze_to_hz,
         )
-    of_step = step._asdict() if step is not None else {}
-    return measures._replace(**{name: of_step[name] for name in of_step if name != "residual"})
+    if step is not None:
+        measures = measures._replace(
+            overshoot=step.overshoot,
+            damping_ratio=step.damping_ratio,
+            steady_state_error=step.steady_state_error,
+            rise_time=step.rise_time,
+            settling_time=step.settling_time,
+            stable=step.stable,
+        )
+    return measures
 
 
 def sweep_response(
     sweep: Record, dof: str | None = None, *, segment: float = SEGMENT
 ) -> FrequencyResponse | None:
-    """Response of a sweep, or None where the legs go so far apart that no platform joins them.
-
-    Single legs can; the verdict on the step then says unstable.
-    """
+    """Response of a sweep, or None where single legs go too far apart for a platform."""
     try:
         return frequency_response(sweep, dof, segment=segment)
     except NoPoseError:
@@ -315,66 +164,67 @@ def measure_loop(
     are the lines the bandwidths are read from, `duration` is the length of the step [s].
     """
     poles = np.asarray(loop.poles(), dtype=complex)
-    pairs = oscillations(poles, loop.dt)
-    pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
-    mode = _mode(pairs, np.abs(pairs))
+    pair = slowest_oscillation(poles, loop.dt)
     if not are_stable(poles):
-        return measures_from(mode=mode)
-    static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
+        return measures_from(pair=pair)
+    static_gain = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
     _, reached = loop_step(loop, duration)
-    step = measure_step(reached, 1.0 / loop.dt, final=static)
+    step = measure_step(reached, 1.0 / loop.dt, final=static_gain)
     lines = np.asarray(frequencies, dtype=np.float64)
-    return measures_from(bandwidths(loop_response(loop, lines)), step, mode)
+    return measures_from(bandwidths(loop_response(loop, lines)), step, pair)
 
 
-def are_stable(poles: NDArray[np.complex128]) -> bool:
-    """The verdict on a discrete loop: whether all of its poles lie within the unit circle."""
-    return bool((np.abs(poles) < _INSIDE).all())
+class AxisMeasures(NamedTuple):
+    """Measures of a linear loop of several axes."""
+
+    measures: tuple[Measures, ...]  #: By axis.
+    response: NDArray[np.complex128] | None  #: (n, n, K), outputs in rows; None if unstable.
 
 
-def holds_position(poles: NDArray[np.complex128]) -> bool:
-    """Whether a discrete loop holds its position: no real pole at 1 or beyond."""
-    return not bool((poles.real[np.abs(poles.imag) < 1e-9] >= _INSIDE).any())
+def measure_axes(loop: control.StateSpace) -> AxisMeasures:
+    """Measure each axis of a discrete loop from n demands to n motions.
 
-
-def oscillations(poles: NDArray[np.complex128], frame: float = FRAME) -> NDArray[np.complex128]:
-    """Continuous poles [rad/s] above the real axis of a loop discrete in frames [s]."""
-    upper: NDArray[np.complex128] = poles[poles.imag > 1e-9]
-    return np.asarray(np.log(upper) / frame, dtype=complex)
-
-
-def least_damped_mode(
-    poles: NDArray[np.complex128],
-    highest_hz: float = 50.0,
-    lowest_hz: float = 0.0,
-    frame: float = FRAME,
-) -> tuple[float, float]:
-    """Damping ratio and frequency [Hz] of the least damped pair of a loop between frequencies.
-
-    The loop is discrete in frames [s].
+    Lines are 120 from 0.1 to 10 Hz and those of the loop's poles there. Its mode is the least
+    damped, all there is of an unstable loop.
     """
-    pairs = oscillations(poles, frame)
-    size = np.abs(pairs)
-    pairs = pairs[(size < 2.0 * np.pi * highest_hz) & (size > 2.0 * np.pi * lowest_hz)]
-    return _mode(pairs, -pairs.real / np.abs(pairs))
+    poles = np.linalg.eigvals(np.asarray(loop.A))
+    pair = least_damped_mode(poles, frame=loop.dt)
+    axes = int(loop.noutputs)
+    if not are_stable(poles):
+        return AxisMeasures((measures_from(pair=pair),) * axes, None)
+    peaks = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
+    lowest, highest = BAND
+    lines = np.union1d(_AXIS_FREQUENCIES, peaks[(peaks > lowest) & (peaks < highest)])
+    omega = 2.0 * np.pi * lines
+    response = np.asarray(control.frequency_response(loop, omega).frdata)
+    steps = _step_responses(loop)
+    final = np.real(np.asarray(np.atleast_2d(control.dcgain(loop))))
+    measures = []
+    for axis in range(axes):
+        widths = bandwidths(control.FrequencyResponseData(response[axis, axis], omega))
+        reached = steps[:, axis, axis]
+        step = measure_step(reached, 1.0 / loop.dt, final=float(final[axis, axis]))
+        measures.append(measures_from(widths, step, pair))
+    return AxisMeasures(tuple(measures), response)
 
 
-def _mode(pairs: NDArray[np.complex128], rank: NDArray[np.float64]) -> tuple[float, float]:
-    """Damping ratio and frequency of the pair of the lowest rank."""
-    if pairs.size == 0:
-        return _NAN, _NAN
-    pair = pairs[np.argmin(rank)]
-    return float(-pair.real / np.abs(pair)), float(np.abs(pair) / (2.0 * np.pi))
+def _step_responses(loop: control.StateSpace) -> NDArray[np.float64]:
+    """Responses to unit steps of a discrete loop, (N, outputs, inputs), from the step on.
 
-
-def crosstalk(response: NDArray[np.complex128], unit: ArrayLike) -> NDArray[np.float64]:
-    """Largest gains from the demand of one axis to the motion of another, (n, n).
-
-    `response` is (n, n, K), outputs in rows; lines that are NaN are passed over. Rows are moved by
-    columns and count in `unit`, what motion of each axis counts alike, such as 0.33 in and 0.2 deg,
-    (n,): 1 is as much as was asked for. The diagonal is NaN.
+    Blocks of outputs from states a block apart: [C; CA; ...] x_k, x_(k+1) = A^n x_k + b.
     """
-    size = np.asarray(unit, dtype=float)
-    gains = np.nanmax(np.abs(response), axis=-1) * size[None, :] / size[:, None]
-    np.fill_diagonal(gains, np.nan)
-    return np.asarray(gains)
+    a, b, c = (np.asarray(m) for m in (loop.A, loop.B, loop.C))
+    order, inputs = b.shape
+    # The demands are further states, which stand still.
+    extended = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
+    rows = [np.hstack([c, np.asarray(loop.D)])]
+    for _ in range(_BLOCK - 1):
+        rows.append(rows[-1] @ extended)
+    block_outputs = np.vstack(rows)
+    block_step = np.linalg.matrix_power(extended, _BLOCK)
+    state = np.vstack([np.zeros((order, inputs)), np.eye(inputs)])
+    blocks = []
+    for _ in range(round(STEP_DURATION / loop.dt / _BLOCK)):
+        blocks.append((block_outputs @ state).reshape(_BLOCK, c.shape[0], inputs))
+        state = block_step @ state
+    return np.concatenate(blocks)

@@ -1,12 +1,7 @@
 """Motion-base measures in the terms of AGARD-AR-144, on plain signals.
 
 The names are AGARD's; the report that defines its procedures could not be read, so each measure is
-what its docstring says and no more. Nothing here passes or fails: no acceptance limit is applied.
-Amplitudes are peak values, `rms` is root mean square over whole cycles.
-
-The delay between two signals, `transient_delay`, is the shift of the largest correlation
-coefficient: a slow transient, unlike a stationary signal, pulls the peak of a cross-correlation
-towards where more of it overlaps.
+what its docstring says and no more. No acceptance limit is applied. Amplitudes are peak values.
 """
 
 from typing import NamedTuple
@@ -75,29 +70,29 @@ def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> M
     """
     cycles = int(np.floor(acceleration.size * frequency / rate + 1e-9))
     if cycles < 1:
-        raise InputError(
-            f"frequency: {frequency} Hz has no whole cycle in {acceleration.size} samples"
-        )
-    cut = acceleration[-round(cycles * rate / frequency) :]
+        samples = acceleration.size
+        raise InputError(f"frequency: {frequency} Hz has no whole cycle in {samples} samples")
+    whole_cycles = acceleration[-round(cycles * rate / frequency) :]
     count = min(20, int(np.ceil(rate / 2 / frequency)) - 1)
     if count < 3:
         raise InputError(f"rate: {rate} Hz must exceed {6.0 * frequency} Hz to show harmonic 3")
-    fit = harmonics(cut, rate, frequency, count)
-    first = float(fit.amplitude[0])
-    low = float(np.linalg.norm(fit.amplitude[1:3]) / first)
-    high = float(np.linalg.norm(fit.amplitude[3:]) / first)
-    random = float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / first)
-    angle = 2.0 * np.pi * frequency / rate * np.arange(cut.size)
-    rest = cut - fit.offset - first * np.sin(angle + fit.phase[0])
-    total = float(np.sqrt(low**2 + high**2 + random**2))
-    return MotionNoise(first, low, high, random, total, float(np.abs(rest).max() / first))
+    fit = harmonics(whole_cycles, rate, frequency, count)
+    fundamental = float(fit.amplitude[0])
+    low = float(np.linalg.norm(fit.amplitude[1:3]) / fundamental)
+    high = float(np.linalg.norm(fit.amplitude[3:]) / fundamental)
+    stochastic = float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / fundamental)
+    angle = 2.0 * np.pi * frequency / rate * np.arange(whole_cycles.size)
+    deviation = whole_cycles - fit.offset - fundamental * np.sin(angle + fit.phase[0])
+    total = float(np.sqrt(low**2 + high**2 + stochastic**2))
+    peak = float(np.abs(deviation).max() / fundamental)
+    return MotionNoise(fundamental, low, high, stochastic, total, peak)
 
 
 def describing_function(demand: Signal, response: Signal, rate: float, frequency: float) -> complex:
     """Fundamental of a sinusoidal response over that of its demand, complex."""
-    into, out = (harmonics(s, rate, frequency, 1) for s in (demand, response))
-    turn = np.exp(1j * (out.phase[0] - into.phase[0]))
-    return out.amplitude[0] / into.amplitude[0] * turn
+    demand_fit, response_fit = (harmonics(s, rate, frequency, 1) for s in (demand, response))
+    turn = np.exp(1j * (response_fit.phase[0] - demand_fit.phase[0]))
+    return response_fit.amplitude[0] / demand_fit.amplitude[0] * turn
 
 
 def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) -> float:
@@ -108,50 +103,49 @@ def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) 
     frequency at which that is negligible. Demand and response are (N,), of at least one cycle.
     """
     count = min(40, int(np.ceil(rate / 2 / frequency)) - 1)
-    into, out = harmonics(demand, rate, frequency, 1), harmonics(response, rate, frequency, count)
+    demand_fit = harmonics(demand, rate, frequency, 1)
+    response_fit = harmonics(response, rate, frequency, count)
     # On the angle a of the demand, rising and falling branch meet at a and pi - a.
     angle = np.linspace(-np.pi / 2, np.pi / 2, 721)
     orders = np.arange(1, count + 1)
-    phase = out.phase - orders * into.phase[0]
+    phase = response_fit.phase - orders * demand_fit.phase[0]
 
-    def branch(at: Signal) -> Signal:
-        return np.asarray(np.sin(np.outer(at, orders) + phase) @ out.amplitude)
+    def branch(angles: Signal) -> Signal:
+        return np.asarray(np.sin(np.outer(angles, orders) + phase) @ response_fit.amplitude)
 
     gap = np.abs(branch(angle) - branch(np.pi - angle)).max()
-    return float(gap / (2.0 * into.amplitude[0]))
+    return float(gap / (2.0 * demand_fit.amplitude[0]))
 
 
 def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float) -> float:
-    """Time from an acceleration step of `size` at the time `at` to 63 % of it [s]; NaN if never.
-
-    Interpolated between samples. Run over step sizes it gives the threshold curve.
-    """
+    """Time from an acceleration step of `size` at the time `at` to 63 % of it [s]; NaN if never."""
     start = round(at * rate)
     share = (acceleration[start:] - acceleration[max(start - 1, 0)]) / size
-    reached = np.flatnonzero(share >= 1.0 - np.exp(-1.0))
-    if reached.size == 0:
+    rows_beyond = np.flatnonzero(share >= 1.0 - np.exp(-1.0))
+    if rows_beyond.size == 0:
         return float("nan")
-    i = int(reached[0])
-    if i == 0:
+    row = int(rows_beyond[0])
+    if row == 0:
         return 0.0
-    level = (1.0 - np.exp(-1.0) - share[i - 1]) / (share[i] - share[i - 1])
-    return float((i - 1 + level) / rate)
+    fraction = (1.0 - np.exp(-1.0) - share[row - 1]) / (share[row] - share[row - 1])
+    return float((row - 1 + fraction) / rate)
 
 
 def transient_delay(demand: Signal, response: Signal, rate: float) -> float:
-    """Delay up to 0.5 s that brings a demand closest to its response, offset and gain free [s].
+    """Delay up to 0.5 s of the largest correlation coefficient of a demand with its response [s].
 
-    The demand is at rest at the start.
+    The demand is at rest at the start. (A slow transient pulls the peak of a cross-correlation
+    towards where more of it overlaps.)
     """
     time = np.arange(demand.size) / rate
     spline = interpolate.make_interp_spline(time, demand, k=3)
 
-    def unlike(delay: float) -> float:
+    def negative_correlation(delay: float) -> float:
         shifted = spline(np.maximum(time - delay, 0.0))
         return -float(np.corrcoef(shifted, response)[0, 1])
 
-    tried = np.linspace(0.0, 0.5, 26)
-    near = tried[int(np.argmin([unlike(delay) for delay in tried]))]
-    step = tried[1]
-    bounds = (max(near - step, 0.0), near + step)
-    return float(optimize.minimize_scalar(unlike, bounds=bounds, method="bounded").x)
+    grid = np.linspace(0.0, 0.5, 26)
+    best = grid[int(np.argmin([negative_correlation(delay) for delay in grid]))]
+    step = grid[1]
+    bounds = (max(best - step, 0.0), best + step)
+    return float(optimize.minimize_scalar(negative_correlation, bounds=bounds, method="bounded").x)

@@ -14,9 +14,8 @@ so that single legs have one mode of the mass of their payload. The envelope is 
 the operational limits (Table 2-1) whose legs stay within their working stroke (section 3.2.1).
 
 A law in hydraulic modes is bound to the machine that it runs on. It has the modes of the CMF's
-cabs, and of any other cab or plant that its table names. For any other cab they are computed, from
-the same nominal plant as the CMF's: the cab on its machine's hydraulic set, of the CMF `hardware`,
-at neutral.
+cabs, and of any other cab or plant that its table names. For any other cab they are computed for
+the cab on its machine's hydraulic set, of the CMF `hardware`, at neutral.
 """
 
 from collections.abc import Callable
@@ -44,10 +43,7 @@ from cmf_mj.plant.plant import Plant
 
 
 def nominal_modes(plant: Plant) -> Modes:
-    """Hydraulic modes of a plant at neutral: orthonormal shapes of its reflected mass.
-
-    The plant has six legs, whose oil springs are alike there.
-    """
+    """Hydraulic modes at neutral of a plant with six legs, whose oil springs are alike there."""
     if plant.legs != MODES:
         raise InputError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")
     hydraulics = plant.hydraulics
@@ -79,17 +75,16 @@ def modes_of_cab(cab: Cab) -> Modes:
 def bound(law: Law, machine: str | Cab | Plant) -> Law:
     """A law bound to a machine, at its control rate and with the sizes of its legs.
 
-    The machine is a plant or a cab, or the name of a plant without cabs, which has neither rate nor
-    legs of its own. Raises `InputError` for a law in hydraulic modes that has none of a CMF's cab
-    or of a plant without cabs.
+    The machine is a plant or a cab, or the name of a plant without cabs. Raises `InputError` for a
+    law in hydraulic modes that has none of a CMF's cab or of a plant without cabs.
     """
     if isinstance(machine, Plant):
         return bound(law, machine.law_key).on(machine.machine)
     if isinstance(machine, str):
         return law.bound_to(machine)
     law = law.on(machine.machine)
-    stated = machine.name in law.modes or (machine.unchanged and machine.machine.name == CMF)
-    if law.coordinates == "legs" or stated:
+    has_modes = machine.name in law.modes or (machine.unchanged and machine.machine.name == CMF)
+    if law.coordinates == "legs" or has_modes:
         return law.bound_to(machine.name)
     return law.model_copy(update={"modes": {machine.name: modes_of_cab(machine)}})
 
@@ -105,7 +100,7 @@ class Sweep(NamedTuple):
 class EnvelopeModes(NamedTuple):
     """Modes over the whole envelope."""
 
-    modes: tuple[HydraulicModes, ...]  #: At the poses looked at.
+    modes: tuple[HydraulicModes, ...]  #: At the sampled poses.
     worst: HydraulicModes  #: Where the lowest mode is lowest.
 
     @property
@@ -130,12 +125,12 @@ def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
     reach = kinematics.excursion_envelope(None, plant.machine)[index]
     allowed = load_motion_limits(None, plant.machine).operational[index]
     low, high = max(reach[0], allowed[0]), min(reach[1], allowed[1])
-    along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
-    excursions = np.where(along < 0.0, -low, high) * along
+    share = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
+    excursions = np.where(share < 0.0, -low, high) * share
     poses = np.zeros((excursions.size, 6))
     poses[:, index] = excursions
-    found = [plant.hydraulic_modes(pose).frequency_hz for pose in poses]
-    return Sweep(dof, excursions, np.array(found))
+    frequencies = [plant.hydraulic_modes(pose).frequency_hz for pose in poses]
+    return Sweep(dof, excursions, np.array(frequencies))
 
 
 def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.float64]:
@@ -143,11 +138,11 @@ def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.f
     low, high = load_motion_limits(None, plant.machine).operational.T
     from scipy.stats import qmc  # slow to import, and who binds a law needs none of it
 
-    source = qmc.Sobol(6, seed=seed)
+    sequence = qmc.Sobol(6, seed=seed)
     poses = [np.zeros(6)]
     while len(poses) < count:
-        drawn = low + (high - low) * source.random(256)
-        poses += list(drawn[reserve(drawn, plant) >= 0.0])
+        candidates = low + (high - low) * sequence.random(256)
+        poses += list(candidates[reserve(candidates, plant) >= 0.0])
     return np.array(poses[:count])
 
 
@@ -162,32 +157,32 @@ def over_envelope(
     """Modes over the whole envelope, and the pose where the lowest mode is lowest.
 
     The worst pose is sought by differential evolution from the lowest of the sampled poses, at
-    least 90, the stroke of the legs a constraint; with 200 generations (`rounds`) the frequency is
-    within 1e-4. `progress` is called with (done, in all) now and then.
+    least 90; with 200 generations (`rounds`) the frequency is within 1e-4. `progress` is called
+    with (done, in all).
     """
     if samples < 90:
         raise InputError(f"samples: {samples} must be at least 90")
     poses = envelope_poses(plant, samples, seed=seed)
-    looked_at = tuple(plant.hydraulic_modes(pose) for pose in poses)
-    lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
-    tell, done = progress or (lambda done, total: None), count(2)
-    tell(1, rounds + 1)
+    sampled_modes = tuple(plant.hydraulic_modes(pose) for pose in poses)
+    sampled_hz = np.array([modes.frequency_hz[0] for modes in sampled_modes])
+    report, generations = progress or (lambda done, total: None), count(2)
+    report(1, rounds + 1)
 
-    def lowest(pose: NDArray[np.float64]) -> float:
-        # Beyond the mechanical stroke there is no plant to ask.
-        if (left := float(reserve(pose, plant))) < 0.0:
-            return float(lowest_ones.max()) - left
+    def lowest_hz(pose: NDArray[np.float64]) -> float:
+        stroke = float(reserve(pose, plant))
+        if stroke < 0.0:  # beyond the mechanical stroke the plant has no modes
+            return float(sampled_hz.max()) - stroke
         return float(plant.hydraulic_modes(pose).frequency_hz[0])
 
     search = optimize.differential_evolution(
-        lowest,
-        list(zip(*load_motion_limits(None, plant.machine).operational.T, strict=True)),
-        init=poses[np.argsort(lowest_ones)[:90]],
+        lowest_hz,
+        load_motion_limits(None, plant.machine).operational.tolist(),
+        init=poses[np.argsort(sampled_hz)[:90]],
         maxiter=rounds,
         tol=1e-6,
         rng=np.random.default_rng(seed),
-        callback=lambda intermediate_result: tell(min(next(done), rounds), rounds + 1),
+        callback=lambda intermediate_result: report(min(next(generations), rounds), rounds + 1),
         polish=False,
     )
-    tell(rounds + 1, rounds + 1)
-    return EnvelopeModes(looked_at, plant.hydraulic_modes(search.x))
+    report(rounds + 1, rounds + 1)
+    return EnvelopeModes(sampled_modes, plant.hydraulic_modes(search.x))

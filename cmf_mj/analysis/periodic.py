@@ -10,8 +10,7 @@ from cmf_mj.analysis import spectra
 from cmf_mj.analysis.spectra import Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
-_DRIVEN = 1e-6
-"""Amplitude over the largest one from which on a line of a periodic input counts as driven."""
+_DRIVEN_SHARE = 1e-6  #: Amplitude over the largest from which a line of a periodic input counts.
 _NEIGHBOURS = 16  #: Lines about a sine from which its noise is taken.
 
 
@@ -47,14 +46,11 @@ def periodic_response(
     """Response to a periodic input, averaged over whole periods but the first: no leakage.
 
     The scatter from period to period is noise (Pintelon and Schoukens, System Identification, 2nd
-    ed., chapter 4). With G_p of period p, var = sum_p |G_p - G|^2 / (P (P - 1)).
-
-    x and y are (N,). `period` [s] is a whole number of samples; a rest of the record is ignored.
-    `lines` are the driven multiples of 1 / `period`, (K,), ascending.
+    ed., chapter 4). With G_p of period p, var = sum_p |G_p - G|^2 / (P (P - 1)). x and y are (N,),
+    `period` [s] is a whole number of samples, `lines` its driven harmonics, (K,), ascending.
     """
-    spectra_x, spectra_y = (
-        spectra.period_spectra(each, rate, period) for each in spectra.as_pair(x, y)
-    )
+    channels = spectra.as_pair(x, y)
+    spectra_x, spectra_y = (spectra.period_spectra(values, rate, period) for values in channels)
     power = np.mean(np.abs(spectra_x) ** 2, axis=0)
     xs, ys = spectra_x[:, lines], spectra_y[:, lines]
     if not np.all(power[lines] > 0.0):
@@ -75,60 +71,58 @@ def sine_response(x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike)
     """Response at the frequency of a sine, or of several in one run, by least squares.
 
     A constant, the sines and their harmonics up to the third are fitted at once to whole cycles of
-    the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a line
-    is the mean power of the residual on the 16 lines nearest about it.
-
+    the lowest. The noise at a line is the mean power of the residual on the 16 lines nearest to it.
     x and y are (N,) in steady state, `frequency` [Hz] a number or (K,). Raises `InputError` for
     frequencies out of range or too close, no whole cycle, no input at one of them.
     """
     xs, ys = spectra.as_pair(x, y)
-    chosen = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
-    if chosen.size == 0 or not (chosen[0] > 0.0 and chosen[-1] < 0.5 * rate):
-        raise InputError(f"frequency: {chosen} Hz; allowed: above 0 and below {0.5 * rate} Hz")
-    cycles = int(xs.size * chosen[0] / rate + 1e-9)
+    sines = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
+    if sines.size == 0 or not (sines[0] > 0.0 and sines[-1] < 0.5 * rate):
+        raise InputError(f"frequency: {sines} Hz; allowed: above 0 and below {0.5 * rate} Hz")
+    cycles = int(xs.size * sines[0] / rate + 1e-9)
     if cycles < 1:
-        raise InputError(f"frequency: no whole cycle of {chosen[0]} Hz in {xs.size} samples")
-    size = round(cycles * rate / chosen[0])
+        raise InputError(f"frequency: no whole cycle of {sines[0]} Hz in {xs.size} samples")
+    size = round(cycles * rate / sines[0])
     resolution = rate / size
-    if chosen.size > 1 and np.diff(chosen).min() < 0.9 * resolution:
-        raise InputError(
-            f"frequency: {chosen} Hz are closer than the {resolution:.3g} Hz the record resolves"
-        )
-    sines = _with_harmonics(chosen, resolution, 0.5 * rate)
-    angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
-    both = np.column_stack([xs, ys])[:size]
-    fit = fit_sines(both, angle)
-    tones = fit.amplitude[: chosen.size]
+    if sines.size > 1 and np.diff(sines).min() < 0.9 * resolution:
+        limit = f"the {resolution:.3g} Hz the record resolves"
+        raise InputError(f"frequency: {sines} Hz are closer than {limit}")
+    fitted = _with_harmonics(sines, resolution, 0.5 * rate)
+    angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, fitted)
+    channels = np.column_stack([xs, ys])[:size]
+    fit = fit_sines(channels, angle)
+    tones = fit.amplitude[: sines.size]
     amplitude = np.abs(tones[:, 0])
-    if np.any(amplitude <= 1e-12 * np.ptp(both[:, 0])):
-        raise InputError(f"x: holds no sine at {chosen[amplitude.argmin()]} Hz")
+    if np.any(amplitude <= 1e-12 * np.ptp(channels[:, 0])):
+        raise InputError(f"x: holds no sine at {sines[amplitude.argmin()]} Hz")
     response = tones[:, 1] / tones[:, 0]
     residual = np.abs(np.fft.rfft(fit.remainder[:, 1])) ** 2
-    power, count = _near(residual, chosen / resolution, sines / resolution)
+    power, count = _noise_power(residual, sines / resolution, fitted / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2
     coherence = spectra.share_of(explained, explained + np.nan_to_num(noise))
     radius = spectra.confidence_radius(noise, count)
-    return Estimate(chosen, response, coherence, radius, count + 1.0)
+    return Estimate(sines, response, coherence, radius, count + 1.0)
 
 
-def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
-    """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
+def _noise_power(power: Real, sines: Real, fitted: Real) -> tuple[Real, Real]:
+    """Mean of `power` over the lines next to each sine that no fitted one lies on; their number."""
     order = np.arange(power.size)
     free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
-    near = [free[np.argsort(np.abs(free - line), kind="stable")[:_NEIGHBOURS]] for line in chosen]
-    means = [float(power[lines].mean()) if lines.size else np.nan for lines in near]
-    return np.array(means), np.array([float(lines.size) for lines in near])
+    nearest = [np.argsort(np.abs(free - sine), kind="stable")[:_NEIGHBOURS] for sine in sines]
+    neighbours = [free[order] for order in nearest]
+    means = [float(power[lines].mean()) if lines.size else np.nan for lines in neighbours]
+    return np.array(means), np.array([float(lines.size) for lines in neighbours])
 
 
-def _with_harmonics(chosen: Real, resolution: float, top: float) -> Real:
-    """The chosen frequencies, then those of their harmonics that are clear of all others."""
-    sines = list(chosen)
-    for frequency in np.outer([2, 3], chosen).ravel():
-        clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution
-        if clear and frequency < top - 0.5 * resolution:
-            sines.append(frequency)
-    return np.array(sines)
+def _with_harmonics(sines: Real, resolution: float, highest: float) -> Real:
+    """The frequencies of sines, then those of their harmonics that are clear of all others."""
+    frequencies = list(sines)
+    for harmonic in np.outer([2, 3], sines).ravel():
+        is_clear = min(abs(harmonic - other) for other in frequencies) > 0.5 * resolution
+        if is_clear and harmonic < highest - 0.5 * resolution:
+            frequencies.append(harmonic)
+    return np.array(frequencies)
 
 
 def matrix_response(
@@ -150,15 +144,16 @@ def matrix_response(
     power[0] = 0.0
     share = power / power.max(axis=0)
     frequency = np.arange(share.shape[0]) / period
-    chosen = spectra.lines_within(frequency, band, 0.5 / period) & (share > _DRIVEN**2).any(axis=1)
-    lines, owner = np.flatnonzero(chosen), np.argmax(share, axis=1)
+    is_driven = (share > _DRIVEN_SHARE**2).any(axis=1)
+    lines = np.flatnonzero(spectra.lines_within(frequency, band, 0.5 / period) & is_driven)
+    owner = np.argmax(share, axis=1)
     if lines.size == 0:
         raise InputError("inputs: no line is driven within the band")
     response = np.empty((lines.size, outputs.shape[1], inputs.shape[1]), dtype=complex)
     for i, j in np.ndindex(response.shape[1:]):
-        own = lines[owner[lines] == j]
-        found = periodic_response(inputs[:, j], outputs[:, i], rate, period, own)
-        response[:, i, j] = _between(frequency[lines], found.frequency, found.response)
+        own_lines = lines[owner[lines] == j]
+        column = periodic_response(inputs[:, j], outputs[:, i], rate, period, own_lines)
+        response[:, i, j] = _interpolated(frequency[lines], column.frequency, column.response)
     return frequency[lines], response
 
 
@@ -167,21 +162,23 @@ def stitch(estimates: Sequence[Estimate]) -> Estimate:
 
     Of a line that several rounds measured, that of the highest coherence stays.
     """
+    fields = [np.concatenate(field) for field in zip(*estimates, strict=True)]
     frequency = np.concatenate([estimate.frequency for estimate in estimates])
-    rank = np.concatenate([estimate.coherence for estimate in estimates])
-    kept: list[int] = []
-    for i in np.argsort(frequency, kind="stable"):
-        if kept and np.isclose(frequency[i], frequency[kept[-1]], rtol=1e-6, atol=0.0):
-            kept[-1] = int(i) if rank[i] > rank[kept[-1]] else kept[-1]
+    coherence = np.concatenate([estimate.coherence for estimate in estimates])
+    best_rows: list[int] = []
+    for row in np.argsort(frequency, kind="stable"):
+        if best_rows and np.isclose(frequency[row], frequency[best_rows[-1]], rtol=1e-6, atol=0.0):
+            if coherence[row] > coherence[best_rows[-1]]:
+                best_rows[-1] = int(row)
         else:
-            kept.append(int(i))
-    return Estimate(*(np.concatenate(part)[kept] for part in zip(*estimates, strict=True)))
+            best_rows.append(int(row))
+    return Estimate(*(field[best_rows] for field in fields))
 
 
-def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:
-    parts = np.asarray(values)
-    if known.size == 0:
+def _interpolated(frequency: Real, lines: Real, response: Complex) -> Complex:
+    """A response at its lines [Hz] joined by straight lines; NaN outside them."""
+    if lines.size == 0:
         return np.full(frequency.size, np.nan + 0j)
     options = {"left": np.nan, "right": np.nan}
-    real = np.interp(frequency, known, parts.real, **options)
-    return real + 1j * np.interp(frequency, known, parts.imag, **options)
+    real = np.interp(frequency, lines, response.real, **options)
+    return real + 1j * np.interp(frequency, lines, response.imag, **options)

@@ -9,16 +9,14 @@ from pydantic import BeforeValidator
 from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 
 _FILE = Path(__file__).with_suffix(".toml")
-_READ_AS = {
+_LAWS_OF_ROWS = {
     ("D-2", "acceleration"): "acceleration_d2",
     ("3-2", "combined_rate"): "combined_rate_1_8",
 }
-"""The law whose results a printed row holds, by table and law, where it is not the law as named."""
-
+"""The law of `laws.toml` that a row is of, by table and printed law, where the names differ."""
 _AS_PRINTED = {"acceleration": "acceleration_eq_3_6"}
 """The law with the printed filter, by the law that the report names."""
-
-_OTHERS = {
+_READINGS = {
     "acceleration_eq_3_6": "acceleration",
     "acceleration_opposing": "acceleration",
     "combined_rate": "combined_rate",
@@ -36,7 +34,7 @@ class Published(Settings):
     law: str  #: As the report names it.
     dof: str  #: Degree of freedom of the demand.
     of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
-    """What was measured: the machine, the report's non-linear model or a linear model."""
+    """Measured on: the machine, the report's non-linear model or a linear model."""
     phase_bandwidth_hz: float | None = None
     gain_bandwidth_hz: float | None = None
     damping_ratio: float | None = None
@@ -47,7 +45,7 @@ class Published(Settings):
     @property
     def read_as(self) -> str:
         """The law of `laws.toml` whose results these are."""
-        return _READ_AS.get((self.table, self.law), self.law)
+        return _LAWS_OF_ROWS.get((self.table, self.law), self.law)
 
     @property
     def printed_as(self) -> str:
@@ -56,16 +54,14 @@ class Published(Settings):
 
     def is_of(self, law: str) -> bool:
         """Whether a law of `laws.toml` is compared with this row."""
-        return law == self.read_as or _OTHERS.get(law) == self.law
+        return law == self.read_as or _READINGS.get(law) == self.law
 
 
 @lru_cache
 def published_results() -> tuple[Published, ...]:
     """All rows, in the report's order."""
-    rows = read_toml(_FILE)["result"]
-    return tuple(
-        validated(Published, row, f"{_FILE.name}: result {i}") for i, row in enumerate(rows)
-    )
+    rows, name = read_toml(_FILE)["result"], _FILE.name
+    return tuple(validated(Published, row, f"{name}: result {i}") for i, row in enumerate(rows))
 
 
 def published(law: str, dof: str, hydraulics: str) -> Published | None:
@@ -75,8 +71,8 @@ def published(law: str, dof: str, hydraulics: str) -> Published | None:
     with the hardware where it was measured, with the non-linear model where it was not.
     """
     rows = {row.of: row for row in published_results() if row.dof == dof and row.is_of(law)}
-    kinds = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
-    for of in kinds:
-        if of in rows and rows[of].phase_bandwidth_hz is not None:
-            return rows[of]
+    sources = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
+    for source in sources:
+        if source in rows and rows[source].phase_bandwidth_hz is not None:
+            return rows[source]
     return None

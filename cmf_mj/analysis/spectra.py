@@ -15,11 +15,9 @@ The bound is the radius r of the circle in the complex plane that holds the true
     var = e^H R e / |X|^2 sum |Y_k - H X_k|^2 / (tr R - e^H R e),    e = X / |X|
 
 where F is the 95 % point of Fisher's distribution, R the correlation between segments that share
-samples, and n = (tr (I-P)R)^2 / tr ((I-P)R)^2 with P = e e^H (Satterthwaite) the averages left for
-the noise. Without overlap R = I, n = S - 1, and this is the bound of Bendat and Piersol, Random
-Data: r^2 = F / (S - 1) (1 - c) S_yy / S_xx. It covers random error only, neither leakage nor
-the bias of the report's estimator under output noise. Frequencies in Hz, a response in the
-output's unit per the input's.
+samples, and n = (tr (I-P)R)^2 / tr ((I-P)R)^2 with P = e e^H (Satterthwaite) the averages that the
+noise has. Without overlap R = I, n = S - 1, and this is the bound of Bendat and Piersol, Random
+Data. It covers random error only, neither leakage nor the bias of the report's estimator.
 """
 
 from typing import Literal, NamedTuple
@@ -34,6 +32,7 @@ from cmf_mj.core.errors import InputError
 Estimator = Literal["h1", "report"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Band = tuple[float, float]  #: Lowest and highest frequency [Hz].
 SEGMENT = 20.0  #: Length of Welch's segments [s]: lines every 0.05 Hz.
 CONFIDENCE = 0.95  #: Probability that the true response lies within the bound.
 
@@ -44,10 +43,8 @@ class Estimate(NamedTuple):
     frequency: Real  #: Lines [Hz], (K,), ascending.
     response: Complex  #: (K,).
     coherence: Real  #: Share of the output's power that the input explains, 0 to 1, (K,).
-    radius: Real
-    """Radius of the 95 % circle about `response`, (K,); infinite where nothing is known."""
-    averages: Real
-    """Effective number of independent averages behind the noise estimate, n + 1, (K,)."""
+    radius: Real  #: Of the 95 % circle about `response`, (K,); infinite where nothing is known.
+    averages: Real  #: Effective number of averages behind the noise estimate, n + 1, (K,).
 
 
 def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
@@ -60,15 +57,18 @@ def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
 
 
 def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> Real:
-    """Correlation (S, S) between segments of white noise that is there where `measured`."""
-    frames = np.lib.stride_tricks.sliding_window_view(measured, window.size)[::hop]
-    count = frames.shape[0]
+    """Correlation (S, S) between segments of white noise on the samples that are `measured`."""
+    segments = np.lib.stride_tricks.sliding_window_view(measured, window.size)[::hop]
+    count = segments.shape[0]
     correlation = np.zeros((count, count))
-    for m in range(min(count, -(-window.size // hop))):
+    for distance in range(min(count, -(-window.size // hop))):
+        shift = distance * hop
         product = np.zeros(window.size)
-        product[m * hop :] = window[m * hop :] * window[: window.size - m * hop]
-        k = np.arange(count - m)
-        correlation[k, k + m] = correlation[k + m, k] = frames[: count - m] @ product
+        product[shift:] = window[shift:] * window[: window.size - shift]
+        first = np.arange(count - distance)
+        second = first + distance
+        correlation[first, second] = segments[: count - distance] @ product
+        correlation[second, first] = correlation[first, second]
     return correlation / np.sum(window**2)
 
 
@@ -92,13 +92,13 @@ def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -
     e = np.conj(x) / size[:, None]
     response = np.sum(e * y, axis=1) / size
     unexplained = np.sum(np.abs(y - response[:, None] * x) ** 2, axis=1)
-    spread = e @ correlation  # R e
-    inner = np.sum(np.conj(e) * spread, axis=1).real
-    left = np.trace(correlation) - inner
-    square = np.sum(correlation**2) - 2.0 * np.sum(np.abs(spread) ** 2, axis=1) + inner**2
-    known = left > 1e-9 * e.shape[1]
-    n = np.where(known, left**2 / np.where(known, square, 1.0), 0.0)
-    variance = unexplained / np.where(known, left, 1.0) * inner / size**2
+    r_e = e @ correlation
+    e_r_e = np.sum(np.conj(e) * r_e, axis=1).real
+    freedom = np.trace(correlation) - e_r_e  # tr (I - P) R
+    square = np.sum(correlation**2) - 2.0 * np.sum(np.abs(r_e) ** 2, axis=1) + e_r_e**2
+    has_noise = freedom > 1e-9 * e.shape[1]
+    n = np.where(has_noise, freedom**2 / np.where(has_noise, square, 1.0), 0.0)
+    variance = unexplained / np.where(has_noise, freedom, 1.0) * e_r_e / size**2
     coherence = 1.0 - share_of(unexplained, np.sum(np.abs(y) ** 2, axis=1), 1.0)
     return Estimate(frequency, response, coherence, confidence_radius(variance, n), n + 1.0)
 
@@ -106,11 +106,11 @@ def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -
 def confidence_radius(variance: Real, averages: ArrayLike) -> Real:
     """95 % radius of a complex mean of this variance, estimated from n averages; n = 0: inf."""
     n = np.broadcast_to(np.asarray(averages, dtype=float), variance.shape)
-    known = n > 0.0
-    safe = np.where(known, n, 1.0)
+    is_known = n > 0.0
+    divisor = np.where(is_known, n, 1.0)
     with np.errstate(over="ignore"):
-        fisher = safe * np.expm1(-np.log(1.0 - CONFIDENCE) / safe)
-    return np.where(known, np.sqrt(fisher * np.where(known, variance, 0.0)), np.inf)
+        fisher = divisor * np.expm1(-np.log(1.0 - CONFIDENCE) / divisor)
+    return np.where(is_known, np.sqrt(fisher * np.where(is_known, variance, 0.0)), np.inf)
 
 
 def as_pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
@@ -124,9 +124,7 @@ def line_frequencies(size: int, rate: float) -> Real:
     return np.asarray(np.arange(size // 2 + 1) * (rate / size), dtype=np.float64)
 
 
-def lines_within(
-    frequency: Real, band: tuple[float, float] | None, above: float
-) -> NDArray[np.bool_]:
+def lines_within(frequency: Real, band: Band | None, above: float) -> NDArray[np.bool_]:
     """Lines that lie in the band and above a frequency [Hz]."""
     low, high = band if band is not None else (0.0, np.inf)
     rounding = 1e-9 * frequency[-1]
@@ -135,8 +133,9 @@ def lines_within(
 
 def share_of(part: Real, whole: Real, of_nothing: float = 0.0) -> Real:
     """Part over whole, 0 to 1, and `of_nothing` where the whole is 0."""
-    some = whole > 0.0
-    return np.where(some, np.clip(part / np.where(some, whole, 1.0), 0.0, 1.0), of_nothing)
+    is_positive = whole > 0.0
+    share = np.clip(part / np.where(is_positive, whole, 1.0), 0.0, 1.0)
+    return np.where(is_positive, share, of_nothing)
 
 
 def welch_response(
@@ -146,60 +145,51 @@ def welch_response(
     *,
     segment: float = SEGMENT,
     overlap: float = 0.75,
-    band: tuple[float, float] | None = None,
+    band: Band | None = None,
     pad: bool = False,
 ) -> Estimate:
     """H1 of y to x, (N,) each, by Welch's method of averaged, overlapping, windowed segments.
 
     Nothing is subtracted: take off a standing offset first. Lines below 2 / `segment` lie in the
     main lobe of a Hann window about zero and are left out. `segment` [s] is the inverse of the
-    lines' spacing: take it long against the system's memory, several tens of segments for a tight
-    bound. `overlap` is the share that the next segment repeats; 0.75 uses all of a Hann window's.
-    `band` is the lowest and highest line [Hz].
-
-    `pad` puts a segment of rest at both ends, for an excitation that starts and ends at rest, such
-    as a sweep: every instant then has the same weight over the segments, and an output that lags
-    its swept input is not weighted differently from it.
-
-    Raises `InputError` for lengths that differ, numbers that are not finite, a segment longer than
-    the record or below 4 samples, no input at a line.
+    lines' spacing: take it long against the system's memory. `overlap` is the share that the next
+    segment repeats, `band` the lowest and highest line [Hz]. `pad` puts a segment of rest at both
+    ends, for an excitation that starts and ends at rest, such as a sweep: every instant then has
+    the same weight. Raises `InputError` for lengths that differ, numbers that are not finite, a
+    segment longer than the record or below 4 samples, no input at a line.
     """
     xs, ys = as_pair(x, y)
     if segment <= 0.0 or not 0.0 <= overlap < 1.0:
-        raise InputError(
-            f"segment, overlap: {segment} s, {overlap}; allowed: above 0 s, and 0 to below 1"
-        )
+        allowed = "above 0 s, and 0 to below 1"
+        raise InputError(f"segment, overlap: {segment} s, {overlap}; allowed: {allowed}")
     length = round(segment * rate)
     if xs.size < length:
         raise InputError(f"segment: {segment} s exceeds the record's {xs.size / rate:.3f} s")
     if length < 4:
         raise InputError(f"segment: {segment} s is less than 4 samples, {4.0 / rate} s")
     hop, rest = max(length - int(overlap * length), 1), length if pad else 0
-    both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
+    channels = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(xs.size, dtype=bool), rest)
     taper = signal.get_window("hann", length)
     frequency = line_frequencies(length, rate)
-    chosen = lines_within(frequency, band, 1.5 / segment)
-    lines = transform(both, taper, hop, length)[chosen]
+    in_band = lines_within(frequency, band, 1.5 / segment)
+    lines = transform(channels, taper, hop, length)[in_band]
     correlation = segment_correlation(taper, hop, measured)
-    return _least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation)
+    return _least_squares(frequency[in_band], lines[:, 0], lines[:, 1], correlation)
 
 
 def report_response(
-    x: ArrayLike, y: ArrayLike, rate: float, *, band: tuple[float, float] | None = None
+    x: ArrayLike, y: ArrayLike, rate: float, *, band: Band | None = None
 ) -> Estimate:
     """The report's estimator (Appendix A, FRFunction): the mean of H1 and H2 over 7 or 8 segments.
 
-    Half-overlapping segments of L + 1 samples, L = floor((N - 1) / 4), every
-    L - floor(L / 2) samples until the record is used up, the last one filled up with zeros; each
-    under a symmetric Hann window and padded with zeros to N, the length of the record. A straight
-    line is taken off first, as by the script that calls it. Lines are therefore interpolated 1/N
+    Half-overlapping segments of L + 1 samples, L = floor((N - 1) / 4), every L - floor(L / 2)
+    samples, the last one filled up with zeros; each under a symmetric Hann window and padded with
+    zeros to N, the length of the record, less a straight line. Lines are therefore interpolated 1/N
     apart: they resolve no more than a segment does, and the errors of neighbours are alike. With
     noise on the output the gain is high by 20 log10((1 + 1/c) / 2): 0.23, 0.47, 1.02 dB at a
-    coherence c of 0.95, 0.9, 0.8.
-
-    Left out: the minus sign that Appendix A gives H and takes back when plotting, the sampling rate
-    rounded up to a whole number, and the periodic option, which divides one pair of spectra.
+    coherence c of 0.95, 0.9, 0.8. Without the minus sign that Appendix A gives H and takes back
+    when plotting, and without its periodic option, which divides one pair of spectra.
 
     x and y are (N,), `band` the lowest and highest line [Hz]; default all above zero. Raises
     `InputError` for lengths that differ, and a record shorter than the segments.
@@ -213,18 +203,18 @@ def report_response(
     count = -(-max(size - (length + 1), 0) // hop) + 1
     tail = (count - 1) * hop + length + 1 - size
     taper = signal.get_window("hann", length + 1, fftbins=False)
-    both = np.pad(np.stack([signal.detrend(xs), signal.detrend(ys)]), ((0, 0), (0, tail)))
+    channels = np.pad(np.stack([signal.detrend(xs), signal.detrend(ys)]), ((0, 0), (0, tail)))
     frequency = line_frequencies(size, rate)
-    chosen = lines_within(frequency, band, 0.5 * rate / size)
-    lines = transform(both, taper, hop, size)[chosen]
+    in_band = lines_within(frequency, band, 0.5 * rate / size)
+    lines = transform(channels, taper, hop, size)[in_band]
     correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
-    return mean_of_both(_least_squares(frequency[chosen], lines[:, 0], lines[:, 1], correlation))
+    h1 = _least_squares(frequency[in_band], lines[:, 0], lines[:, 1], correlation)
+    return mean_of_h1_and_h2(h1)
 
 
-def mean_of_both(estimate: Estimate) -> Estimate:
+def mean_of_h1_and_h2(h1: Estimate) -> Estimate:
     """The mean of H1 and H2 from H1 and its coherence; same relative bound."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1.0 / estimate.coherence
+        inverse = 1.0 / h1.coherence
         factor = 0.5 * (1.0 + inverse)
-        scaled = {name: getattr(estimate, name) * factor for name in ("response", "radius")}
-        return estimate._replace(**scaled)
+        return h1._replace(response=h1.response * factor, radius=h1.radius * factor)

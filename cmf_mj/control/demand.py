@@ -12,8 +12,8 @@ omega = E (roll, pitch, yaw rate), one leg is (Eqs 2.1 and C.6, here in inertial
 the second derivative being J d2x/dt2 + dJ/dt dx/dt, exact.
 
 A demand that counts at another point of the platform, as Eq 2.1 does at the static centre of mass,
-has the geometry of `kinematics.about` that point. The platform is rigid: for dA_j of Eq 2.1, where
-the upper gimbal sits under load, the report gives no values.
+has the geometry of `kinematics.geometry_about` that point. The platform is rigid: for dA_j of Eq
+2.1, where the upper gimbal sits under load, the report gives no values.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ def step(geometry, motion, legs):  # type: ignore[no-untyped-def]
     turn = kinematics.turn_of(pose[3], pose[4], pose[5])
     ox, oy, oz, bx, by, bz = _turning(pose, velocity, acceleration)
     for j in range(6):
-        rx, ry, rz = kinematics.turned(turn, upper[j])
+        rx, ry, rz = kinematics.rotated_arm(turn, upper[j])
         lx = pose[0] + rx - lower[j, 0]
         ly = pose[1] + ry - lower[j, 1]
         lz = pose[2] + rz - lower[j, 2]

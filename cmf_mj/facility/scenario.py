@@ -11,7 +11,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import beside, read_toml, validated
 from cmf_mj.facility.run import Run
 from cmf_mj.machine import models
-from cmf_mj.signals.signal import plain
+from cmf_mj.signals.signal import as_plain
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None
     for name in ("source", "start"):
         if name in table:
             raise InputError(f"{where}: {name}: cannot stand in a file; give it to `cmf_mj.Run`")
-    return validated(Run, _with_folder(plain(table), folder or Path()), where)
+    return validated(Run, _with_folder(as_plain(table), folder or Path()), where)
 
 
 def save_scenario(scenario: Run, path: str | Path) -> Path:

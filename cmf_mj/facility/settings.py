@@ -36,7 +36,7 @@ from cmf_mj.plant.events import MOST_FORCE, Event, Failure
 from cmf_mj.plant.hexapod import PLANTS, make_plant
 from cmf_mj.plant.parameters import fitting
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.signal import Motion, plain
+from cmf_mj.signals.signal import Motion, as_plain
 
 Gains = dict[str, Any]
 """Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
@@ -282,4 +282,4 @@ def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
 
 def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
     """A change from plain values, lists included."""
-    return validated(Change, plain(table), where)
+    return validated(Change, as_plain(table), where)

@@ -33,7 +33,7 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import composite, single
-from cmf_mj.signals.signal import Command, Duration, Motion, Signal, Wait, check_length, commanded
+from cmf_mj.signals.signal import Command, Duration, Motion, Signal, Wait, as_command, check_length
 
 
 class HeldStep(single.Step):
@@ -241,7 +241,7 @@ def as_source(given: Any, plant: Plant, start: ArrayLike | None) -> RunSource:
                 raise InputError(f"valves: {where} is not between -1 and 1")
             source = from_table(table)
         case command:
-            demanded = commanded(command, plant.machine.rate)
+            demanded = as_command(command, plant.machine.rate)
             legs = pose_to_legs(demanded.pose, plant.machine)
             source = from_table(legs, demanded.pose)
             context = {"command": demanded.description, "seed": demanded.seed}

@@ -17,8 +17,7 @@ and repeats, in a table named after the new cab, what is different:
 Axes are those of the models: origin in the platform's centroid, which lies in the plane of the
 upper gimbals, x forward, y left, **z up**. Inertia is about the body's own centre of mass: Ixx,
 Iyy, Izz, and where there are products the tensor's entries Ixy, Ixz, Iyz. Inertia that is left out
-while the mass changes is that of the base in proportion to the mass; so is that of a leg's parts.
-The drawing and the pilot's seat are those of the base, a cab of the same machine.
+is that of the base in proportion to the mass. Drawing and pilot's seat are those of the base.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,8 +51,7 @@ class Cab(RigidBody):
     base: str  #: The machine's cab whose drawing and pilot's station it has.
     platform: RigidBody  #: The platform alone.
     legs: Legs  #: Cylinders and rods.
-    nominal: "Cab | None" = None
-    """Cab that control laws in hydraulic modes assume; None for itself."""
+    nominal: "Cab | None" = None  #: Cab that laws in hydraulic modes assume; None for itself.
     machine: Machine = Field(exclude=True, repr=False)  #: The machine it is on.
 
     @model_validator(mode="after")
@@ -99,16 +97,11 @@ class Cab(RigidBody):
         nominal: "Cab | None" = None,
         **cab: ArrayLike,
     ) -> "Cab":
-        """A cab with other masses.
+        """A cab of a new name with other masses.
 
-        Args:
-            name: of the new cab.
-            platform: `mass` [kg], `centre_of_mass` (3,) [m], `inertia` [kg m^2], (3, 3), of the
-                platform, as far as they change.
-            leg_mass_factor: on the masses of cylinders and rods.
-            nominal: cab that control laws assume; default that of this cab, else the new one.
-            **cab: as `platform`, of the cab.
-
+        What changes of the cab and of its `platform` is `mass` [kg], `centre_of_mass` (3,) [m] and
+        `inertia` (3, 3) [kg m^2]; `leg_mass_factor` is on the masses of cylinders and rods, and
+        `nominal` is the cab that control laws assume, default that of this cab, else the new one.
         The name of one of the machine's cabs is refused, and a nominal one of another machine.
 
         >>> heavy = cmf_mj.load_cab("gfd").changed("heavy", mass=12000.0)
@@ -116,29 +109,29 @@ class Cab(RigidBody):
         (12000.0, 4500.0)
         """
         checked_name(name, "cab: name")
-        legs = {part: leg_mass_factor * mass.si for part, mass in self.legs}
-        changes = {
-            **_stated(cab, name),
-            "platform": _stated(platform or {}, name),
-            "legs": _stated(legs if leg_mass_factor != 1.0 else {}, name),
-        }
-        return _overlaid(self, name, changes | ({"nominal": nominal} if nominal else {}), name)
+        changes = _file_table(cab, name) | {"platform": _file_table(platform or {}, name)}
+        if leg_mass_factor != 1.0:
+            legs = {part: leg_mass_factor * mass.si for part, mass in self.legs}
+            changes["legs"] = _file_table(legs, name)
+        if nominal:
+            changes["nominal"] = nominal
+        return _changed_cab(self, name, changes, name)
 
 
 _SI = {"centre_of_mass": "m", "inertia": "kg m^2"}  #: Units of `Cab.changed`; all else is in kg.
 
 
-def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:
+def _file_table(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """Values in SI as a file states them."""
     table: dict[str, Any] = {}
     for field, value in values.items():
-        given = real(f"{source}: {field}", value)
-        if given.shape == (3, 3):
-            if np.abs(given - given.T).max() > ROUND_OFF * np.abs(given).max():
-                raise InputError(f"{source}: {field}: {given.tolist()} is refused: not symmetric")
-            given = given[ENTRIES]
+        numbers = real(f"{source}: {field}", value)
+        if numbers.shape == (3, 3):
+            if np.abs(numbers - numbers.T).max() > ROUND_OFF * np.abs(numbers).max():
+                raise InputError(f"{source}: {field}: {numbers.tolist()} is refused: not symmetric")
+            numbers = numbers[ENTRIES]
         table[field] = {
-            "value": given.tolist(),
+            "value": numbers.tolist(),
             "unit": _SI.get(field, "kg"),
             "status": "assumed",
             "source": source,
@@ -146,25 +139,25 @@ def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     return table
 
 
-def _overlaid(base: Cab, name: str, changes: Mapping[str, Any], where: str) -> Cab:
-    """A cab with what it changes in the place of what the base has."""
+def _changed_cab(base: Cab, name: str, changes: Mapping[str, Any], where: str) -> Cab:
+    """A cab with the base's fields but for its changes."""
     if name in base.machine.cabs:
-        raise _taken(where, name)
-    table = _overlay(base, changes, where)
+        raise _name_refusal(where, name)
+    table = _changed_fields(base, changes, where)
     for part in ("platform", "legs"):
-        given, before = changes.get(part, {}), getattr(base, part)
-        if isinstance(given, Mapping):
-            table[part] = _overlay(before, given, f"{where}: {part}")
+        part_changes = changes.get(part, {})
+        if isinstance(part_changes, Mapping):
+            table[part] = _changed_fields(getattr(base, part), part_changes, f"{where}: {part}")
     return validated(Cab, table | {"name": name, "base": base.base}, where)
 
 
-def _taken(where: str, name: str) -> InputError:
+def _name_refusal(where: str, name: str) -> InputError:
     return InputError(
         f"{where}: {name!r} is the name of one of the machine's cabs; a changed one needs another"
     )
 
 
-def _overlay(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _changed_fields(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Fields of a part of the machine, its inertia in proportion to a mass that changes alone."""
     table = dict(base) | dict(changes)
     if isinstance(base, RigidBody) and "mass" in changes and "inertia" not in changes:
@@ -199,14 +192,11 @@ def _unchanged_cab(machine: Machine, name: str) -> Cab:
 def load_cab(
     source: str | Path | Cab | None = None, machine: str | Path | Machine | None = None
 ) -> Cab:
-    """Load a cab of a machine.
+    """Load a cab of a `machine`, default that of a loaded cab, or the CMF.
 
-    Args:
-        source: one of the machine's cabs by name, a TOML file of the form that heads this module,
-            or a cab loaded already; default the machine's first.
-        machine: by name, TOML file or loaded; default that of a loaded cab, or the CMF.
-
-    A changed cab under the name of one of the machine's is refused, and one of another machine.
+    `source` is one of the machine's cabs by name, a TOML file of the form that heads this module,
+    or a loaded cab; default the machine's first. A changed cab under the name of one of the
+    machine's is refused, and one of another machine.
 
     >>> cmf_mj.load_cab("rfd").centre_of_mass.value
     (0.05, 0.0, 0.9)
@@ -218,33 +208,33 @@ def load_cab(
                 f"{load_machine(machine).name!r}"
             )
         if source.unchanged and source != _unchanged_cab(source.machine, source.name):
-            raise _taken("cab", source.name)
+            raise _name_refusal("cab", source.name)
         return source
-    carrier = load_machine(models.CMF if machine is None else machine)
-    names = tuple(carrier.cabs)
+    loaded = load_machine(models.CMF if machine is None else machine)
+    names = tuple(loaded.cabs)
     if source is None or str(source) in names:
-        return _unchanged_cab(carrier, names[0] if source is None else str(source))
+        return _unchanged_cab(loaded, names[0] if source is None else str(source))
     user = user_set("cab", names, source, fixed=("base", "nominal", "machine"))
-    return _overlaid(_unchanged_cab(carrier, user.base), user.name, user.changes, user.where)
+    return _changed_cab(_unchanged_cab(loaded, user.base), user.name, user.changes, user.where)
 
 
 def load_cabs(names: Sequence[str], machine: Machine) -> tuple[Cab, ...]:
     """The named cabs of a machine; `all` for all, empty for its first."""
-    known = tuple(machine.cabs)
-    chosen = known if list(names) == ["all"] else tuple(names) or known[:1]
+    all_names = tuple(machine.cabs)
+    chosen = all_names if list(names) == ["all"] else tuple(names) or all_names[:1]
     return tuple(load_cab(name, machine) for name in chosen)
 
 
 def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
     """The cab named in a record's metadata; None if there is none."""
-    machine = recorded_machine(metadata)
-    if metadata.get("cab_parameters"):
-        return validated(Cab, _with_machine(machine, metadata["cab_parameters"]), "cab_parameters")
+    machine, parameters = recorded_machine(metadata), metadata.get("cab_parameters")
+    if parameters:
+        return validated(Cab, _with_machine(machine, parameters), "cab_parameters")
     return load_cab(str(metadata["cab"]), machine) if metadata.get("cab") else None
 
 
 def _with_machine(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a recorded cab, and of its nominal one, on their machine."""
     nominal = table.get("nominal")
-    on = _with_machine(machine, nominal) if nominal else None
-    return {**table, "nominal": on, "machine": machine}
+    nominal_table = _with_machine(machine, nominal) if nominal else None
+    return {**table, "nominal": nominal_table, "machine": machine}

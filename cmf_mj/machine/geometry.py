@@ -1,4 +1,4 @@
-"""Gimbals of a Stewart platform, in the report's axes, and which way those lie in MuJoCo's."""
+"""Degrees of freedom and gimbals of a Stewart platform, in the report's axes (z down)."""
 
 from typing import Annotated, NamedTuple, TypeVar
 
@@ -13,7 +13,6 @@ from cmf_mj.core.settings import Settings
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 """Names of the six degrees of freedom, in the order of a pose."""
-
 FLIP = np.array([1.0, -1.0, -1.0])  #: Report axes to MuJoCo axes and back, componentwise.
 
 
@@ -43,15 +42,11 @@ def paired_circles(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gimbals in three pairs on each of two circles, report axes, (6, 3) each [m].
 
-    With radius R and spacing s of a pair, upper gimbals 6 and 1 lie at the angles -s/2 and s/2 from
-    `forward`, measured from x to y (clockwise from above), 2 and 3 at 120 deg and 4 and 5 at 240
-    deg from there; lower gimbals 1 and 2 at 60 deg, 3 and 4 at 180 deg, 5 and 6 at 300 deg.
-
-    Args:
-        upper: radius [m] and spacing of a pair [rad] of the upper gimbals.
-        lower: those of the lower gimbals.
-        height: of the upper circle above the lower one at neutral [m].
-        forward: direction of the middle of upper gimbals 6 and 1 [rad].
+    `upper` and `lower` are the radius [m] and the spacing s of a pair [rad] of each circle, the
+    upper one at a `height` [m] above the lower one. Upper gimbals 6 and 1 lie at the angles -s/2
+    and s/2 from `forward` [rad], measured from x to y (clockwise from above), 2 and 3 at 120 deg
+    and 4 and 5 at 240 deg from there; lower gimbals 1 and 2 at 60 deg, 3 and 4 at 180 deg, 5 and 6
+    at 300 deg.
     """
 
     def circle(
@@ -96,9 +91,10 @@ def dof_unit(dof: str | int) -> str:
 LENGTHS = ("m", "mm", "in", "ft")
 _COORDINATES = ("upper", "lower")
 _CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
+_FORMS = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
 
 
-def _six(points: Points) -> Points:
+def _check_six(points: Points) -> Points:
     if points.unit not in LENGTHS:
         raise InputError(f"{points.unit!r} is refused: unit must be one of {', '.join(LENGTHS)}")
     if len(points.value) != 6:
@@ -106,7 +102,7 @@ def _six(points: Points) -> Points:
     return points
 
 
-_Points = Annotated[Points, AfterValidator(_six)]
+_Points = Annotated[Points, AfterValidator(_check_six)]
 _Spacing = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), below=2.0 * np.pi / 3.0).check)]
 _Direction = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), signed=True).check)]
 
@@ -128,16 +124,17 @@ class Gimbals(Settings):
     """Direction of the middle of upper gimbals 6 and 1, clockwise from above; default ahead."""
 
     @model_validator(mode="after")
-    def _either(self) -> "Gimbals":
-        ways = [[name for name in way if getattr(self, name) is not None] for way in _WAYS]
-        if all(ways) or (ways[0] and self.forward):
-            raise InputError(f"{ways[0][0]}: is given with {(ways[1] or ['forward'])[0]}; {_WAY}")
-        for way, given in zip(_WAYS, ways, strict=True):
-            missing = sorted(set(way) - set(given))
-            if given and missing:
-                raise InputError(f"{missing[0]}: is missing; {_WAY}")
-        if not any(ways):
-            raise InputError(f"upper: is missing; {_WAY}")
+    def _check_one_form(self) -> "Gimbals":
+        coordinates = [name for name in _COORDINATES if getattr(self, name) is not None]
+        circles = [name for name in _CIRCLES if getattr(self, name) is not None]
+        if coordinates and (circles or self.forward):
+            other = circles[0] if circles else "forward"
+            raise InputError(f"{coordinates[0]}: is given with {other}; {_FORMS}")
+        form = _CIRCLES if circles else _COORDINATES
+        missing = sorted(set(form) - {*coordinates, *circles})
+        if missing:
+            name = missing[0] if coordinates or circles else "upper"
+            raise InputError(f"{name}: is missing; {_FORMS}")
         return self
 
     def in_report_axes(self) -> tuple[NDArray[np.float64], ...]:
@@ -147,14 +144,9 @@ class Gimbals(Settings):
         upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
             getattr(self, name).si for name in _CIRCLES
         )
+        upper, lower = (upper_radius, upper_spacing), (lower_radius, lower_spacing)
         forward = 0.0 if self.forward is None else self.forward.si
-        return paired_circles(
-            (upper_radius, upper_spacing), (lower_radius, lower_spacing), height, forward
-        )
-
-
-_WAYS = (_COORDINATES, _CIRCLES)
-_WAY = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
+        return paired_circles(upper, lower, height, forward)
 
 
 def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:

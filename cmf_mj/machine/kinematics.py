@@ -27,10 +27,10 @@ MachineOrGimbals = str | Path | Machine | Geometry
 
 _NEWTON_ITERATIONS = 50
 _NEWTON_TOLERANCE = 1e-13
-_CLOSE = 0.02  #: Leg change from row to row [m] up to which the solution before is a safe start.
+_SMALL_CHANGE = 0.02  #: Leg change [m] up to which the pose of the row before is a safe start.
 
 
-def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
+def geometry_about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
     """The geometry for poses that count at a point of the platform instead of its centroid.
 
     With r from the centroid to the static centre of mass (r_cg of Eq 2.1) and c its movement from
@@ -38,19 +38,16 @@ def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
 
         l_j = c + T (A_j - r) - (B_j - r)
 
-    so gimbals that count from the point at neutral give all that centroid ones do: legs, poses,
-    Jacobians, demand. The centroid is at c + r - T r.
-
-    Args:
-        point: r in platform axes, z down [m], (3,).
-        machine: whose gimbals, from the centroid.
+    so gimbals that count from the point r, in platform axes, z down [m], (3,), give legs, poses,
+    Jacobians and demand as those from the centroid do. The centroid is at c + r - T r.
 
     >>> tilt = [0, 0, 0, 0, 0.1, 0]  # the head of a pilot 2 m above stays where it is
-    >>> cmf_mj.legs_to_pose(cmf_mj.pose_to_legs(tilt, about([0, 0, -2]))).round(3)[0].item()
+    >>> legs = cmf_mj.pose_to_legs(tilt, geometry_about([0, 0, -2]))
+    >>> cmf_mj.legs_to_pose(legs).round(3)[0].item()
     0.2
     """
-    offset, shape = shaped("point", point, 3), geometry_of(machine)
-    return Geometry(shape.upper - offset, shape.lower - offset, shape.neutral)
+    offset, gimbals = shaped("point", point, 3), geometry_of(machine)
+    return Geometry(gimbals.upper - offset, gimbals.lower - offset, gimbals.neutral)
 
 
 @compiled
@@ -65,7 +62,7 @@ def turn_of(roll, pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def turned(turn, arm):  # type: ignore[no-untyped-def]
+def rotated_arm(turn, arm):  # type: ignore[no-untyped-def]
     """T times an arm (3,), three numbers."""
     x, y, z = arm[0], arm[1], arm[2]
     return (
@@ -102,7 +99,7 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
 @compiled
 def _leg(geometry, pose, turn, j):  # type: ignore[no-untyped-def]
     """Arm of a leg's upper gimbal, and the leg from lower to upper gimbal, inertial axes."""
-    a, b, c = turned(turn, geometry.upper[j])
+    a, b, c = rotated_arm(turn, geometry.upper[j])
     x = pose[0] + a - geometry.lower[j, 0]
     y = pose[1] + b - geometry.lower[j, 1]
     z = pose[2] + c - geometry.lower[j, 2]
@@ -180,7 +177,7 @@ def solve(matrix, vector):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _within(values, bound):  # type: ignore[no-untyped-def]
+def _all_below(values, bound):  # type: ignore[no-untyped-def]
     """Whether all values are smaller than the bound; NaN is not."""
     for value in values:
         if not abs(value) < bound:
@@ -192,15 +189,15 @@ def _within(values, bound):  # type: ignore[no-untyped-def]
 def _newton(geometry, sense, legs, pose, error, change, jacobian):  # type: ignore[no-untyped-def]
     """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
 
-    Singular poses separate the assemblies, so the determinant's sign is that of one; `sense` is
-    that of the pose zero. Work is done in `error` and `change`, (6,), and `jacobian`, (6, 6).
+    Singular poses separate the assemblies, so each has one sign of the determinant: `sense` is the
+    determinant at the pose zero. `error`, `change`, (6,), and `jacobian`, (6, 6), are work space.
     """
     for _ in range(_NEWTON_ITERATIONS):
         write_legs(geometry, pose, error)
         for j in range(6):
             error[j] = legs[j] - error[j]
             change[j] = error[j]
-        if _within(error, _NEWTON_TOLERANCE):
+        if _all_below(error, _NEWTON_TOLERANCE):
             break
         write_pose_jacobian(geometry, pose, jacobian)
         if abs(solve(jacobian, change)) < 1e-9 * abs(sense):
@@ -209,8 +206,8 @@ def _newton(geometry, sense, legs, pose, error, change, jacobian):  # type: igno
             pose[j] += change[j]
     # Round-off can hold the error a little above the tolerance, never above the accuracy promised.
     write_pose_jacobian(geometry, pose, jacobian)
-    turned = _within(pose[3:], 0.5 * np.pi)
-    return turned and _within(error, 1e-11) and solve(jacobian, change) * sense > 0.0
+    is_upright = _all_below(pose[3:], 0.5 * np.pi)
+    return is_upright and _all_below(error, 1e-11) and solve(jacobian, change) * sense > 0.0
 
 
 @allocating
@@ -227,7 +224,7 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
             for j in range(6):
                 error[j] = legs[row, j] - legs[row - 1, j]
                 poses[row, j] = poses[row - 1, j]
-            if _within(error, _CLOSE) and _newton(
+            if _all_below(error, _SMALL_CHANGE) and _newton(
                 geometry, sense, legs[row], poses[row], error, change, jacobian
             ):
                 continue
@@ -238,14 +235,7 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
 
 
 def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
-    """Leg extensions from neutral [m] of platform poses, Eq C.6.
-
-    Args:
-        pose: (..., 6): surge, sway, heave [m], roll, pitch, yaw [rad], z down.
-        machine: machine or gimbals.
-
-    Returns:
-        (..., 6) extensions [m]; zero at the pose zero.
+    """Leg extensions from neutral [m], (..., 6), of platform poses [m, rad], (..., 6), Eq C.6.
 
     >>> cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0]).round(3).tolist()
     [0.084, 0.084, 0.084, 0.084, 0.084, 0.084]
@@ -259,36 +249,30 @@ def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
 def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
 
-    Of the several assemblies a Stewart platform has, the solution is the one that holds the pose
-    zero; its angles lie within +-90 deg.
-
-    Args:
-        legs: (..., 6) extensions from neutral [m].
-        machine: machine or gimbals.
-
-    Returns:
-        (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
-
-    Raises:
-        NoPoseError: no pose has these legs, named by their row, or a leg is beyond what a cylinder
-            of one stage can do, a third of its neutral length either way.
+    Extensions from neutral [m] and poses [m, rad] are (..., 6). Of the several assemblies a Stewart
+    platform has, the solution is the one that holds the pose zero, with angles within +-90 deg;
+    `pose_to_legs` gives the legs back within 1e-11 m. Raises `NoPoseError` for legs that no pose
+    has, or beyond a third of their neutral length, which a cylinder of one stage cannot reach.
 
     >>> legs = cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0])
     >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()
     -0.1
     """
-    rows, shape = shaped("legs", legs, 6, leading=True), geometry_of(machine)
-    poses = np.empty(rows.shape)
-    flat = rows.reshape(-1, 6)
-    beyond = np.argwhere(np.abs(flat) > shape.neutral / 3.0)
-    failed = beyond[0, 0] if beyond.size else _pose_history(shape, flat, poses.reshape(-1, 6))
-    if failed >= 0:
-        where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
-        most = shape.neutral.min() / 3.0
-        far = f"; allowed: within +-{most:.4g} m, a third of the neutral length"
+    extensions, gimbals = shaped("legs", legs, 6, leading=True), geometry_of(machine)
+    poses = np.empty(extensions.shape)
+    rows = extensions.reshape(-1, 6)
+    too_long = np.argwhere(np.abs(rows) > gimbals.neutral / 3.0)
+    if too_long.size:
+        failed_row = too_long[0, 0]
+        longest = gimbals.neutral.min() / 3.0
+        allowed = f"; allowed: within +-{longest:.4g} m, a third of the neutral length"
+    else:
+        failed_row, allowed = _pose_history(gimbals, rows, poses.reshape(-1, 6)), ""
+    if failed_row >= 0:
+        index = [int(i) for i in np.unravel_index(failed_row, extensions.shape[:-1])]
         raise NoPoseError(
-            f"legs{where or ''}: no platform pose has the leg extensions "
-            f"{np.array2string(flat[failed], precision=4)} m{far if beyond.size else ''}"
+            f"legs{index or ''}: no platform pose has the leg extensions "
+            f"{np.array2string(rows[failed_row], precision=4)} m{allowed}"
         )
     return poses
 
@@ -316,8 +300,8 @@ def excursion_envelope(
 ) -> NDArray[np.float64]:
     """Single-axis excursions at which the first leg reaches its travel [m] from neutral, (6, 2).
 
-    Per degree of freedom the negative and the positive limit, m and rad, z down; a rotation ends at
-    90 deg at the latest. Default travel is the working stroke.
+    The negative and the positive limit [m, rad]; a rotation ends at 90 deg at the latest. Default
+    travel is the working stroke.
     """
     if travel is None:
         if isinstance(machine, Geometry):
@@ -325,21 +309,20 @@ def excursion_envelope(
         travel = load_machine(machine).working_stroke
     if not travel > 0.0:
         raise InputError(f"travel: {travel} m must be greater than 0")
-    shape = geometry_of(machine)
+    gimbals = geometry_of(machine)
 
     def reserve(excursion: float, dof: int) -> float:
         pose = np.zeros(6)
         pose[dof] = excursion
-        return travel - float(np.abs(pose_to_legs(pose, shape)).max())
+        return travel - float(np.abs(pose_to_legs(pose, gimbals)).max())
 
-    limits = np.empty((6, 2))
-    for dof in range(6):
-        for side, sign in enumerate((-1.0, 1.0)):
-            inner, outer = 0.0, sign * 0.01
-            while reserve(outer, dof) > 0.0 and (dof < 3 or abs(outer) < 0.5 * np.pi):
-                inner, outer = outer, outer + sign * 0.01
-            if reserve(outer, dof) > 0.0:
-                limits[dof, side] = sign * 0.5 * np.pi
-                continue
-            limits[dof, side] = brentq(reserve, inner, outer, args=(dof,), xtol=1e-12)
-    return limits
+    def limit(dof: int, step: float) -> float:
+        """The excursion without reserve, searched from 0 in steps."""
+        inner, outer = 0.0, step
+        while reserve(outer, dof) > 0.0 and (dof < 3 or abs(outer) < 0.5 * np.pi):
+            inner, outer = outer, outer + step
+        if reserve(outer, dof) > 0.0:
+            return float(np.copysign(0.5 * np.pi, step))
+        return float(brentq(reserve, inner, outer, args=(dof,), xtol=1e-12))
+
+    return np.array([[limit(dof, -0.01), limit(dof, 0.01)] for dof in range(6)])

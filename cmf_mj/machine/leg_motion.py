@@ -12,12 +12,9 @@ Eq C.7), L its length and n = l / L, in the report's axes (z down), up = -z:
     axial gravity     g_j = g n_j . up                           0.832 g at neutral
     Eq C.3            |(I - r/L P) g|,  P = I - n n'  (Eq C.1)   g_j for r = L, g for r = 0
 
-`track` follows the pose from leg extensions, one chord step of Newton's method a frame,
-
-    pose += J0^-1 (legs - legs(pose)),   J0 the Jacobian at neutral.
-
-Each step shrinks the error to at most 0.36 of it within the working strokes, so the pose lags the
-legs by half a frame at most.
+`track` follows the pose from leg extensions, one chord step of Newton's method a frame, pose +=
+J0^-1 (legs - legs(pose)) with J0 the Jacobian at neutral. Each step shrinks the error to at most
+0.36 of it within the working strokes, so the pose lags the legs by half a frame at most.
 """
 
 from typing import Any, NamedTuple
@@ -82,11 +79,11 @@ def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accele
 def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
     jacobian = np.empty((6, 6))
     turning = np.empty(6)
-    again = np.empty(6)
+    computed_leg_rates = np.empty(6)  # once more the rates that are known
     for row in range(poses.shape[0]):
         write_pose_jacobian(geometry, poses[row], jacobian)
         rates[row] = np.linalg.solve(jacobian, leg_rates[row])
-        _leg_motion(geometry, poses[row], rates[row], turning, again)
+        _leg_motion(geometry, poses[row], rates[row], turning, computed_leg_rates)
         accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - turning)
 
 
@@ -97,14 +94,16 @@ class Motion(NamedTuple):
     acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
 
 
-def _converted(kernel: Any, machine: MachineOrGimbals, **arrays: ArrayLike) -> Motion:
-    """What a kernel makes of a pose and two derivatives, all of the pose's shape."""
-    rows = {name: shaped(name, values, 6, leading=True) for name, values in arrays.items()}
-    for name, values in rows.items():
-        if values.shape != rows["pose"].shape:
-            raise InputError(f"{name}: shape is {values.shape}; pose has {rows['pose'].shape}")
-    motion = Motion(np.empty(rows["pose"].shape), np.empty(rows["pose"].shape))
-    kernel(geometry_of(machine), *(a.reshape(-1, 6) for a in (*rows.values(), *motion)))
+def _convert(kernel: Any, machine: MachineOrGimbals, known: dict[str, ArrayLike]) -> Motion:
+    """Motion that a kernel makes of a pose and two derivatives, all of the pose's shape."""
+    inputs = {name: shaped(name, values, 6, leading=True) for name, values in known.items()}
+    shape = inputs["pose"].shape
+    for name, values in inputs.items():
+        if values.shape != shape:
+            raise InputError(f"{name}: shape is {values.shape}; pose has {shape}")
+    motion = Motion(np.empty(shape), np.empty(shape))
+    rows = (array.reshape(-1, 6) for array in (*inputs.values(), *motion))
+    kernel(geometry_of(machine), *rows)
     return motion
 
 
@@ -114,13 +113,9 @@ def pose_motion_to_legs(
     acceleration: ArrayLike,
     machine: MachineOrGimbals = models.CMF,
 ) -> Motion:
-    """Leg velocities and accelerations of poses (..., 6) and their derivatives, exact.
-
-    Poses are in m and rad, z down.
-    """
-    return _converted(
-        _motion_to_legs, machine, pose=pose, velocity=velocity, acceleration=acceleration
-    )
+    """Leg velocities and accelerations of poses (..., 6) and their derivatives, exact."""
+    known = {"pose": pose, "velocity": velocity, "acceleration": acceleration}
+    return _convert(_motion_to_legs, machine, known)
 
 
 def leg_motion_to_pose(
@@ -130,9 +125,8 @@ def leg_motion_to_pose(
     machine: MachineOrGimbals = models.CMF,
 ) -> Motion:
     """Platform motion of leg velocities and accelerations (..., 6) at known poses (..., 6)."""
-    return _converted(
-        _legs_to_motion, machine, pose=pose, velocity=velocity, acceleration=acceleration
-    )
+    known = {"pose": pose, "velocity": velocity, "acceleration": acceleration}
+    return _convert(_legs_to_motion, machine, known)
 
 
 class LegAxes(NamedTuple):
@@ -153,32 +147,32 @@ class LegAxesState(NamedTuple):
 
 def make_leg_axes(machine: MachineOrGimbals = models.CMF) -> LegAxes:
     """Parameters of the tracker."""
-    shape = geometry_of(machine)
-    jacobian = kinematics.pose_jacobian(np.zeros(6), shape)
-    return LegAxes(shape, np.array(np.linalg.inv(jacobian), dtype=np.float64))
+    gimbals = geometry_of(machine)
+    jacobian = kinematics.pose_jacobian(np.zeros(6), gimbals)
+    return LegAxes(gimbals, np.array(np.linalg.inv(jacobian), dtype=np.float64))
 
 
 def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
     """State at the pose of the leg extensions (6,) [m]."""
     pose = kinematics.legs_to_pose(legs, axes.geometry)
     state = LegAxesState(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
-    _evaluate(axes, state)
+    _update_legs(axes, state)
     return state
 
 
 @compiled
-def _evaluate(axes, state):  # type: ignore[no-untyped-def]
+def _update_legs(axes, state):  # type: ignore[no-untyped-def]
     """Lengths and directions of all legs at the pose of the state, Eq C.6."""
     pose, turn = state.pose, state.turn
     kinematics.rotate(pose[3], pose[4], pose[5], turn)
     for j in range(6):
         square = 0.0
         for i in range(3):
-            along = pose[i] - axes.geometry.lower[j, i]
+            component = pose[i] - axes.geometry.lower[j, i]
             for k in range(3):
-                along += turn[i, k] * axes.geometry.upper[j, k]
-            state.direction[j, i] = along
-            square += along * along
+                component += turn[i, k] * axes.geometry.upper[j, k]
+            state.direction[j, i] = component
+            square += component * component
         state.length[j] = np.sqrt(square)
         for i in range(3):
             state.direction[j, i] /= state.length[j]
@@ -194,12 +188,12 @@ def track(axes, state, legs):  # type: ignore[no-untyped-def]
         error = legs[j] + axes.geometry.neutral[j] - state.length[j]
         for i in range(6):
             state.pose[i] += axes.inverse[i, j] * error
-    sound = True
+    is_sound = True
     for i in range(6):  # metres and radians; written so that NaN is unsound
-        sound = sound and abs(state.pose[i]) < 0.5 * np.pi
-    if not sound:
+        is_sound = is_sound and abs(state.pose[i]) < 0.5 * np.pi
+    if not is_sound:
         state.pose[:] = 0.0
-    _evaluate(axes, state)
+    _update_legs(axes, state)
 
 
 @compiled

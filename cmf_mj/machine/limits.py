@@ -55,23 +55,22 @@ class Axis(Settings, Generic[Span, Speed, Acceleration]):
     acceleration: Acceleration  #: Largest acceleration, or second derivative of it, either way.
 
     @model_validator(mode="after")
-    def _nested(self) -> "Axis[Any, Any, Any]":
-        inner, outer = self.operational.si, self.mechanical.si  # type: ignore[attr-defined]
-        if not (outer[0] <= inner[0] and inner[1] <= outer[1]):
+    def _check_nested(self) -> "Axis[Any, Any, Any]":
+        low, high = self.operational.si  # type: ignore[attr-defined]
+        lowest, highest = self.mechanical.si  # type: ignore[attr-defined]
+        if not (lowest <= low and high <= highest):
             raise InputError("operational must lie within mechanical")
         return self
 
 
 Translation = Axis[Annotated[Range, _range_in("in", "m", "mm")], kind.Speed, kind.Acceleration]
 """Limits of surge, sway or heave."""
-
 Rotation = Axis[
     Annotated[Range, _range_in("deg", "rad")], kind.AngularSpeed, kind.AngularAcceleration
 ]
 """Limits of roll, pitch or yaw."""
 
-
-_Rejoin = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
+_RejoinShare = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).check)]
 
 
 class StatedLeg(Settings):
@@ -80,15 +79,14 @@ class StatedLeg(Settings):
     velocity: kind.Speed  #: Largest leg speed either way.
     acceleration: kind.Acceleration  #: Largest leg acceleration either way.
     position: kind.Length | None = None  #: Default the working stroke.
-    rejoin: _Rejoin | None = None  #: Default half.
+    rejoin: _RejoinShare | None = None  #: Default half.
 
 
 class Leg(StatedLeg):
     """Limits of one leg, and how a limited motion returns to its demand."""
 
     position: kind.Length  #: Largest extension and retraction from neutral.
-    rejoin: _Rejoin
-    """Share of the acceleration, of legs and degrees of freedom, spent on closing in."""
+    rejoin: _RejoinShare  #: Share of the acceleration for the way back to the demand.
 
 
 class MotionLimits(Settings):

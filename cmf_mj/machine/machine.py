@@ -14,10 +14,9 @@
     [limits.leg]                        # velocity and acceleration of a leg; others are derived
 
 A machine whose drawn model exists names it as `mjcf`, and so does a cab: geometry, masses and
-inertia are then those of the model, which owns them, and the tables have only what it cannot say.
-Coordinates count from the platform's centroid at neutral, in the plane of the upper gimbals, x
-forward, y left, **z up**.
-Files that a machine names lie beside it.
+inertia are then those of the model. Coordinates count from the platform's centroid at neutral, in
+the plane of the upper gimbals, x forward, y left, **z up**. Files that a machine names lie beside
+it.
 """
 
 from collections.abc import Mapping
@@ -38,24 +37,24 @@ from cmf_mj.machine.limits import StatedLimits
 from cmf_mj.machine.models import Legs, Mass, Place, RigidBody
 
 _SINGULAR = 1e3
-"""Condition number of the Jacobian at neutral, turning columns per radius of the gimbals, above
-which the legs do not hold the platform; 3 to 6 in usual machines."""
+"""Condition number of the Jacobian at neutral, rotations per radius of the gimbals, above which
+legs do not hold the platform; 3 to 6 in usual machines."""
 
 _BORE, _ROD = 5.5 * INCH, 3.875 * INCH  #: Diameters of the CMF's bore and rod [m] (section 2.1).
 
 
-def _at_control_rate(rate: Quantity) -> Quantity:
+def _check_control_rate(rate: Quantity) -> Quantity:
     hertz = rate.si / HERTZ
-    whole = abs(hertz - round(hertz)) < 1e-9
-    if not (whole and SLOWEST_RATE <= round(hertz) <= FASTEST_RATE):
-        raise InputError(
-            f"{rate} is refused; allowed: a whole number from {SLOWEST_RATE} to {FASTEST_RATE} Hz"
-        )
+    is_whole = abs(hertz - round(hertz)) < 1e-9
+    if not (is_whole and SLOWEST_RATE <= round(hertz) <= FASTEST_RATE):
+        allowed = f"a whole number from {SLOWEST_RATE} to {FASTEST_RATE} Hz"
+        raise InputError(f"{rate} is refused; allowed: {allowed}")
     return rate
 
 
 _Height = Annotated[Quantity, AfterValidator(Kind(LENGTHS, signed=True).check)]
-_Rate = Annotated[Quantity, AfterValidator(Kind(("Hz",)).check), AfterValidator(_at_control_rate)]
+_Hertz = Annotated[Quantity, AfterValidator(Kind(("Hz",)).check)]
+_Rate = Annotated[_Hertz, AfterValidator(_check_control_rate)]
 
 
 class LegDesign(Legs):
@@ -72,7 +71,7 @@ class LegDesign(Legs):
     accelerometer: Length | None = None  #: Below the upper gimbal; default a tenth of b.
 
     @model_validator(mode="after")
-    def _within(self) -> "LegDesign":
+    def _check_strokes(self) -> "LegDesign":
         if self.working_stroke.si > self.half_stroke.si:
             raise InputError(
                 f"working_stroke: {self.working_stroke} must be at most half_stroke, "
@@ -117,8 +116,7 @@ class Machine(Settings):
     name: Name  #: Name of the machine.
     title: str = Field(min_length=1)  #: What it is, in a line.
     mjcf: str | None = None  #: Drawn model that owns geometry and inertia; default generated.
-    hydraulics: str | Mapping[str, Any]
-    """Hydraulic set by default: one of the CMF's, or a table of what differs from its `base`."""
+    hydraulics: str | Mapping[str, Any]  #: One of the CMF's sets, or a table with its `base`.
     law: str = "velocity"  #: Control law by default.
     dcu: str = "default"  #: Digital control unit by default.
     control_rate: _Rate | None = None  #: Frames of the control law [Hz]; default 2048.
@@ -128,66 +126,67 @@ class Machine(Settings):
     cabs: Mapping[Name, CabDesign] = Field(min_length=1)  #: By name, the default one first.
     limits: StatedLimits  #: Of platform and legs; see `load_motion_limits`.
     single_leg: SingleLeg = SingleLeg()  #: Design point of a leg alone.
-    floor: _Height | None = None
-    """Height of the floor; default a tenth of the height below the gimbals."""
-    force_area: Area | None = None
-    """Area that turns pressures into force in the control law (Eq 3.7); default the rod's side."""
+    floor: _Height | None = None  #: Its height; default a tenth of the height below the gimbals.
+    force_area: Area | None = None  #: Of pressures in Eq 3.7; default the area on the rod's side.
 
     def __hash__(self) -> int:
         """By name: machines of one name are compared by `==`."""
         return hash(self.name)
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Machine":
-        shape, half = self.geometry, self.legs.half_stroke
-        if not (shape.lower[:, 2].min() > shape.upper[:, 2].max()):
+    def _check_gimbals(self) -> "Machine":
+        gimbals = self.geometry
+        if not (gimbals.lower[:, 2].min() > gimbals.upper[:, 2].max()):
             raise InputError(
-                f"gimbals: lower gimbals reach {-shape.lower[:, 2].min():g} m, upper ones "
-                f"{-shape.upper[:, 2].max():g} m in height; allowed: all lower ones below all "
+                f"gimbals: lower gimbals reach {-gimbals.lower[:, 2].min():g} m, upper ones "
+                f"{-gimbals.upper[:, 2].max():g} m in height; allowed: all lower ones below all "
                 "upper ones; z is up"
             )
-        shortest = float(shape.neutral.min())
-        if shortest - half.si <= 2.0 * half.si:
+        half, neutral = self.legs.half_stroke, float(gimbals.neutral.min())
+        if neutral - half.si <= 2.0 * half.si:
             raise InputError(
-                f"legs.half_stroke: {half} is refused: a retracted leg, {shortest - half.si:.4g} m "
+                f"legs.half_stroke: {half} is refused: a retracted leg, {neutral - half.si:.4g} m "
                 f"from gimbal to gimbal, must be longer than its stroke, {2.0 * half.si:.4g} m; "
-                f"allowed: below {shortest / 3.0:.4g} m, a third of the neutral length"
+                f"allowed: below {neutral / 3.0:.4g} m, a third of the neutral length"
             )
-        lines = (shape.upper - shape.lower) / shape.neutral[:, None]
-        arms = shape.upper / np.linalg.norm(shape.upper[:, :2], axis=1).mean()
-        worst = float(np.linalg.cond(np.hstack([lines, np.cross(arms, lines)])))
-        if not worst < _SINGULAR:
+        lines = (gimbals.upper - gimbals.lower) / gimbals.neutral[:, None]
+        arms = gimbals.upper / np.linalg.norm(gimbals.upper[:, :2], axis=1).mean()
+        condition = float(np.linalg.cond(np.hstack([lines, np.cross(arms, lines)])))
+        if not condition < _SINGULAR:
             raise InputError(
                 f"gimbals: the legs do not hold the platform at neutral, condition number "
-                f"{worst:.3g}; allowed: below {_SINGULAR:g}; six parallel or concurrent legs, or "
-                "pairs above pairs, leave it free to move"
+                f"{condition:.3g}; allowed: below {_SINGULAR:g}; six parallel or concurrent legs, "
+                "or pairs above pairs, leave it free to move"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_cabs(self) -> "Machine":
         for name in self.cabs:
             if self.name != models.CMF and name in models.CABS:
-                raise InputError(
-                    f"cabs.{name}: is the name of a cab of {models.CMF}; allowed: another name"
-                )
+                fault = f"is the name of a cab of {models.CMF}"
+                raise InputError(f"cabs.{name}: {fault}; allowed: another name")
             for part, body in (("platform", self.platform), (f"cabs.{name}", self.cabs[name])):
                 self.check_place(part, body)
         return self
 
     def check_place(self, part: str, body: RigidBody) -> None:
-        """Refuse a `body`, the table `part`, below the floor: its axes may be z down.
+        """Refuse a `body`, the table `part`, below the floor or farther off than a leg is long.
 
-        Or farther off than a leg is long: its unit may be another.
+        Its axes may then be z down, or its unit another.
         """
         field = f"{part}.centre_of_mass" if part else "centre_of_mass"
         height = float(body.centre_of_mass.si[2])
-        far, most = float(np.linalg.norm(body.centre_of_mass.si)), self.geometry.neutral.max()
+        distance, leg_length = np.linalg.norm(body.centre_of_mass.si), self.geometry.neutral.max()
         if height < self.floor_height:
             raise InputError(
                 f"{field}: is {height:g} m above the upper gimbals, below the floor; allowed: at "
                 f"least {self.floor_height:g} m, z is up"
             )
-        if far > most:
+        if distance > leg_length:
             raise InputError(
-                f"{field}: is {far:g} m from the origin; allowed: at most {most:.4g} m, the length "
-                "of a leg"
+                f"{field}: is {distance:g} m from the origin; allowed: at most {leg_length:.4g} m, "
+                "the length of a leg"
             )
 
     @property
@@ -225,26 +224,27 @@ class Machine(Settings):
         """Stroke, and piston areas of the table `hydraulics`, by default the CMF's."""
         table = {} if isinstance(self.hydraulics, str) else self.hydraulics
 
-        def stated(field: str, default: float) -> float:
-            known = field in table
-            return validated(Quantity, table[field], f"hydraulics.{field}").si if known else default
+        def value_of(field: str, default: float) -> float:
+            if field not in table:
+                return default
+            return validated(Quantity, table[field], f"hydraulics.{field}").si
 
-        bore, rod = stated("bore_diameter", _BORE), stated("rod_diameter", _ROD)
-        through = (stated("rods", 1.0) - 1.0) * rod**2
-        area = 0.25 * np.pi * (bore**2 - rod**2)
+        bore, rod = value_of("bore_diameter", _BORE), value_of("rod_diameter", _ROD)
+        cap_rod = (value_of("rods", 1.0) - 1.0) * rod**2  # squared diameter of a rod on that side
+        rod_area = 0.25 * np.pi * (bore**2 - rod**2)
         return LegSizes(
             working_stroke=self.working_stroke,
-            force_area=area if self.force_area is None else self.force_area.si,
-            cap_area=0.25 * np.pi * (bore**2 - through),
-            rod_area=area,
-            cap_share=(bore**2 - through) / (2.0 * bore**2 - rod**2 - through),
+            force_area=rod_area if self.force_area is None else self.force_area.si,
+            cap_area=0.25 * np.pi * (bore**2 - cap_rod),
+            rod_area=rod_area,
+            cap_share=(bore**2 - cap_rod) / (2.0 * bore**2 - rod**2 - cap_rod),
         )
 
     @property
     def accelerometer_distance(self) -> float:
         """Distance of the legs' accelerometers below the upper gimbals [m]."""
-        given = self.legs.accelerometer
-        return 0.1 * self.retracted if given is None else given.si
+        distance = self.legs.accelerometer
+        return 0.1 * self.retracted if distance is None else distance.si
 
     @property
     def floor_height(self) -> float:
@@ -259,13 +259,13 @@ class Machine(Settings):
         return self.name in models.machine_names()
 
     def recorded(self) -> dict[str, Any]:
-        """What a record keeps of it besides the name: nothing of a shipped one."""
+        """Its numbers as a record keeps them; empty for a shipped one."""
         return {} if self.shipped else self.model_dump(mode="json", exclude_none=True)
 
-    def known(self) -> dict[str, Any]:
-        """What the metadata of a recording say of it: name, and numbers where it is not shipped."""
-        kept = self.recorded()
-        return {"machine": self.name} | ({"machine_parameters": kept} if kept else {})
+    def metadata(self) -> dict[str, Any]:
+        """Metadata of a recording on it: its name, and its numbers where it is not shipped."""
+        parameters = self.recorded()
+        return {"machine": self.name} | ({"machine_parameters": parameters} if parameters else {})
 
 
 @lru_cache
@@ -276,8 +276,7 @@ def _geometry(gimbals: Gimbals) -> Geometry:
 def load_machine(source: str | Path | Machine = models.CMF) -> Machine:
     """Load a machine; `source` is a shipped one's name, or a TOML file as heads this module.
 
-    What is loaded already comes back as it is; another machine under a shipped one's name is
-    refused.
+    Another machine under a shipped one's name is refused.
 
     >>> cmf_mj.load_machine("cmf").legs.half_stroke.si
     0.9652
@@ -287,13 +286,13 @@ def load_machine(source: str | Path | Machine = models.CMF) -> Machine:
     if str(source) in models.machine_names():
         return _shipped(str(source))
     path = user_file("machine", models.machine_names(), source)
-    made = read_machine(path)
-    if made.shipped:
+    machine = read_machine(path)
+    if machine.shipped:
         raise InputError(
-            f"{path}: name: {made.name!r} is the name of a shipped machine; another one needs "
+            f"{path}: name: {machine.name!r} is the name of a shipped machine; another one needs "
             "another name"
         )
-    return made
+    return machine
 
 
 @lru_cache
@@ -302,12 +301,12 @@ def _shipped(name: str) -> Machine:
 
 
 def read_machine(path: Path) -> Machine:
-    """The machine of a file, what its models own included."""
+    """The machine of a file, with the numbers that its models own."""
     table = read_toml(path)
     folder = path.parent.resolve()
     with within(path):
         for field in ("mjcf", "law", "dcu"):
-            table |= _beside(folder, table, field)
+            table |= _file_beside(folder, table, field)
         if isinstance(table.get("mjcf"), str):
             table = merged(models.machine_tables(Path(table["mjcf"])), table)
         cabs = table.get("cabs")
@@ -315,12 +314,12 @@ def read_machine(path: Path) -> Machine:
             table["cabs"] = cabs = dict(cabs)
             for name, cab in cabs.items():
                 if isinstance(cab, Mapping) and isinstance(cab.get("mjcf"), str):
-                    cab = dict(cab) | _beside(folder, cab, "mjcf")
+                    cab = dict(cab) | _file_beside(folder, cab, "mjcf")
                     cabs[name] = merged(models.cab_table(Path(cab["mjcf"])), cab)
     return validated(Machine, table, str(path))
 
 
-def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any]:
+def _file_beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any]:
     """A field that names a file, with its folder."""
     value = table.get(field)
     if isinstance(value, str) and value.endswith(".xml"):

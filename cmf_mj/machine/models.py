@@ -1,4 +1,4 @@
-"""Where models and data files lie, and what an MJCF says of a machine.
+"""Folders of models and data files, and the numbers of a machine that an MJCF has.
 
 A model that owns its geometry and inertia has the names of the shipped ones: sites `upper_1` to
 `upper_6`, bodies `cylinder_#` and `rod_#`, slide joints `leg_#`, the body `platform`, and in the
@@ -20,7 +20,6 @@ from cmf_mj.core.quantity import Kind, Quantities, Quantity
 from cmf_mj.core.settings import Settings
 
 CMF = "cmf"  #: Name of the Cockpit Motion Facility among the machines.
-
 CABS = ("gfd", "rfd", "ifd")  #: Its three flight decks: Generic, Research and Integration.
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -33,11 +32,7 @@ def directory(name: str = "models") -> Path:
 
 
 def model_path(name: str) -> Path:
-    """A file of the models, by name: `scene.xml`, `cmf_hexapod.xml`, `single_legs.xml` ...
-
-    The excavator has its hydraulics and control law as TOML and a digging cycle, time [s] and
-    cylinder lengths [m], as CSV.
-    """
+    """A file of the models, by name: `scene.xml`, `cmf_hexapod.xml`, `single_legs.xml` ..."""
     return directory() / name
 
 
@@ -55,21 +50,26 @@ def machine_tables(path: Path) -> dict[str, Any]:
     """Tables `gimbals`, `platform` and `legs` of a machine file, from its MJCF."""
     root = _read(path)
 
-    def said(value: Any) -> dict[str, Any]:
-        return _said(value, "m", path, "derived")
+    def length(value: Any) -> dict[str, Any]:
+        return _quantity(value, "m", path, "derived")
 
-    def each(tag: str, name: str) -> list[tuple[float, ...]]:
-        return [numbers_of(named(root, tag, f"{name}_{i}", path), "pos") for i in _LEGS]
+    def position(tag: str, name: str) -> tuple[float, ...]:
+        return numbers_of(element_of(root, tag, name, path), "pos")
 
     # The slide joint of the legs, whose range is a default of the model.
-    slide = next(e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
-    below = each("site", "rod_end")[0][2] - each("site", "rod_accelerometer")[0][2]
+    slides = [joint for joint in root.iter("joint") if joint.get("type") == "slide"]
+    slide = next(joint for joint in slides if joint.get("range"))
+    _, _, rod_end_height = position("site", "rod_end_1")
+    _, _, accelerometer_height = position("site", "rod_accelerometer_1")
     return {
-        "gimbals": {"upper": said(each("site", "upper")), "lower": said(each("body", "cylinder"))},
+        "gimbals": {
+            "upper": length([position("site", f"upper_{leg}") for leg in _LEGS]),
+            "lower": length([position("body", f"cylinder_{leg}") for leg in _LEGS]),
+        },
         "platform": _body(root, "platform", path),
         "legs": {
-            "half_stroke": said(numbers_of(slide, "range")[1]),
-            "accelerometer": said(round(below, 9)),
+            "half_stroke": length(numbers_of(slide, "range")[1]),
+            "accelerometer": length(round(rod_end_height - accelerometer_height, 9)),
             "cylinder_mass": _body(root, "cylinder_1", path)["mass"],
             "rod_mass": _body(root, "rod_1", path)["mass"],
         },
@@ -79,8 +79,8 @@ def machine_tables(path: Path) -> dict[str, Any]:
 def cab_table(path: Path) -> dict[str, Any]:
     """Mass properties and station of a cab, from its MJCF."""
     root = _read(path)
-    station = numbers_of(named(root, "site", "crew", path), "pos")
-    return _body(root, "cab", path) | {"station": _said(station, "m", path)}
+    station = numbers_of(element_of(root, "site", "crew", path), "pos")
+    return _body(root, "cab", path) | {"station": _quantity(station, "m", path)}
 
 
 def _read(path: Path) -> ElementTree.Element:
@@ -92,7 +92,7 @@ def _read(path: Path) -> ElementTree.Element:
         raise InputError(f"mjcf: {path} is not XML: {reason(error)}") from None
 
 
-def _said(value: Any, unit: str, path: Path, status: str = "assumed") -> dict[str, Any]:
+def _quantity(value: Any, unit: str, path: Path, status: str = "assumed") -> dict[str, Any]:
     """A number of a model as a machine file states it."""
     if path.is_relative_to(directory()):
         source = f"models/{path.relative_to(directory())}; models/README.md says why"
@@ -101,7 +101,7 @@ def _said(value: Any, unit: str, path: Path, status: str = "assumed") -> dict[st
     return {"value": value, "unit": unit, "status": status, "source": source}
 
 
-def named(
+def element_of(
     root: ElementTree.Element, tag: str, name: str, path: Path | str = "the machine's"
 ) -> ElementTree.Element:
     """The element of that tag and name in an MJCF, which a refusal calls by its path."""
@@ -118,26 +118,25 @@ def numbers_of(element: ElementTree.Element, name: str) -> tuple[float, ...]:
 
 def _body(root: ElementTree.Element, name: str, path: Path) -> dict[str, Any]:
     """Mass properties that an MJCF gives a body."""
-    inertial = named(root, "body", name, path).find("inertial")
+    inertial = element_of(root, "body", name, path).find("inertial")
     if inertial is None:
         raise InputError(f"mjcf: body {name!r} of {path} has no inertial; every body needs one")
     moments = numbers_of(inertial, "diaginertia" if inertial.get("diaginertia") else "fullinertia")
     return {
-        "mass": _said(numbers_of(inertial, "mass")[0], "kg", path),
-        "centre_of_mass": _said(numbers_of(inertial, "pos"), "m", path),
-        "inertia": _said(moments, "kg m^2", path),
+        "mass": _quantity(float(inertial.get("mass", "0")), "kg", path),
+        "centre_of_mass": _quantity(numbers_of(inertial, "pos"), "m", path),
+        "inertia": _quantity(moments, "kg m^2", path),
     }
 
 
 ROUND_OFF = 1e-9  #: Share of the largest moment by which the inequalities may fail for round-off.
 
-_TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
-"""Which of Ixx, Iyy, Izz, Ixy, Ixz, Iyz stands where in the tensor."""
-ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))  #: Rows and columns where they stand.
+_TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  #: Ixx, Iyy, Izz, Ixy, Ixz, Iyz in the tensor.
+ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))  #: Their rows and columns there.
 
 
-def _several(counts: tuple[int, ...], units: tuple[str, ...]) -> AfterValidator:
-    """Validator of so many numbers in one of the units."""
+def _numbers_in(counts: tuple[int, ...], units: tuple[str, ...]) -> AfterValidator:
+    """Validator of one of the counts of numbers, in one of the units."""
 
     def check(quantities: Quantities) -> Quantities:
         if quantities.unit not in units:
@@ -151,15 +150,14 @@ def _several(counts: tuple[int, ...], units: tuple[str, ...]) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _possible(quantities: Quantities) -> Quantities:
-    least, middle, most = np.linalg.eigvalsh(_tensor(quantities))
-    found = f"principal moments are {least:g}, {middle:g}, {most:g} kg m^2"
+def _check_moments(quantities: Quantities) -> Quantities:
+    least, middle, largest = np.linalg.eigvalsh(_tensor(quantities))
+    fault = f"principal moments are {least:g}, {middle:g}, {largest:g} kg m^2"
     if not least > 0.0:
-        raise InputError(f"{found}; allowed: all greater than 0, a positive definite tensor")
-    if least + middle < (1.0 - ROUND_OFF) * most:
-        raise InputError(
-            f"{found}; allowed: none greater than the sum of the others (triangle inequality)"
-        )
+        raise InputError(f"{fault}; allowed: all greater than 0, a positive definite tensor")
+    if least + middle < (1.0 - ROUND_OFF) * largest:
+        allowed = "none greater than the sum of the others (triangle inequality)"
+        raise InputError(f"{fault}; allowed: {allowed}")
     return quantities
 
 
@@ -170,11 +168,11 @@ def _tensor(inertia: Quantities) -> NDArray[np.float64]:
 
 
 Mass = Annotated[Quantity, AfterValidator(Kind(("kg", "lbm")).check)]
-Place = Annotated[Quantities, _several((3,), ("m", "mm", "in", "ft"))]
+Place = Annotated[Quantities, _numbers_in((3,), ("m", "mm", "in", "ft"))]
 Inertia = Annotated[
     Quantities,
-    _several((3, 6), ("kg m^2", "lbm ft^2", "lbm in^2", "slug ft^2")),
-    AfterValidator(_possible),
+    _numbers_in((3, 6), ("kg m^2", "lbm ft^2", "lbm in^2", "slug ft^2")),
+    AfterValidator(_check_moments),
 ]
 
 

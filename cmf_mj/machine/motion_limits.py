@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmf_mj.core.settings import merged, read_toml, validated
 from cmf_mj.machine import models
@@ -24,8 +25,7 @@ _REJOIN = {
     "unit": "1",
     "status": "assumed",
     "source": "half closes in on the demand, half follows the demand's own acceleration",
-}
-"""Share of the acceleration with which a limited leg closes in on its demand, see `limits.Leg`."""
+}  #: Share of the acceleration with which a limited leg closes in on its demand, see `limits.Leg`.
 
 
 def load_motion_limits(
@@ -34,26 +34,25 @@ def load_motion_limits(
     """Limits of a machine, or those of a TOML file, which repeats what it changes of them."""
     if isinstance(source, MotionLimits):
         return source
-    limits = _of(load_machine(machine))
+    limits = _machine_limits(load_machine(machine))
     if source is None or source == "default":
         return limits
-    return validated(
-        MotionLimits, merged(limits.model_dump(), read_toml(Path(source)), 1), str(source)
-    )
+    table = merged(limits.model_dump(), read_toml(Path(source)), 1)
+    return validated(MotionLimits, table, str(source))
 
 
 def relative_travel(machine: Machine, dof: str) -> float:
     """Operational travel of a machine over the CMF's: what a motion of the CMF is scaled by."""
     index = dof_index(dof)
-    own, cmf = (
-        np.abs(load_motion_limits(machine=one).operational[index]).min()
-        for one in (machine, models.CMF)
+    travel, cmf_travel = (
+        np.abs(load_motion_limits(machine=base).operational[index]).min()
+        for base in (machine, models.CMF)
     )
-    return float(own / cmf)
+    return float(travel / cmf_travel)
 
 
 @lru_cache
-def _of(machine: Machine) -> MotionLimits:
+def _machine_limits(machine: Machine) -> MotionLimits:
     """Limits of a machine as its file states them and as derived."""
     stated = machine.limits.model_dump(exclude_none=True)
     leg = {"position": machine.legs.working_stroke.model_dump(), "rejoin": _REJOIN} | stated["leg"]
@@ -64,24 +63,29 @@ def _of(machine: Machine) -> MotionLimits:
 def _derived(machine: Machine) -> dict[str, Any]:
     """Tables of all degrees of freedom, from geometry and legs."""
     geometry, leg = machine.geometry, machine.limits.leg
-    ends = excursion_envelope(machine.half_stroke, geometry)
-    reach = excursion_envelope(machine.working_stroke, geometry)
+    mechanical = excursion_envelope(machine.half_stroke, geometry)
+    operational = excursion_envelope(machine.working_stroke, geometry)
     arms = np.abs(pose_jacobian(np.zeros(6), geometry)).max(axis=0)
+    to_end, at_rate = (
+        "alone from neutral, to the legs'",
+        "alone at neutral, where it uses up a leg's",
+    )
     tables = {}
     for index, dof in enumerate(DOFS):
-        length, arm = by_kind(dof, "m", "rad"), float(arms[index])
-        (lowest, highest), (low, high) = ends[index].tolist(), reach[index].tolist()
-
-        def known(source: str, unit: str, **values: float) -> dict[str, Any]:
-            return {**values, "unit": unit, "status": "derived", "source": source}
-
-        alone, at_rate = "alone from neutral, to the legs'", "alone at neutral, where it uses up a"
+        unit, arm = by_kind(dof, "m", "rad"), float(arms[index])
         tables[dof] = {
-            "mechanical": known(f"{alone} half stroke", length, low=lowest, high=highest),
-            "operational": known(f"{alone} working stroke", length, low=low, high=high),
-            "velocity": known(f"{at_rate} leg's", f"{length}/s", value=leg.velocity.si / arm),
-            "acceleration": known(
-                f"{at_rate} leg's", f"{length}/s^2", value=leg.acceleration.si / arm
-            ),
+            "mechanical": _derived_range(f"{to_end} half stroke", unit, mechanical[index]),
+            "operational": _derived_range(f"{to_end} working stroke", unit, operational[index]),
+            "velocity": _derived_rate(at_rate, f"{unit}/s", leg.velocity.si / arm),
+            "acceleration": _derived_rate(at_rate, f"{unit}/s^2", leg.acceleration.si / arm),
         }
     return tables
+
+
+def _derived_range(source: str, unit: str, ends: NDArray[np.float64]) -> dict[str, Any]:
+    low, high = ends.tolist()
+    return {"low": low, "high": high, "unit": unit, "status": "derived", "source": source}
+
+
+def _derived_rate(source: str, unit: str, value: float) -> dict[str, Any]:
+    return {"value": value, "unit": unit, "status": "derived", "source": source}

@@ -49,7 +49,7 @@ from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Command, Other, check_positive
+from cmf_mj.signals.signal import Command, PoseTable, check_positive
 
 TESTS = (
     *(("pitch", "pitch"), ("pitch", "surge"), ("roll", "roll"), ("roll", "sway"), ("yaw", "yaw")),
@@ -193,7 +193,7 @@ def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
     flown = aircraft_motion(str(table["dof"]), float(table["frequency"]))
     played = _demanded(Washout(settings, cab=plant.cab_parameters).run(flown))[:, 0]
     rows = np.arange(int(len(played) * rate / RATE)) * RATE // rate
-    return Command(played[rows], Other(**{**table, "rate": rate}))
+    return Command(played[rows], PoseTable(**{**table, "rate": rate}))
 
 
 def cueing(record: Record) -> dict[str, float]:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.compiled import allocating
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import Geometry
-from cmf_mj.machine.kinematics import about, rotation, write_legs, write_pose_jacobian
+from cmf_mj.machine.kinematics import geometry_about, rotation, write_legs, write_pose_jacobian
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.pilot.horizon import Horizon
 from cmf_mj.pilot.perception import load_senses
@@ -118,7 +118,7 @@ class PlanLimits:
     ) -> None:
         """Take the usable share of a cab's limits."""
         self._settings, self._horizon, self._station = settings, horizon, cab.station
-        self._geometry: Geometry = about(cab.station, cab.machine)
+        self._geometry: Geometry = geometry_about(cab.station, cab.machine)
         leg, (low, high) = limits.leg, limits.operational.T
         leg_limits = np.array([leg.position.si, leg.velocity.si, leg.acceleration.si])
         pose_limits = np.array([high, limits.velocity, limits.acceleration])

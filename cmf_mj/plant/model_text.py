@@ -16,7 +16,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.machine.models import RigidBody, named, numbers_of
+from cmf_mj.machine.models import RigidBody, element_of, numbers_of
 
 Element = ElementTree.Element
 
@@ -59,7 +59,7 @@ def with_floor(text: bytes) -> bytes:
     for axis, line in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
         ElementTree.SubElement(floor, "joint", name=f"floor_{axis}", type="slide", axis=line)
     for leg in range(1, 7):
-        cylinder = named(root, "body", f"cylinder_{leg}")
+        cylinder = element_of(root, "body", f"cylinder_{leg}")
         world.remove(cylinder)
         floor.append(cylinder)
     world.append(floor)
@@ -87,7 +87,7 @@ def _scene(machine: Machine) -> str:
             _set(element, **{name: scale * np.array(numbers_of(element, name))})
     for statistic in root.iter("statistic"):
         _set(statistic, extent=scale * np.array(numbers_of(statistic, "extent")))
-    _set(named(root, "geom", "floor"), pos=[0.0, 0.0, machine.floor_height])
+    _set(element_of(root, "geom", "floor"), pos=[0.0, 0.0, machine.floor_height])
     for key in root.iter("key"):
         key.attrib.pop("ctrl")
     return ElementTree.tostring(root, encoding="unicode")
@@ -106,9 +106,9 @@ def _machine(machine: Machine, cab: Cab) -> bytes:
             _set(joint, range=[-half, half])
     upper, lower = machine.geometry.upper * FLIP, machine.geometry.lower * FLIP
     for leg in range(6):
-        _set(named(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
+        _set(element_of(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
         _make_leg(root, machine, leg, scale)
-    platform = named(root, "body", "platform")
+    platform = element_of(root, "body", "platform")
     for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
         _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
         _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
@@ -128,8 +128,8 @@ def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
     geometry, design, bar = machine.geometry, machine.legs, machine.retracted
     length = float(geometry.neutral[leg])
     lower, axis = geometry.lower[leg] * FLIP, (geometry.upper - geometry.lower)[leg] * FLIP
-    cylinder = named(root, "body", f"cylinder_{leg + 1}")
-    rod = named(root, "body", f"rod_{leg + 1}")
+    cylinder = element_of(root, "body", f"cylinder_{leg + 1}")
+    rod = element_of(root, "body", f"rod_{leg + 1}")
     _set(cylinder, pos=lower, zaxis=axis)
     centres = [
         0.5 * bar if design.cylinder_centre is None else design.cylinder_centre.si,
@@ -144,9 +144,9 @@ def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
         assert inertial is not None
         moments = [across, across, 0.5 * mass * radius**2]
         _set(inertial, pos=[0.0, 0.0, centre], mass=[mass], diaginertia=moments)
-    _set(named(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
+    _set(element_of(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
     felt = length - machine.accelerometer_distance
-    _set(named(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
+    _set(element_of(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
     thick, thin, top = 0.105 * scale, 0.05 * scale, length - machine.half_stroke - 0.1 * scale
     _add(cylinder, "barrel", size=[thick], fromto=[0, 0, 0, 0, 0, top])
     _add(cylinder, "barrel", size=[1.3 * thick], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])

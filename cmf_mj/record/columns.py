@@ -214,7 +214,7 @@ def read_mapped(
 
 def _known(metadata: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
     """Metadata with a machine, where they have none."""
-    return {**metadata} | ({} if "machine" in metadata else machine.known())
+    return {**metadata} | ({} if "machine" in metadata else machine.metadata())
 
 
 def _whole(source: Source, chosen: ColumnMap, stroke: float) -> ColumnMap:

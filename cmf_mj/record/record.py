@@ -24,7 +24,7 @@ from cmf_mj.core.files import check_target, read_column, read_headed, write_parq
 from cmf_mj.core.settings import FileHeader
 from cmf_mj.core.units import si_unit, to_si
 from cmf_mj.record.sources import even_clock
-from cmf_mj.signals.composite import signal_of
+from cmf_mj.signals import signal_of
 from cmf_mj.signals.signal import Signal
 
 _SCHEMA_KEY = "cmf_mj"

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.linear.poles import Mode, reduced
-from cmf_mj.analysis.measures import are_stable, measures_from
+from cmf_mj.analysis.linear.plants import reduced
+from cmf_mj.analysis.linear.poles import Mode, are_stable
+from cmf_mj.analysis.measures import measures_from
 from cmf_mj.analysis.modes import EnvelopeModes, Sweep
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units

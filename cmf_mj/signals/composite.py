@@ -3,15 +3,12 @@
 A dwell is a stretch of whole cycles at one frequency and full amplitude, cut out for analysis:
 
     settle | fade in, transient, dwell, fade out | settle | fade in, ... | settle
-
-`KINDS` is the registry of all signals, from which `signal_of` makes that of a record again.
 """
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from itertools import product
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,40 +16,29 @@ from pydantic import Field, field_validator
 
 from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import Count, validated
+from cmf_mj.core.settings import Count
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.signals.signal import (
     Amplitude,
+    Array,
     Command,
     Dof,
     Duration,
     Dwell,
     Frequency,
     OneAxis,
-    Other,
     Signal,
     SingleSignal,
     Wait,
-    along,
     amplitude_in_si,
     check_fade,
     check_highest,
     check_positive,
     command_of,
-    plain,
+    poses_along,
 )
-from cmf_mj.signals.single import (
-    Chirp,
-    Lines,
-    Multisine,
-    Noise,
-    Pulse,
-    Sine,
-    Step,
-    quintic,
-    raised_cosine,
-)
+from cmf_mj.signals.single import Lines, quintic, raised_cosine
 
 ROUNDS = (
     (0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2),
@@ -62,6 +48,14 @@ ROUNDS = (
     (8.0, 8.4, 8.6, 9.0, 9.4, 9.6, 10.0),
 )
 """Frequencies of the seven channels in the five rounds [Hz], Table 2-3."""
+
+
+class _SineFrames(NamedTuple):
+    """Control frames of a sine about its dwell."""
+
+    before: int
+    after: int
+    rest: int  #: At rest afterwards.
 
 
 class DwelledSines(OneAxis):
@@ -76,40 +70,40 @@ class DwelledSines(OneAxis):
         """Frequency [Hz] and amplitude [m or rad] of each sine."""
 
     @property
-    def _before(self) -> float:
+    def _lead_in(self) -> float:
         """Time from the start of a sine to its dwell [s]."""
         return self.fade
 
     @property
     def length(self) -> float:
         """Length of the table [s]."""
-        around = self._before + self.fade + self.settle
-        return self.settle + sum(self.cycles / f + around for f, _ in self._tones())
+        around = self._lead_in + self.fade + self.settle
+        return self.settle + sum(self.cycles / frequency + around for frequency, _ in self._tones())
 
-    def _edges(self) -> tuple[int, int, int]:
-        """Frames of a sine before its dwell, after it, and of the rest that follows."""
-        before, after, rest = self._before, self.fade, self.settle
-        return round(before * self.rate), round(after * self.rate), round(rest * self.rate)
+    def _frames(self) -> _SineFrames:
+        times = self._lead_in, self.fade, self.settle
+        return _SineFrames(*(round(time * self.rate) for time in times))
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
         """One for each sine."""
-        before, after, rest = self._edges()
-        dwells, start = list[Dwell](), rest + before
+        sine = self._frames()
+        dwells, start = list[Dwell](), sine.rest + sine.before
         for frequency, amplitude in self._tones():
             frames = round(self.cycles / frequency * self.rate)
             dwells.append(Dwell(start, frames, frequency, amplitude, self.cycles))
-            start += frames + after + rest + before
+            start += frames + sine.after + sine.rest + sine.before
         return tuple(dwells)
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
-        before, after, rest = self._edges()
-        pieces = [np.zeros(rest)]
+    def _history(self, seed: int) -> Array:
+        sine = self._frames()
+        rest = np.zeros(sine.rest)
+        pieces = [rest]
         for dwell in self.dwells:
-            time = np.arange(-before, dwell.frames + after) / self.rate
-            edges = raised_cosine(time.size, self.fade, self.rate)
-            tone = dwell.amplitude * np.sin(2.0 * np.pi * dwell.frequency * time) * edges
-            pieces += [tone, pieces[0]]
+            time = np.arange(-sine.before, dwell.frames + sine.after) / self.rate
+            envelope = raised_cosine(time.size, self.fade, self.rate)
+            tone = dwell.amplitude * np.sin(2.0 * np.pi * dwell.frequency * time) * envelope
+            pieces += [tone, rest]
         return np.concatenate(pieces)
 
 
@@ -124,7 +118,7 @@ class SevenSines(DwelledSines, SingleSignal):
     number: Annotated[int, Field(ge=1, le=5)]  #: Number of the round, 1 to 5.
 
     def _tones(self) -> list[tuple[float, float]]:
-        return [(f, self.size) for f in ROUNDS[self.number - 1]]
+        return [(frequency, self.size) for frequency in ROUNDS[self.number - 1]]
 
 
 class SteppedSines(DwelledSines):
@@ -135,26 +129,25 @@ class SteppedSines(DwelledSines):
     amplitudes: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
     """At each frequency, one after the other [m or rad, or with unit]."""
     cycles: Count = 10  #: Whole cycles of a dwell.
-    transient: Wait = 2.0
-    """At full amplitude before each dwell [s]; take it longer than the machine rings."""
+    transient: Wait = 2.0  #: Before each dwell [s]; take it longer than the machine rings.
     fade: Duration = 1.0  #: Before the transient and after the dwell [s].
     settle: Duration = 1.0  #: Rest before, between and after the sines [s].
 
     @property
-    def _before(self) -> float:
+    def _lead_in(self) -> float:
         return self.fade + self.transient
 
     def _check(self) -> None:
-        self._sizes()
+        self._amplitudes()
 
-    def _sizes(self) -> list[float]:
+    def _amplitudes(self) -> list[float]:
         return [amplitude_in_si(self.dof, amplitude) for amplitude in self.amplitudes]
 
     def _sizes_in_si(self) -> dict[str, Any]:
-        return {"amplitudes": self._sizes()}
+        return {"amplitudes": self._amplitudes()}
 
     def _tones(self) -> list[tuple[float, float]]:
-        return list(product(self.frequencies, self._sizes()))
+        return list(product(self.frequencies, self._amplitudes()))
 
 
 class FadedSines(Signal):
@@ -167,8 +160,7 @@ class FadedSines(Signal):
     frequencies: Annotated[tuple[Frequency, ...], Field(min_length=1)]  #: One after the other [Hz].
     amplitudes: Annotated[tuple[float, ...], Field(min_length=1)]  #: One for each frequency [m].
     dofs: Annotated[tuple[Dof, ...], Field(min_length=1)]  #: One after the other.
-    rotation: float = 0.7
-    """Amplitude of a rotation over that of a translation [rad/m]."""
+    rotation: float = 0.7  #: Amplitude of a rotation over that of a translation [rad/m].
     duration: Duration = 23.0  #: Length of a sine with its fades [s].
     fade: Duration = 6.0  #: Fade at each end [s].
 
@@ -179,37 +171,38 @@ class FadedSines(Signal):
 
     def _check(self) -> None:
         if len(self.amplitudes) != len(self.frequencies):
-            both = f"{len(self.amplitudes)} for {len(self.frequencies)} frequencies"
-            raise InputError(f"amplitudes: {both}; allowed: one for each")
+            counts = f"{len(self.amplitudes)} for {len(self.frequencies)} frequencies"
+            raise InputError(f"amplitudes: {counts}; allowed: one for each")
         check_fade(self.fade, self.duration)
         check_highest("amplitudes", *self.amplitudes, *(self.rotation * a for a in self.amplitudes))
 
     def command(self, seed: int = 0) -> Command:
         """The sines."""
         frames = round(self.duration * self.rate)
-        time, edges = np.arange(frames) / self.rate, raised_cosine(frames, self.fade, self.rate)
-        tones = zip(self.frequencies, self.amplitudes, strict=True)
-        once = np.concatenate([a * np.sin(2.0 * np.pi * f * time) * edges for f, a in tones])
-        pose = np.zeros((len(self.dofs) * once.size, len(DOFS)))
-        for place, dof in enumerate(self.dofs):
-            size = by_kind(dof, 1.0, self.rotation)
-            pose[place * once.size :][: once.size, dof_index(dof)] = size * once
-        return Command(pose, self)
+        time = np.arange(frames) / self.rate
+        envelope = raised_cosine(frames, self.fade, self.rate)
+        sines = np.concatenate(
+            [
+                amplitude * np.sin(2.0 * np.pi * frequency * time) * envelope
+                for frequency, amplitude in zip(self.frequencies, self.amplitudes, strict=True)
+            ]
+        )
+        pose = np.zeros((len(self.dofs), sines.size, len(DOFS)))
+        for stretch, dof in zip(pose, self.dofs, strict=True):
+            stretch[:, dof_index(dof)] = by_kind(dof, 1.0, self.rotation) * sines
+        return Command(pose.reshape(-1, len(DOFS)), self)
 
 
 class OrthogonalMultisines(Lines):
     """Multisines in several degrees of freedom at once, no two with a line in common.
 
-    With n driven, degree of freedom i has every n-th of the odd lines, from the i-th on: the
-    histories are orthogonal over a period, and what one degree of freedom does at another's lines
-    is crosstalk (or odd non-linear distortion, which falls on odd lines too). The lines of one
-    are 2 n / period apart.
+    With n driven, degree of freedom i has every n-th of the odd lines, from the i-th on, 2 n /
+    period apart: motion of one degree of freedom at another's lines is crosstalk (or odd non-linear
+    distortion).
     """
 
     kind: Literal["orthogonal_multisines"]
-    amplitudes: dict[str, float]
-    """Peak per degree of freedom [m or rad]: a mapping by name, or six values in the order of a
-    pose; 0 leaves one at rest."""
+    amplitudes: dict[str, float]  #: Peaks [m or rad] by name, or six as of a pose; 0 for rest.
     period: Duration = 60.0  #: Length of one period [s]; a whole number of frames.
 
     @field_validator("amplitudes", mode="before")
@@ -224,22 +217,22 @@ class OrthogonalMultisines(Lines):
         return {name: amplitudes[name] for name in DOFS if amplitudes.get(name, 0.0) != 0.0}
 
     def _check(self) -> None:
-        driven = len(self.amplitudes)
-        if not driven:
+        driven_count = len(self.amplitudes)
+        if not driven_count:
             raise InputError("amplitudes: all are 0; at least one must not be")
         check_highest("amplitudes", *self.amplitudes.values())
         super()._check()
-        if self.orders.size < driven:
+        if self.orders.size < driven_count:
             raise InputError(
                 f"period: {self.period} s gives {self.orders.size} odd lines in {self.start} to "
-                f"{self.stop} Hz; {driven} degrees of freedom need one each"
+                f"{self.stop} Hz; {driven_count} degrees of freedom need one each"
             )
 
     @property
     def lines(self) -> dict[str, NDArray[np.int64]]:
         """Numbers of the lines of each driven degree of freedom, multiples of 1/period."""
-        driven = len(self.amplitudes)
-        return {name: self.orders[i::driven] for i, name in enumerate(self.amplitudes)}
+        driven_count = len(self.amplitudes)
+        return {name: self.orders[i::driven_count] for i, name in enumerate(self.amplitudes)}
 
     def command(self, seed: int = 0) -> Command:
         """The periods and the tail."""
@@ -249,14 +242,14 @@ class OrthogonalMultisines(Lines):
             name: self._sum(self.amplitudes[name], orders, generator)
             for name, orders in self.lines.items()
         }
-        return Command(along(histories), self, seed)
+        return Command(poses_along(histories), self, seed)
 
 
 class AccelerationStep(OneAxis):
     """A demand whose acceleration steps to `acceleration`.
 
-    It is held for `hold` [s], to the nearest frame, then reversed for the same time: the demand
-    ends at rest, acceleration x hold^2 away.
+    It lasts for `hold` [s], then is reversed for the same time: the demand ends at rest,
+    acceleration x hold^2 away.
     """
 
     kind: Literal["acceleration_step"]
@@ -276,13 +269,41 @@ class AccelerationStep(OneAxis):
             raise InputError("acceleration: 0 is refused; allowed: any other number")
         check_highest("acceleration", self.acceleration * self.hold**2)
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         rest = round(self.at * self.rate)
         time = np.arange(1, round(self.hold * self.rate) + 1) / self.rate
-        rise = 0.5 * self.acceleration * time**2
+        speeding_up = 0.5 * self.acceleration * time**2
         end = self.acceleration * time[-1] ** 2
-        fall = np.append(end - rise[-2::-1], end)
-        return np.concatenate([np.zeros(rest), rise, fall, np.full(rest, end)])
+        slowing_down = np.append(end - speeding_up[-2::-1], end)
+        return np.concatenate([np.zeros(rest), speeding_up, slowing_down, np.full(rest, end)])
+
+
+def _check_rising(times: Array) -> None:
+    if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or not (np.diff(times) > 0.0).all():
+        raise InputError(f"times: {times.tolist()} must be at least two numbers that rise from 0 s")
+
+
+def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> Array:
+    """A path at rest at each of its points, of least jerk between them, for `legs=True`.
+
+    From a to b, with s from 0 to 1 over the stretch: a + (b - a) (10 s^3 - 15 s^4 + 6 s^5), whose
+    peak speed is 1.875 times the mean (Flash and Hogan, 1985).
+
+    `times` (m,) [s] rise from 0, `values` (m, n) are e.g. extensions [m], `rate` is that of the
+    machine's control law [Hz]. The result is (N, n), one row a control frame.
+
+    >>> cmf_mj.signals.waypoints([0.0, 2.0], [[0.0], [0.4]])[[1024, 2048, -1], 0].round(3)
+    array([0.041, 0.2  , 0.4  ])
+    """
+    check_positive(rate=rate)
+    point_times = np.asarray(times, dtype=float)
+    _check_rising(point_times)
+    points = shaped("values", values, point_times.size, None)
+    time = np.arange(round(point_times[-1] * rate) + 1) / rate
+    stretch = np.searchsorted(point_times, time, side="right") - 1
+    stretch = np.clip(stretch, 0, point_times.size - 2)
+    s = np.clip((time - point_times[stretch]) / np.diff(point_times)[stretch], 0.0, 1.0)[:, None]
+    return points[stretch] + (points[stretch + 1] - points[stretch]) * quintic(s)
 
 
 class Waypoints(Signal):
@@ -300,9 +321,9 @@ class Waypoints(Signal):
 
     def _check(self) -> None:
         if len(self.times) != len(self.poses) or len(self.times) < 2:
-            both = f"{len(self.times)} for {len(self.poses)} poses"
-            raise InputError(f"times: {both}; allowed: one a pose, at least 2")
-        _rising(np.array(self.times))
+            counts = f"{len(self.times)} for {len(self.poses)} poses"
+            raise InputError(f"times: {counts}; allowed: one a pose, at least 2")
+        _check_rising(np.array(self.times))
         for pose in self.poses:
             check_highest("poses", *pose)
 
@@ -316,56 +337,3 @@ stepped_sines = command_of(SteppedSines)
 faded_sines = command_of(FadedSines)
 orthogonal_multisines = command_of(OrthogonalMultisines)
 acceleration_step = command_of(AccelerationStep)
-
-_KINDS: tuple[type[Signal], ...] = (
-    *(Step, Pulse, Sine, Chirp, Noise, Multisine, SevenSines, SteppedSines),
-    *(FadedSines, OrthogonalMultisines, AccelerationStep, Waypoints),
-)
-"""Signals that a record may name. Those that a scenario file may have are a list of their own,
-`ScenarioSignal` of `facility/signal.py`, since some have other defaults there.
-`OrthogonalMultisines` is not in it: it is made by studies that measure all degrees of freedom in
-one run, not by scenario files."""
-KINDS = {kind.kind_name(): kind for kind in _KINDS}
-"""The same by the name of their kind."""
-
-
-def signal_of(description: Mapping[str, Any]) -> Signal:
-    """The signal of a description, as records keep it.
-
-    `Other` where the kind is not known, or where the description is not whole.
-    """
-    table = plain({"kind": ""} | dict(description))
-    kind = KINDS.get(str(table["kind"]))
-    if kind is not None:
-        known = {name: value for name, value in table.items() if name in kind.model_fields}
-        with suppress(InputError):
-            return validated(kind, known, "command")
-    return validated(Other, table, "command")
-
-
-def _rising(when: NDArray[np.float64]) -> None:
-    if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
-        raise InputError(f"times: {when.tolist()} must be at least two numbers that rise from 0 s")
-
-
-def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[np.float64]:
-    """A path at rest at each of its points, of least jerk between them, for `legs=True`.
-
-    From a to b, with s from 0 to 1 over the stretch: a + (b - a) (10 s^3 - 15 s^4 + 6 s^5), whose
-    peak speed is 1.875 times the mean (Flash and Hogan, 1985).
-
-    `times` (m,) [s] rise from 0, `values` (m, n) are e.g. extensions [m], `rate` is that of the
-    machine's control law [Hz]. The result is (N, n), one row a control frame, the last point
-    included.
-
-    >>> cmf_mj.signals.waypoints([0.0, 2.0], [[0.0], [0.4]])[[1024, 2048, -1], 0].round(3)
-    array([0.041, 0.2  , 0.4  ])
-    """
-    check_positive(rate=rate)
-    when = np.asarray(times, dtype=float)
-    _rising(when)
-    points = shaped("values", values, when.size, None)
-    time = np.arange(round(when[-1] * rate) + 1) / rate
-    index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
-    s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]
-    return points[index] + (points[index + 1] - points[index]) * quintic(s)

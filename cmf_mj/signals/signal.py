@@ -21,32 +21,25 @@ from cmf_mj.core.settings import Settings, validated
 from cmf_mj.core.units import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.machine.geometry import by_kind, dof_index
 
-Motion = Callable[[NDArray[np.int64]], NDArray[np.float64]]
+Array = NDArray[np.float64]
+
+Motion = Callable[[NDArray[np.int64]], Array]
 """Control frames since the beginning (N,) to poses (N, 6) [m, rad], z down."""
 
 Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]  #: Name of a degree of freedom.
-
-LONGEST = 3600.0
-"""Longest signal that is made as a table, up to 2048 Hz [s]; an hour of poses takes 354 MB."""
-
+LONGEST = 3600.0  #: Longest table up to 2048 Hz [s]; an hour of poses takes 354 MB.
 HIGHEST = 100.0  #: Largest demand [m or rad]: a hundred times the stroke of a leg.
-
 Duration = Annotated[float, Field(gt=0.0, le=LONGEST)]  #: A time above 0 [s].
-
 Wait = Annotated[float, Field(ge=0.0, le=LONGEST)]  #: A time of at least 0 [s].
-
 Frequency = Annotated[float, Field(ge=1e-4, le=FASTEST_RATE / 2)]
 """At most half the control rate; the longest signal holds a third of the slowest cycle [Hz]."""
-
 Rate = Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)]  #: Control frames a second.
-
 _FREQUENCIES = ("frequency", "frequencies", "start", "stop")
-
 _LENGTHS, _ANGLES = ("in", "m", "mm"), ("deg", "rad")
 
 
 def check_positive(**values: float) -> None:
-    """Refuse what is not a finite number above 0, by its name."""
+    """Refuse a value that is not a finite number above 0, by its name."""
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name}: {value} must be a finite number greater than 0")
@@ -54,9 +47,9 @@ def check_positive(**values: float) -> None:
 
 def check_length(seconds: float, rate: int = RATE) -> None:
     """Refuse a table that would be too long to hold."""
-    most = LONGEST * min(RATE / rate, 1.0)
-    if not seconds <= most:
-        raise InputError(f"length: {seconds:g} s of the signal is refused: at most {most:g} s")
+    longest = LONGEST * min(RATE / rate, 1.0)
+    if not seconds <= longest:
+        raise InputError(f"length: {seconds:g} s of the signal is refused: at most {longest:g} s")
 
 
 def check_fade(fade: float, duration: float) -> None:
@@ -73,17 +66,17 @@ def check_highest(field: str, *sizes: float) -> None:
 
 
 def _number_with_unit(value: Any) -> float | tuple[float, str]:
-    pair = isinstance(value, list | tuple) and len(value) == 2
-    number, unit = value if pair else (value, "m")
-    known = isinstance(number, int | float) and not isinstance(number, bool)
-    if not known or not abs(number) < float("inf") or not isinstance(unit, str):
+    has_unit = isinstance(value, list | tuple) and len(value) == 2
+    number, unit = value if has_unit else (value, "m")
+    is_number = isinstance(number, int | float) and not isinstance(number, bool)
+    if not is_number or not abs(number) < float("inf") or not isinstance(unit, str):
         raise InputError('must be a number in m or rad, or one and its unit, such as [2.0, "in"]')
     if unit not in _LENGTHS + _ANGLES:
         raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
-    most = units.from_si(unit, HIGHEST)
-    if not abs(number) <= most:
-        raise InputError(f"must be at most {most:g} in size")
-    return (float(number), unit) if pair else float(number)
+    highest = units.from_si(unit, HIGHEST)
+    if not abs(number) <= highest:
+        raise InputError(f"must be at most {highest:g} in size")
+    return (float(number), unit) if has_unit else float(number)
 
 
 Amplitude = Annotated[
@@ -99,16 +92,13 @@ def amplitude_in_si(dof: str, amplitude: float | tuple[float, str]) -> float:
     value, unit = amplitude
     allowed = by_kind(dof, _LENGTHS, _ANGLES)
     if unit not in allowed:
-        allowed_text = ", ".join(allowed)
-        raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {allowed_text}")
+        names = ", ".join(allowed)
+        raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {names}")
     return units.to_si(unit, value)
 
 
 class Dwell(NamedTuple):
-    """Whole cycles of one frequency at full amplitude; the phase is zero at the start.
-
-    Their length is a whole number of frames, so fit a sine and a cosine to it, not Fourier lines.
-    """
+    """Whole cycles of one frequency at full amplitude, from phase zero on, in whole frames."""
 
     start: int  #: Index of the first control frame.
     frames: int  #: Cycles / frequency, to the nearest frame.
@@ -133,8 +123,8 @@ class Signal(Settings):
         for name in set(_FREQUENCIES) & set(type(self).model_fields):
             highest = float(np.max(getattr(self, name)))
             if highest > self.rate / 2:
-                most = f"half the control rate, {self.rate / 2:g} Hz"
-                raise InputError(f"{name}: {highest:g} Hz must be at most {most}")
+                allowed = f"half the control rate, {self.rate / 2:g} Hz"
+                raise InputError(f"{name}: {highest:g} Hz must be at most {allowed}")
         self._check()
         check_length(self.length, self.rate)
         return self
@@ -159,12 +149,12 @@ class Signal(Settings):
 
     def motion(self, seed: int = 0) -> Motion:
         """The signal as a function of the control frames since it began; holds its last pose."""
-        return tabulated(self.command(seed).pose)
+        return motion_of_table(self.command(seed).pose)
 
     def described(self) -> dict[str, Any]:
         """The settings in SI as plain JSON values, without the seed."""
-        usual = {"rate"} if self.rate == RATE else set[str]()
-        table = self.model_dump(mode="json", exclude={"seed"} | usual, exclude_none=True)
+        excluded = {"seed", "rate"} if self.rate == RATE else {"seed"}
+        table = self.model_dump(mode="json", exclude=excluded, exclude_none=True)
         return table | self._sizes_in_si()
 
     def _sizes_in_si(self) -> dict[str, Any]:
@@ -193,18 +183,18 @@ class Signal(Settings):
         return ()
 
 
-class Other(Signal):
-    """A demand that is known only as a table of poses, with whatever is said of it."""
+class PoseTable(Signal):
+    """A demand that is known only as a table of poses, with any other fields of its description."""
 
     model_config = ConfigDict(extra="allow")
 
     kind: str = "array"
 
     def at_rate(self, rate: int) -> Self:
-        """Itself; refused at another rate, since the poses are not known between frames."""
+        """Itself; another rate is refused, since the poses between frames are unknown."""
         if rate != self.rate:
-            given = f"{self.rate} a second; the machine takes {rate} a second"
-            raise InputError(f"command: its poses are {given}")
+            rates = f"{self.rate} a second; the machine takes {rate} a second"
+            raise InputError(f"command: its poses are {rates}")
         return self
 
     def command(self, seed: int = 0) -> "Command":
@@ -218,14 +208,14 @@ class OneAxis(Signal):
     dof: Dof  #: Degree of freedom.
 
     @abstractmethod
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         """Displacement at each frame [m or rad], (N,)."""
 
     def command(self, seed: int = 0) -> "Command":
         """The signal as a table of poses."""
-        fixed = getattr(self, "seed", None)
-        seed = seed if fixed is None else fixed
-        poses = along({self.dof: self._history(seed)})
+        own_seed = getattr(self, "seed", None)
+        seed = seed if own_seed is None else own_seed
+        poses = poses_along({self.dof: self._history(seed)})
         return Command(poses, self, seed if hasattr(self, "seed") else None)
 
 
@@ -235,7 +225,7 @@ class SingleSignal(OneAxis):
     amplitude: Amplitude  #: Size [m or rad], or size and unit, such as `[2.0, "in"]`.
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check_unit(self) -> Self:
         amplitude_in_si(self.dof, self.amplitude)
         return self
 
@@ -257,8 +247,8 @@ class Command:
     ((4096, 6), 2.0)
     """
 
-    pose: NDArray[np.float64]  #: Poses [m, rad], (N, 6), one a control frame.
-    signal: Signal = Other()  #: What it is; kept in the record.
+    pose: Array  #: Poses [m, rad], (N, 6), one a control frame.
+    signal: Signal = PoseTable()  #: The signal that made it; kept in the record.
     seed: int | None = None  #: Seed of the random phases, where there are any.
 
     def __post_init__(self) -> None:
@@ -282,7 +272,7 @@ class Command:
     @staticmethod
     def from_pose(pose: ArrayLike, rate: int = RATE) -> "Command":
         """A command from an array `pose` (N, 6) at a control rate [Hz]."""
-        return Command(real("command", pose), Other(rate=rate))
+        return Command(real("command", pose), PoseTable(rate=rate))
 
     @property
     def rate(self) -> int:
@@ -306,19 +296,20 @@ class Command:
         return self.pose.shape[0] / self.rate
 
 
-def commanded(command: Command | ArrayLike, rate: int) -> Command:
+def as_command(command: Command | ArrayLike, rate: int) -> Command:
     """A command, or an array of poses (N, 6), at a control rate [Hz]."""
-    made = command if isinstance(command, Command) else Command.from_pose(command, rate)
-    return made.at_rate(rate)
+    if not isinstance(command, Command):
+        command = Command.from_pose(command, rate)
+    return command.at_rate(rate)
 
 
-def tabulated(poses: NDArray[np.float64]) -> Motion:
-    """A table (N, 6) that holds its first pose before and its last one after."""
+def motion_of_table(poses: Array) -> Motion:
+    """The motion of a table (N, 6), which holds its first pose before and its last one after."""
     last = poses.shape[0] - 1
     return lambda frames: poses[np.clip(frames, 0, last)]
 
 
-def along(histories: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+def poses_along(histories: Mapping[str, Array]) -> Array:
     """Histories (N,) by degree of freedom as poses (N, 6), read-only."""
     pose = np.zeros((next(iter(histories.values())).size, 6))
     for name, history in histories.items():
@@ -328,12 +319,9 @@ def along(histories: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def command_of(signal: type[Signal]) -> Callable[..., Command]:
-    """The function that makes the command of a signal from its settings.
-
-    Settings without a default go by position or by name, those with one by name only.
-    """
-    fields = {name: field for name, field in signal.model_fields.items() if name != "kind"}
+    """The function that makes a signal's command; settings with a default go by name only."""
     kind = signal.kind_name()
+    fields = {name: field for name, field in signal.model_fields.items() if name != "kind"}
     parameters = [
         Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
         if field.is_required()
@@ -345,7 +333,7 @@ def command_of(signal: type[Signal]) -> Callable[..., Command]:
 
     def make(*args: object, **options: object) -> Command:
         settings = signature.bind(*args, **options).arguments
-        return validated(signal, {"kind": kind} | plain(settings), kind).command()
+        return validated(signal, {"kind": kind} | as_plain(settings), kind).command()
 
     make.__module__, make.__name__, make.__qualname__ = signal.__module__, kind, kind
     make.__doc__ = signal.__doc__
@@ -353,12 +341,12 @@ def command_of(signal: type[Signal]) -> Callable[..., Command]:
     return make
 
 
-def plain(value: Any) -> Any:
+def as_plain(value: Any) -> Any:
     """A value with arrays and lists as tuples, and numbers of NumPy as those of Python."""
     if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
+        return {str(name): as_plain(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return as_plain(value.tolist())
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return tuple(plain(one) for one in value)
+        return tuple(as_plain(entry) for entry in value)
     return value

@@ -1,9 +1,8 @@
 """Excitations of one degree of freedom.
 
 Steps, pulses, sines, noise and chirps start at rest; a multisine repeats without a gap, and its
-first period is the transient. Where a history would start or end in motion, a `fade` [s] takes
-it in and out by a raised cosine. Amplitudes are in m or rad along one degree of freedom of the
-report's axes (z down: a positive heave step lowers the platform).
+first period is the transient. A `fade` [s] takes a history in and out by a raised cosine. Axes are
+the report's (z down: a positive heave step lowers the platform).
 """
 
 from typing import Annotated, Literal
@@ -19,6 +18,7 @@ from cmf_mj.core.units import FASTEST_RATE
 from cmf_mj.machine.geometry import dof_index
 from cmf_mj.signals.signal import (
     LONGEST,
+    Array,
     Duration,
     Frequency,
     Motion,
@@ -29,30 +29,27 @@ from cmf_mj.signals.signal import (
     command_of,
 )
 
-Cycles = Annotated[float, Field(gt=0.0, le=LONGEST * FASTEST_RATE / 2)]
-"""Cycles above 0: at most those of the longest signal at the highest frequency."""
+Cycles = Annotated[float, Field(gt=0.0, le=LONGEST * FASTEST_RATE / 2)]  #: Of a sine, above 0.
 
 
-def raised_cosine(
-    samples: int, fade: float, rate: int, *, fade_out: bool = True
-) -> NDArray[np.float64]:
+def raised_cosine(samples: int, fade: float, rate: int, *, fade_out: bool = True) -> Array:
     """Envelope (samples,): 0 to 1 within the first `fade` [s], 1 to 0 within the last."""
     time = np.arange(samples) / rate
-    left = samples / rate - time if fade_out else np.inf
-    edge = np.minimum(time, left) / fade if fade > 0.0 else np.ones(samples)
-    return 0.5 * (1.0 - np.cos(np.pi * np.clip(edge, 0.0, 1.0)))
+    time_to_end = samples / rate - time if fade_out else np.inf
+    share = np.minimum(time, time_to_end) / fade if fade > 0.0 else np.ones(samples)
+    return 0.5 * (1.0 - np.cos(np.pi * np.clip(share, 0.0, 1.0)))
 
 
-def quintic(s: NDArray[np.float64]) -> NDArray[np.float64]:
+def quintic(s: Array) -> Array:
     """From 0 to 1 with no velocity and no acceleration at either end: s^3 (10 - 15 s + 6 s^2)."""
     return s**3 * (10.0 - s * (15.0 - 6.0 * s))
 
 
-def _time(duration: float, rate: int) -> NDArray[np.float64]:
+def _time(duration: float, rate: int) -> Array:
     return np.arange(round(duration * rate)) / rate
 
 
-def _rested(history: NDArray[np.float64], settle: float, rate: int) -> NDArray[np.float64]:
+def _with_rest(history: Array, settle: float, rate: int) -> Array:
     rest = np.zeros(round(settle * rate))
     return np.concatenate([rest, history, rest])
 
@@ -77,7 +74,7 @@ class Step(SingleSignal):
         if self.at > (round(self.length * self.rate) - 1) / self.rate:
             raise InputError(f"at: {self.at} s must be less than the duration of {self.length} s")
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         return np.where(_time(self.length, self.rate) >= self.at, self.size, 0.0)
 
 
@@ -95,20 +92,21 @@ class Pulse(SingleSignal):
         return self.at + self.width + 3.0 / self.rate if self.duration is None else self.duration
 
     def _check(self) -> None:
-        begin, frames = self._frames()
-        if frames < 2:
+        begin, width = self._frames()
+        if width < 2:
             raise InputError(f"width: {self.width} s must be two frames or more, {2 / self.rate} s")
-        if begin + frames >= round(self.length * self.rate):
+        if begin + width >= round(self.length * self.rate):
             run = f"the {self.length} s of the run"
             raise InputError(f"width: {self.width} s after {self.at} s must be within {run}")
 
     def _frames(self) -> tuple[int, int]:
+        """Start and width in control frames."""
         return max(round(self.at * self.rate), 1), round(self.width * self.rate)
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
-        begin, frames = self._frames()
+    def _history(self, seed: int) -> Array:
+        begin, width = self._frames()
         history = np.zeros(round(self.length * self.rate))
-        history[begin : begin + frames] = self.size
+        history[begin : begin + width] = self.size
         return history
 
 
@@ -130,15 +128,15 @@ class Sine(SingleSignal):
         """Length of the table [s]; 0 without an end."""
         return 0.0 if self.cycles is None else self.cycles / self.frequency + self.rest
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         if self.cycles is None:
             raise InputError("cycles: a sine without an end has no table")
         duration = self.cycles / self.frequency
         fade = min(self.fade, 0.5 * duration)
         time = _time(duration, self.rate)
-        edge = np.clip(np.minimum(time, duration - time) / fade, 0.0, 1.0)
+        share = np.clip(np.minimum(time, duration - time) / fade, 0.0, 1.0)
         sine = self.size * np.sin(2 * np.pi * self.frequency * time)
-        history = sine * 0.5 * (1 - np.cos(np.pi * edge))
+        history = sine * 0.5 * (1 - np.cos(np.pi * share))
         return np.concatenate([history, np.zeros(round(self.rest * self.rate))])
 
     def motion(self, seed: int = 0) -> Motion:
@@ -147,11 +145,11 @@ class Sine(SingleSignal):
             return super().motion(seed)
         index, size = dof_index(self.dof), self.size
 
-        def endless(frames: NDArray[np.int64]) -> NDArray[np.float64]:
+        def endless(frames: NDArray[np.int64]) -> Array:
             time = np.maximum(frames, 0) / self.rate
-            grown = 0.5 * (1.0 - np.cos(np.pi * np.minimum(time / self.fade, 1.0)))
+            envelope = 0.5 * (1.0 - np.cos(np.pi * np.minimum(time / self.fade, 1.0)))
             poses = np.zeros((frames.size, 6))
-            poses[:, index] = size * grown * np.sin(2.0 * np.pi * self.frequency * time)
+            poses[:, index] = size * envelope * np.sin(2.0 * np.pi * self.frequency * time)
             return poses
 
         return endless
@@ -190,14 +188,13 @@ class Chirp(SingleSignal):
             raise InputError(f"stop: {self.stop} Hz must be above start, {self.start} Hz")
         check_fade(self.fade, self.duration)
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         start, stop = self.band
         sweep = self.size * signal.chirp(
             _time(self.duration, self.rate), start, self.duration, stop, method="linear", phi=-90.0
         )
-        return _rested(
-            sweep * raised_cosine(sweep.size, self.fade, self.rate), self.settle, self.rate
-        )
+        envelope = raised_cosine(sweep.size, self.fade, self.rate)
+        return _with_rest(sweep * envelope, self.settle, self.rate)
 
 
 class Noise(SingleSignal):
@@ -214,7 +211,7 @@ class Noise(SingleSignal):
     settle: Duration = 2.0  #: Rest before and after [s].
     fade: Duration = 2.0  #: Of both ends of the noise [s]; it widens the band by about 1 / fade.
     scale: Literal["peak", "rms"] = "peak"
-    """What the amplitude is: `peak`, the largest displacement, or `rms`, its root mean square."""
+    """Meaning of the amplitude: the largest displacement, or its root mean square."""
     seed: Seed | None = None  #: Of the noise; None for that of the scenario, else 0.
 
     @property
@@ -224,22 +221,23 @@ class Noise(SingleSignal):
 
     def _check(self) -> None:
         check_fade(self.fade, self.duration)
-        if not self._inside().any():
+        if not self._in_band().any():
             band = f"{self.start} to {self.stop} Hz"
             raise InputError(f"stop: no multiple of {1 / self.duration} Hz lies in {band}")
 
-    def _inside(self) -> NDArray[np.bool_]:
+    def _in_band(self) -> NDArray[np.bool_]:
         frequency = np.fft.rfftfreq(round(self.duration * self.rate), 1.0 / self.rate)
         return (frequency >= self.start) & (frequency <= self.stop)
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
-        samples, band = round(self.duration * self.rate), self._inside()
-        draw = np.random.default_rng(seed).standard_normal((2, np.count_nonzero(band)))
-        spectrum = np.zeros(band.size, dtype=complex)
-        spectrum[band] = draw[0] + 1j * draw[1]
+    def _history(self, seed: int) -> Array:
+        samples, in_band = round(self.duration * self.rate), self._in_band()
+        generator = np.random.default_rng(seed)
+        real, imaginary = generator.standard_normal((2, np.count_nonzero(in_band)))
+        spectrum = np.zeros(in_band.size, dtype=complex)
+        spectrum[in_band] = real + 1j * imaginary
         history = np.fft.irfft(spectrum, samples) * raised_cosine(samples, self.fade, self.rate)
         size = np.abs(history).max() if self.scale == "peak" else np.sqrt(np.mean(history**2))
-        return _rested(history * (self.size / size), self.settle, self.rate)
+        return _with_rest(history * (self.size / size), self.settle, self.rate)
 
 
 class Lines(Signal):
@@ -250,11 +248,9 @@ class Lines(Signal):
     period: Duration = 20.0  #: Length of one period [s]; a whole number of frames.
     periods: Annotated[int, Field(ge=2, lt=2**31)] = 3  #: Periods in all.
     spectrum: Literal["flat", "acceleration"] = "flat"
-    """`flat` for lines of equal displacement; `acceleration` for lines of equal acceleration above
-    the `corner`, which spares the machine at high frequencies."""
+    """Lines of equal displacement, or of equal acceleration above the `corner`."""
     corner: Frequency = 1.0  #: Frequency above which displacement falls as 1/f^2 [Hz].
-    fade: Wait = 0.0
-    """In within the first period, out in a tail after the last [s]; 0 starts in motion."""
+    fade: Wait = 0.0  #: In within the first period, out after the last [s]; 0 starts in motion.
     seed: Seed | None = None  #: Of the phases; None for that of the scenario, else 0.
 
     @property
@@ -276,12 +272,12 @@ class Lines(Signal):
     def orders(self) -> NDArray[np.int64]:
         """Numbers of the lines: odd multiples of 1/period."""
         orders = np.arange(1, round(self.period * self.rate) // 2, 2)
-        inside = (orders >= self.start * self.period) & (orders <= self.stop * self.period)
-        return orders[inside]
+        in_band = (orders >= self.start * self.period) & (orders <= self.stop * self.period)
+        return orders[in_band]
 
     def _sum(
         self, amplitude: float, orders: NDArray[np.int64], generator: np.random.Generator
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """The periods and the tail: of this peak, from the sample nearest to zero."""
         samples, weights = round(self.period * self.rate), np.ones(orders.size)
         if self.spectrum == "acceleration":
@@ -289,23 +285,22 @@ class Lines(Signal):
         phases = generator.uniform(0.0, 2.0 * np.pi, orders.size)
         spectrum = np.zeros(samples // 2 + 1, dtype=complex)
         spectrum[orders] = weights * np.exp(1j * phases)
-        once = np.fft.irfft(spectrum, samples)
-        once *= amplitude / np.abs(once).max()
-        once = np.roll(once, -int(np.abs(once).argmin()))
+        period = np.fft.irfft(spectrum, samples)
+        period *= amplitude / np.abs(period).max()
+        period = np.roll(period, -int(np.abs(period).argmin()))
         tail = round(self.fade * self.rate)
-        history = np.concatenate([np.tile(once, self.periods), once[:tail]])
-        edge = raised_cosine(tail, self.fade, self.rate, fade_out=False)
-        history[:tail] *= edge
-        history[history.size - tail :] *= edge[::-1]
+        history = np.concatenate([np.tile(period, self.periods), period[:tail]])
+        fade_in = raised_cosine(tail, self.fade, self.rate, fade_out=False)
+        history[:tail] *= fade_in
+        history[history.size - tail :] *= fade_in[::-1]
         return history
 
 
 class Multisine(Lines, SingleSignal):
-    """Odd random-phase multisine, repeated whole periods.
+    """Odd random-phase multisine of the peak `amplitude`, repeated whole periods.
 
     Lines are the odd multiples of 1/period between `start` and `stop`; even non-linear distortion
-    then falls between them. The peak is scaled to `amplitude`. The first of the periods is the
-    transient, dropped by the analysis.
+    then falls between them.
 
     >>> cmf_mj.signals.multisine("yaw", [0.2, "deg"], period=10.0, periods=2).duration
     20.0
@@ -313,7 +308,7 @@ class Multisine(Lines, SingleSignal):
 
     kind: Literal["multisine"]
 
-    def _history(self, seed: int) -> NDArray[np.float64]:
+    def _history(self, seed: int) -> Array:
         return self._sum(self.size, self.orders, np.random.default_rng(seed))
 
 

@@ -18,16 +18,10 @@ from numpy.typing import NDArray
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.measures import (
-    Measures,
-    ends_off_demand,
-    holds_position,
-    measure_loop,
-    measures_from,
-    step_metrics,
-    sweep_response,
-)
+from cmf_mj.analysis.linear.poles import holds_position
+from cmf_mj.analysis.measures import Measures, measure_loop, measures_from, sweep_response
 from cmf_mj.analysis.published import Published, published
+from cmf_mj.analysis.step_response import ends_off_demand, step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name

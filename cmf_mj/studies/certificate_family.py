@@ -41,8 +41,7 @@ from scipy import linalg
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import dcl_state_space, labels
 from cmf_mj.analysis.linear.operating_point import hold
-from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.analysis.linear.poles import reduced
+from cmf_mj.analysis.linear.plants import FEEDBACK, reduced
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.structured import Uncertain
 from cmf_mj.analysis.modes import bound

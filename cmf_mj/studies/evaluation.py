@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.linear import BAND, Linear, loop_measures
+from cmf_mj.analysis.frequency_response import crosstalk
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measurable import dof_history
-from cmf_mj.analysis.measures import Measures, crosstalk, measure_records
+from cmf_mj.analysis.measures import BAND, Measures, measure_axes, measure_records
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -126,7 +127,7 @@ def _linear_rows(
         shared["linear"] = Linear(plant, case.pose)
     linear = shared["linear"].sensed(errors)
     loop = linear.loop(case.law)
-    measures, response = loop_measures(loop)
+    measures, response = measure_axes(loop)
     if response is None:
         return [StudyRow(dof, of_dof, _NONE) for dof, of_dof in zip(DOFS, measures, strict=True)]
     # The motion of a leg is the reading of its sensor over the sensor's gain.

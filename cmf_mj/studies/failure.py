@@ -42,7 +42,7 @@ from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.signal import Command, check_positive, commanded
+from cmf_mj.signals.signal import Command, as_command, check_positive
 from cmf_mj.signals.single import sine
 from cmf_mj.studies.case import Case, frames_a_row, make_case
 
@@ -353,7 +353,7 @@ def run_failure(
     plant = Hexapod(case.cab, case.hydraulics)
     if command is None:
         command = _case_sine(case, frequency, event.at, after)
-    command = commanded(command, plant.machine.rate)
+    command = as_command(command, plant.machine.rate)
     length = (command.pose.shape[0] - 1) * plant.machine.frame
     if not event.at < length:
         raise InputError(f"at: {event.at} s must be within the run of {length:g} s")

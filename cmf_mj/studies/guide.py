@@ -43,8 +43,8 @@ from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite
-from cmf_mj.signals.signal import Command, Dof, plain
+from cmf_mj.signals import CLASSES
+from cmf_mj.signals.signal import Command, Dof, as_plain
 from cmf_mj.studies.case import frames_a_row
 from cmf_mj.studies.fit.plan import STEP_CORNER, Workspace, paths_from, write_host
 from cmf_mj.studies.measurement import MEASURES, SIGNATURE_CHANNELS, Lines, lines_of
@@ -217,11 +217,11 @@ def _command(
     if kind in MAKERS:
         command = MAKERS[kind](table, plant)
         return command, workspace.use(command.pose)
-    signal = composite.KINDS[check_name("kind", kind, [*composite.KINDS, *MAKERS])]
+    signal = CLASSES[check_name("kind", kind, [*CLASSES, *MAKERS])]
 
     def make(size: float | None) -> Command:
         sized = table if size is None else _sized(table, size, workspace)
-        return validated(signal, plain(sized) | {"rate": rate}, kind).command()
+        return validated(signal, as_plain(sized) | {"rate": rate}, kind).command()
 
     size = None
     if share is not None:
@@ -310,7 +310,7 @@ def simulate_test(
     channels |= {key: channels[key] + offset for key in ("leg_reference", "leg_position")}
     units = {key: whole.units[key] for key in channels}
     metadata = {key: whole.metadata[key] for key in ("sample_rate", "law")}
-    metadata |= plant.machine.known() | bench.metadata(name)
+    metadata |= plant.machine.metadata() | bench.metadata(name)
     return Record(whole.time, channels, units, metadata)
 
 

@@ -22,8 +22,8 @@ from cmf_mj.analysis.frequency_response import (
     rounds_response,
 )
 from cmf_mj.analysis.measurable import CLEAR, EXCITED_SHARE, demand_share, dof_history
-from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.spectra import Estimator
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.geometry import DOFS, by_kind

@@ -24,7 +24,8 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from cmf_mj import load_cab, load_hydraulics, load_law
-from cmf_mj.analysis.measures import Measures, measure_records, measures_from, step_metrics
+from cmf_mj.analysis.measures import Measures, measure_records, measures_from
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law
 from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings

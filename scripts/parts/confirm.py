@@ -14,8 +14,9 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from cmf_mj import load_hydraulics, load_law
-from cmf_mj.analysis import measures
+from cmf_mj.analysis.frequency_response import crosstalk as largest_gains
 from cmf_mj.analysis.frequency_response import matrix_frequency_response
+from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
@@ -51,7 +52,7 @@ class Outcome(NamedTuple):
     """A trial and its result."""
 
     trial: Trial
-    measures: measures.Measures
+    measures: Measures
     clamped: float  #: Part of the sweep's frames to the -90 deg bandwidth with a command clamped.
 
 
@@ -63,7 +64,7 @@ def make_machine(seed: int | None) -> HydraulicParameters:
 def run_trial(trial: Trial) -> Outcome:
     """Run chirp and step of a trial."""
     sweep, step = trial.case.sweep_and_step()
-    result = measures.measure_records(sweep, step, segment=trial.case.segment)
+    result = measure_records(sweep, step, segment=trial.case.segment)
     return Outcome(trial, result, clamped_part(sweep, result.phase_bandwidth_hz))
 
 
@@ -93,7 +94,7 @@ def crosstalk(law: Law, cab: str, seed: int | None = None) -> NDArray[np.float64
     response = matrix_frequency_response(case.run(command))
     frequency = np.asarray(response.omega) / (2.0 * np.pi)
     band = (frequency >= CROSSTALK_BAND[0]) & (frequency <= CROSSTALK_BAND[1])
-    gains = measures.crosstalk(np.asarray(response.frdata)[..., band], REPORT_AMPLITUDES)
+    gains = largest_gains(np.asarray(response.frdata)[..., band], REPORT_AMPLITUDES)
     return np.nan_to_num(gains)
 
 

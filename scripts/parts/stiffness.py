@@ -75,7 +75,7 @@ def point(plant: Hexapod, name: str, law: Law) -> list[Any]:
     NaN if unstable.
     """
     linear = Linear(plant)
-    stiffness = float(linear.disturbance(law)[1, 0]) / KLBF_IN
+    stiffness = float(linear.disturbance(law).least_stiffness[0]) / KLBF_IN
     slow = float(linear.stiffness(law, [1.0])[0, 0]) / KLBF_IN
     response = np.asarray(control.frequency_response(linear.loop(law), 2.0 * np.pi * LINES).frdata)
     phases = [line_bandwidths(LINES, response[i, i]).phase_hz for i in range(len(DOFS))]

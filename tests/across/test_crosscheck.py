@@ -24,7 +24,7 @@ from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.yielding import Floor, on_floor
-from cmf_mj.signals.signal import plain
+from cmf_mj.signals.signal import as_plain
 from cmf_mj.studies.diagnosis import moved_machine, numbers_of
 
 SCRIPT = Path(__file__).resolve().parents[1] / "crosscheck"
@@ -258,7 +258,7 @@ def test_what_changes_on_the_way_is_recorded() -> None:
     run = Run(
         plant=foreign.data_sheet(),
         law="original",
-        change=plain([{"at": 0.02, "fade": 0.0, "signal": [sine]}]),
+        change=as_plain([{"at": 0.02, "fade": 0.0, "signal": [sine]}]),
         duration=0.125,
     )
     theirs = recorded(run, Machine(run.plant))

@@ -27,11 +27,13 @@ from cmf_mj import (
     simulate,
 )
 from cmf_mj.analysis.frequency_response import rounds_response
-from cmf_mj.analysis.measures import least_damped_mode, measure_loop, step_metrics
+from cmf_mj.analysis.linear.poles import least_damped_mode
+from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.kinematics import about
+from cmf_mj.machine.kinematics import geometry_about
 from cmf_mj.pilot.perception import load_senses, otolith_response
 from cmf_mj.signals.composite import seven_sines, waypoints
 from cmf_mj.studies.asymptotes import asymptotes
@@ -327,7 +329,9 @@ def test_a_tilt_about_the_centre_of_mass_moves_legs_as_limits_md_says() -> None:
         parts = (cab, cab.platform)
         place, mass = [p.centre_of_mass.si for p in parts], [p.mass.si for p in parts]
         centre = np.average(place, axis=0, weights=mass) * [1.0, -1.0, -1.0]
-        apart.append(np.abs(pose_to_legs(tilts) - pose_to_legs(tilts, about(centre))).max())
+        apart.append(
+            np.abs(pose_to_legs(tilts) - pose_to_legs(tilts, geometry_about(centre))).max()
+        )
     assert f"1 deg differ by up to {1e3 * max(apart):.0f} mm" in read("docs/explanation/limits.md")
 
 

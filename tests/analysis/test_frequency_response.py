@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
-from cmf_mj.analysis.frequency_response import LINGER, line_bandwidths
+from cmf_mj.analysis.frequency_response import _LINGER, line_bandwidths
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
@@ -348,7 +348,7 @@ def test_a_phase_that_lingers_grazes() -> None:
     assert [end.size for end in ends] == [1] * 4
     before, first, through, last = np.ravel(ends)
     result = bandwidths(analytic(pair))
-    assert np.log(last / first) > LINGER * np.log(first / before)
+    assert np.log(last / first) > _LINGER * np.log(first / before)
     np.testing.assert_allclose(
         [result.phase_hz, *result[-2:]], [through, first, last], rtol=0, atol=0.01
     )

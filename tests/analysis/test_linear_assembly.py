@@ -18,7 +18,8 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.operating_point import hold, linear_mechanics, operating_point
-from cmf_mj.analysis.linear.poles import leg_model, modes, reduced
+from cmf_mj.analysis.linear.plants import leg_model, reduced
+from cmf_mj.analysis.linear.poles import modes
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core import units

@@ -7,7 +7,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
-from cmf_mj.analysis.linear.structured import Scaling, Uncertain, largest, peak_bound, point_bound
+from cmf_mj.analysis.linear.structured import (
+    Scaling,
+    Uncertain,
+    largest_eigenvalue,
+    peak_bound,
+    point_bound,
+)
 
 DAMPER, SPRING, ON_DAMPER, ON_SPRING = 0.2, 1.0, 0.5, 0.3
 AB13MD = 2.696866
@@ -61,9 +67,9 @@ def test_slow_poles_do_not_count(turn: float) -> None:
     of its real poles, those of s^2 + 0.02 (1 + 0.5 d1) s + 0.0025, is 0.3."""
     one = np.ones((1, 1))
     loop = Uncertain(-one, one, one, 0.0 * one, (1,))
-    assert 0.98 * 1.3 < 1.0 / peak_bound(loop, turn, slow=0.3) <= 1.3
+    assert 0.98 * 1.3 < 1.0 / peak_bound(loop, turn, ignored_below=0.3) <= 1.3
     faster = oscillator(frequency=7.331)
-    with_slow = peak_bound(faster, turn, slow=0.3)
+    with_slow = peak_bound(faster, turn, ignored_below=0.3)
     assert with_slow == pytest.approx(peak_bound(faster, turn), rel=0.02)
     slower, edge = only(oscillator(0.02, 0.05), 0), 2.0 * (1.0 + (0.3 + 0.0025 / 0.3) / 0.02)
     assert 0.98 * edge < 1.0 / peak_bound(slower, turn, 0.01, 0.3) <= edge
@@ -166,6 +172,6 @@ def test_repeated_is_at_most_free_is_at_most_complex() -> None:
     m = generator.normal(size=(6, 6)) + 1j * generator.normal(size=(6, 6))
     together, alone = point_bound(m, (3, 3)), point_bound(m, (1,) * 6)
     one = np.eye(6, dtype=complex)
-    norm = np.sqrt(largest(m, Scaling(0.0, one, 0.0 * one)))
+    norm = np.sqrt(largest_eigenvalue(m, Scaling(0.0, one, 0.0 * one)))
     assert norm == pytest.approx(np.linalg.norm(m, 2))
     assert together.beta <= alone.beta * 1.01 <= norm * 1.01

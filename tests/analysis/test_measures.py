@@ -6,13 +6,9 @@ import pytest
 from followed_commands import answer, record_of, second_order
 
 from cmf_mj import frequency_response, signals
-from cmf_mj.analysis.measures import (
-    Measures,
-    crosstalk,
-    least_damped_mode,
-    measure_loop,
-    measure_records,
-)
+from cmf_mj.analysis.frequency_response import crosstalk
+from cmf_mj.analysis.linear.poles import least_damped_mode
+from cmf_mj.analysis.measures import Measures, measure_loop, measure_records
 from cmf_mj.core.units import FRAME
 
 

@@ -20,7 +20,7 @@ from cmf_mj.analysis.periodic import (
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.spectra import Estimate, mean_of_both, report_response, welch_response
+from cmf_mj.analysis.spectra import Estimate, mean_of_h1_and_h2, report_response, welch_response
 
 RATE = 64.0
 SEEDS = 100
@@ -101,7 +101,7 @@ def test_welch_finds_the_analytic_response() -> None:
     """A sweep without noise: 0.5 % of gain 1, leakage of segments of 20 s; so does both's mean."""
     x = sweep()
     h1 = welch_response(x, through(plant(), x), RATE, band=(0.3, 8.0), pad=True)
-    for estimate in (h1, mean_of_both(h1)):
+    for estimate in (h1, mean_of_h1_and_h2(h1)):
         np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=5e-3)
         assert estimate.coherence.min() > 0.999
 
@@ -233,7 +233,7 @@ def test_estimators_differ_by_the_coherence() -> None:
     x = white(64.0, 3)
     y = through(plant(), x) + white(64.0, 4)
     h1 = welch_response(x, y, RATE, segment=4.0)
-    report, c = mean_of_both(h1), h1.coherence
+    report, c = mean_of_h1_and_h2(h1), h1.coherence
     np.testing.assert_allclose(report.response / h1.response, 0.5 * (1 + 1 / c), rtol=1e-12)
     np.testing.assert_allclose(report.radius / h1.radius, 0.5 * (1 + 1 / c), rtol=1e-12)
 

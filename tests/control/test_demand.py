@@ -5,7 +5,7 @@ import pytest
 
 from cmf_mj import Hexapod, legs_to_pose, pose_to_legs
 from cmf_mj.control import demand as block
-from cmf_mj.machine.kinematics import about, leg_jacobian
+from cmf_mj.machine.kinematics import geometry_about, leg_jacobian
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.machine import load_machine
 
@@ -87,7 +87,7 @@ def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
     """Positions are |A - r + T'(c - B)| of Eq 2.1, c from where the centroid is at neutral. Rates
     are those of the centroid's motion p = c - T r, differentiated by complex steps."""
     pose, velocity, acceleration = motion
-    found = frame(about(CENTRE), *motion)
+    found = frame(geometry_about(CENTRE), *motion)
     upper, lower, neutral = GEOMETRY
     matrix, centre = turn(*pose[3:]), CENTRE + pose[:3]
     lines = upper - CENTRE + (centre - lower) @ matrix
@@ -107,9 +107,11 @@ def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
 
 def test_poses_about_the_centre_of_mass_come_back():
     poses = 0.5 * MOTIONS[:, 0]  # a stroke of less than a third of the neutral length
-    legs = pose_to_legs(poses, about(CENTRE))
-    np.testing.assert_allclose(legs_to_pose(legs, about(CENTRE)), poses, atol=1e-10)
-    np.testing.assert_array_equal(pose_to_legs(poses, about(np.zeros(3))), pose_to_legs(poses))
+    legs = pose_to_legs(poses, geometry_about(CENTRE))
+    np.testing.assert_allclose(legs_to_pose(legs, geometry_about(CENTRE)), poses, atol=1e-10)
+    np.testing.assert_array_equal(
+        pose_to_legs(poses, geometry_about(np.zeros(3))), pose_to_legs(poses)
+    )
 
 
 def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
@@ -125,9 +127,9 @@ def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
 
     payload = plant.model.body_subtreemass[body]
     assert coupling(GEOMETRY) > 0.3 * payload  # kg m: the centre is that far above
-    assert coupling(about(centre)) < 0.1 * coupling(GEOMETRY)
+    assert coupling(geometry_about(centre)) < 0.1 * coupling(GEOMETRY)
 
 
 def test_a_point_must_be_three_numbers():
     with pytest.raises(ValueError, match=r"point: shape is \(2,\); allowed: \(3,\)"):
-        about([1.0, 2.0])
+        geometry_about([1.0, 2.0])

@@ -6,7 +6,7 @@ import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, load_hydraulics, load_law, signals, simulate
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.measures import step_metrics
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback

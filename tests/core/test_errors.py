@@ -13,7 +13,8 @@ from scipy import signal
 
 from cmf_mj import InputError, NoPoseError, Record, signals
 from cmf_mj.analysis.frequency_response import frequency_response
-from cmf_mj.analysis.measures import Measures, measure_records, step_metrics
+from cmf_mj.analysis.measures import Measures, measure_records
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.comparison import step_figure

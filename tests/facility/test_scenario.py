@@ -18,7 +18,7 @@ from cmf_mj.facility.scenario import load_scenario, save_scenario, scenario_name
 from cmf_mj.facility.settings import change_of
 from cmf_mj.facility.signal import LayeredDemand, added
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import tabulated
+from cmf_mj.signals.signal import motion_of_table
 
 SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2.0, "fade": 0.2}
 ROLL = {"kind": "sine", "dof": "roll", "amplitude": [0.5, "deg"], "frequency": 1.0, "fade": 0.1}
@@ -122,7 +122,7 @@ def test_an_open_run_has_no_record() -> None:
 
 def test_a_take_over_joins_without_a_jump() -> None:
     """Least jerk: the blend is half way at half time, and rests at both ends."""
-    low, high = (tabulated(np.full((2, 6), value)) for value in (1.0, 3.0))
+    low, high = (motion_of_table(np.full((2, 6), value)) for value in (1.0, 3.0))
     demand = LayeredDemand(low)
     demand.change(100, high, 200)
     poses = demand.poses(0, 400)[:, 0]
@@ -134,7 +134,7 @@ def test_a_take_over_joins_without_a_jump() -> None:
 
 
 def test_a_second_take_over_starts_from_the_first() -> None:
-    parts = [tabulated(np.full((1, 6), value)) for value in (0.0, 1.0, 2.0)]
+    parts = [motion_of_table(np.full((1, 6), value)) for value in (0.0, 1.0, 2.0)]
     demand = LayeredDemand(parts[0])
     demand.change(10, parts[1], 100)
     demand.change(60, parts[2], 100)

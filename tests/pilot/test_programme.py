@@ -3,7 +3,7 @@
 import numpy as np
 
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.kinematics import about, pose_to_legs
+from cmf_mj.machine.kinematics import geometry_about, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.pilot.programme import reach_along
 
@@ -15,7 +15,7 @@ def test_legs_and_pose_along_a_motion_are_those_of_the_centroid():
         np.array([0.2, -0.1, 0.1, 0.1, -0.12, 0.2]),
         np.array([0.3, 0.2, -0.1, 0.1, 0.2, 0.1]),
     )
-    head, h = about(station, "cmf"), 1e-4
+    head, h = geometry_about(station, "cmf"), 1e-4
 
     def legs(t):
         return pose_to_legs(q0 + t * rate, head)

@@ -5,7 +5,8 @@ import pytest
 from shared import chirp_bandwidths
 
 from cmf_mj import Hexapod, signals, simulate
-from cmf_mj.analysis.measures import measure_loop, step_metrics
+from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.show.comparison import AGREEMENT

@@ -14,9 +14,9 @@ from cmf_mj import bandwidths, load_law
 from cmf_mj.analysis.limit_cycle import limit_cycle
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import DCL_INPUTS, closed_loop, dcl_state_space
-from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.analysis.linear.poles import leg_model, reduced
-from cmf_mj.analysis.measures import Measures, least_damped_mode
+from cmf_mj.analysis.linear.plants import FEEDBACK, leg_model, reduced
+from cmf_mj.analysis.linear.poles import least_damped_mode
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core.settings import read_toml

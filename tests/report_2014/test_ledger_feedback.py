@@ -9,8 +9,9 @@ from shared import SINGLE, WORKING_STROKE, axial_gravity, chirp_bandwidths, prin
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.poles import leg_model
-from cmf_mj.analysis.measures import Measures, least_damped_mode, measure_loop
+from cmf_mj.analysis.linear.plants import leg_model
+from cmf_mj.analysis.linear.poles import least_damped_mode
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units

@@ -10,7 +10,7 @@ from cmf_mj import Hexapod
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
-from cmf_mj.analysis.spectra import mean_of_both, report_response, welch_response
+from cmf_mj.analysis.spectra import mean_of_h1_and_h2, report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.machine import load_machine
@@ -197,7 +197,7 @@ def test_mean_of_h1_and_h2_is_biased(entry: LedgerEntry) -> None:
         y = x + np.sqrt(1.0 / coherence - 1.0) * noise
         found = welch_response(x, y, 128.0, segment=2.0)
         h1, report = (
-            20.0 * np.log10(one.response.real.mean()) for one in (found, mean_of_both(found))
+            20.0 * np.log10(one.response.real.mean()) for one in (found, mean_of_h1_and_h2(found))
         )
         stated = entry.figure(f"bias at a coherence of {coherence:g}")
         assert report - h1 == pytest.approx(stated, abs=0.02)

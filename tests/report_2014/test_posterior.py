@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, load_law
-from cmf_mj.analysis.linear.linear import Linear, loop_damping
+from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.poles import loop_damping
 from cmf_mj.cli.common import app
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS

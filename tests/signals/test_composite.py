@@ -74,7 +74,7 @@ def test_peak_is_the_amplitude(kind):
 def test_description_is_json_and_repeats_signal_and_command(kind):
     command = AT_REST[kind](seed=3) if kind in AT_REST else signals.step("heave", AMPLITUDE)
     described = json.loads(json.dumps(dict(command.description)))
-    signal, again = command.signal, composite.signal_of(described)
+    signal, again = command.signal, signals.signal_of(described)
     assert type(again) is type(signal)
     assert again.command(3).pose.tobytes() == signal.command(3).pose.tobytes()
     assert (again.axis, again.band, again.lead) == (signal.axis, signal.band, signal.lead)
@@ -84,13 +84,13 @@ def test_description_is_json_and_repeats_signal_and_command(kind):
 
 
 def test_description_of_another_kind_keeps_what_it_says():
-    other = composite.signal_of({"kind": "chirp", "dof": "heave", "settle": 0.5})
+    other = signals.signal_of({"kind": "chirp", "dof": "heave", "settle": 0.5})
     assert (other.kind, other.axis, other.lead, other.band) == ("chirp", "heave", 0.5, None)
-    assert composite.signal_of({"signal": "leg extensions"}).described()["signal"]
-    assert composite.signal_of({"kind": "new", "size": 3}).described() == {"kind": "new", "size": 3}
+    assert signals.signal_of({"signal": "leg extensions"}).described()["signal"]
+    assert signals.signal_of({"kind": "new", "size": 3}).described() == {"kind": "new", "size": 3}
     for wrong in ({"kind": "x", "rate": "fast"}, {"kind": "step", "rate": "fast"}, {"kind": {}}):
         with pytest.raises(InputError, match="command: (rate|kind): .* is refused"):
-            composite.signal_of(wrong)
+            signals.signal_of(wrong)
     with pytest.raises(ValueError, match="signal: 'chirp' cannot be made again"):
         other.command()
 

@@ -11,8 +11,8 @@ import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.poles import are_stable
 from cmf_mj.analysis.linear.structured import peak_bound
-from cmf_mj.analysis.measures import are_stable
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Gains
 from cmf_mj.core.errors import InputError

@@ -18,6 +18,8 @@ all as deviations. The relief valve is shut. The pump counts as working: any mot
 takes the compensator off the end of its range, where it stands at perfect rest.
 """
 
+from typing import NamedTuple
+
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,8 +37,8 @@ from cmf_mj.plant.supply import gas_pressure
 Matrix = NDArray[np.float64]
 
 
-class _Rows:
-    """Matrices filled by the names of states and inputs."""
+class _System:
+    """Matrices A and B, filled by the names of states and inputs."""
 
     def __init__(self, states: list[str], inputs: list[str]) -> None:
         self.row = {name: i for i, name in enumerate(states)}
@@ -44,9 +46,9 @@ class _Rows:
         self.a = np.zeros((len(states), len(states)))
         self.b = np.zeros((len(states), len(inputs)))
 
-    def add(self, state: str, **terms: float) -> None:
+    def add(self, state: str, **coefficients: float) -> None:
         """Add terms to the derivative of a state; those of absent states are left out."""
-        for name, value in terms.items():
+        for name, value in coefficients.items():
             if name in self.row:
                 self.a[self.row[state], self.row[name]] += value
             elif name in self.column:
@@ -63,21 +65,18 @@ def linearize(
 ) -> control.StateSpace:
     """Linearise a plant with its hydraulics at rest in a configuration; the plant is left there.
 
-    Continuous, SI, deviations from rest. Two valves of an actuator that have the same lags share
-    their states, as they answer alike.
-
     The plant is any whose cylinders determine its motion; the pose is as `plant.place` takes it, by
-    default neutral; `excitation` moves the valves, `noise`, `sine` or `mean`, see `describing`;
+    default neutral; `excitation` moves the valves, `noise`, `sine` or `mean`, see `ports`;
     `friction` says how dry friction enters, `none`, `stuck` or a speed, see `plant.cylinder`;
-    `at` is the operating point, where it is known, instead of these.
+    `at` is the operating point, where it is known, instead of these. Two valves of an actuator that
+    have the same lags share their states.
 
     Inputs are `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
     `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
     `linear.loop.closed_loop` reads them, and of a supply that is no constant one `supply_pressure`
     and `return_pressure` [Pa]. A single leg has bare names.
 
-    Raises `NotLinearError` for what has no linearisation (overlap, hysteresis, dry friction), named
-    with the set and the actuator, and a configuration on a stop or beyond what the supply can hold.
+    Raises `NotLinearError` as `operating_point` does.
 
     >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report"))
     >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)
@@ -94,41 +93,42 @@ def linearize(
         for valve in dict.fromkeys(valves[leg])
     ]
     motion = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
-    supply, network = plant.hydraulics.supply, list[str]()
+    supply, manifolds, network = plant.hydraulics.supply, list[str](), list[str]()
     if not supply.constant:
+        manifolds = ["supply_pressure", "return_pressure"]
         oil = ["accumulator_oil"] if supply.accumulators > 0.0 else []
-        network = ["supply_pressure", "return_pressure", *oil, "pump_flow"]
-    system = _Rows([*lags, *labels(motion, legs), *network], labels(("command",), legs))
+        network = [*manifolds, *oil, "pump_flow"]
+    system = _System([*lags, *labels(motion, legs), *network], labels(("command",), legs))
     _fill_mechanics(plant, point, system)
-    drawn, returned = dict[str, float](), dict[str, float]()
-    for leg in range(legs):
-        _fill_hydraulics(plant, point, system, leg, valves[leg], drawn, returned)
+    flows = [_fill_hydraulics(plant, point, system, leg, valves[leg]) for leg in range(legs)]
     if network:
-        _fill_supply(plant, point, system, drawn, returned)
-    rows = [system.row[name] for name in labels(("leg_velocity",), legs)]
-    outputs = [*labels(FEEDBACK, legs), *network[:2]]
+        _fill_supply(plant, point, system, flows)
+    outputs = [*labels(FEEDBACK, legs), *manifolds]
     c = np.zeros((len(outputs), system.a.shape[0]))
     for i, name in enumerate(outputs):
         if name in system.row:
             c[i, system.row[name]] = 1.0
-    c[2 * legs : 3 * legs] = system.a[rows]
+    for speed in labels(("leg_velocity",), legs):
+        acceleration = speed.replace("velocity", "acceleration")
+        c[outputs.index(acceleration)] = system.a[system.row[speed]]
     names = {"inputs": list(system.column), "outputs": outputs}
     matrices = system.a, system.b, c, np.zeros((c.shape[0], legs))
     return control.ss(*matrices, states=list(system.row), name=plant.name, **names)
 
 
-def _corners(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:
+def _lag_rates(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:
+    """Rates a and b of drive and spool of a valve [rad/s]."""
     values = plant.parameters.actuator(actuator, valve)
     return values["drive_lag"].si, values["valve_lag"].si
 
 
 def _valve_states(plant: Plant, actuator: str) -> list[str]:
     """Suffix of the lag states of each valve: none where both have the same lags."""
-    alike = len({_corners(plant, actuator, i) for i in range(len(VALVES))}) == 1
-    return ["" if alike else f"_{name}" for name in VALVES]
+    are_alike = len({_lag_rates(plant, actuator, i) for i in range(len(VALVES))}) == 1
+    return ["" if are_alike else f"_{name}" for name in VALVES]
 
 
-def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
+def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _System) -> None:
     mechanics, cylinder = point.mechanics, plant.hydraulics.cylinder
     position, speed, cap, rod = (
         labels((name,), plant.legs)
@@ -138,46 +138,43 @@ def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
     friction = plant.hydraulics.friction.viscous_friction + point.friction.damping
     damping = mechanics.damping + np.diag(friction)
     stiffness = mechanics.stiffness + np.diag(point.friction.stiffness)
-    slopes = {
-        "position": (position, -inverse @ stiffness),
-        "speed": (speed, -inverse @ damping),
-        "cap": (cap, inverse * cylinder.cap_area),
-        "rod": (rod, -inverse * cylinder.rod_area),
-    }
+    by_pressure = inverse * cylinder.cap_area, -inverse * cylinder.rod_area
+    accelerations = np.hstack([-inverse @ stiffness, -inverse @ damping, *by_pressure])
     for leg in range(plant.legs):
         system.add(position[leg], **{speed[leg]: 1.0})
-        for names, matrix in slopes.values():
-            system.add(speed[leg], **dict(zip(names, matrix[leg], strict=True)))
+        for state, slope in zip((*position, *speed, *cap, *rod), accelerations[leg], strict=True):
+            system.add(speed[leg], **{state: slope})
+
+
+class _ManifoldFlows(NamedTuple):
+    """Slopes of a leg's flows out of the supply and into the return manifold, by state."""
+
+    drawn: dict[str, float]
+    returned: dict[str, float]
 
 
 def _fill_hydraulics(
-    plant: Plant,
-    point: OperatingPoint,
-    system: _Rows,
-    leg: int,
-    valves: list[str],
-    drawn: dict[str, float],
-    returned: dict[str, float],
-) -> None:
-    """Lags and chambers of one leg; what it draws from and returns to the manifolds is added up.
+    plant: Plant, point: OperatingPoint, system: _System, leg: int, valves: list[str]
+) -> _ManifoldFlows:
+    """Fill in lags and chambers of one leg; returns its flows at the manifolds.
 
     `valves` are the suffixes of the states of its valves, alike where they share them.
     """
     hydraulics, number = plant.hydraulics, f"_{leg + 1}" if plant.legs > 1 else ""
     cylinder = hydraulics.cylinder[leg]
     for suffix in dict.fromkeys(valves):
-        a, b = _corners(plant, plant.actuators[leg], valves.index(suffix))
+        a, b = _lag_rates(plant, plant.actuators[leg], valves.index(suffix))
         drive, spool = f"drive{suffix}{number}", f"spool{suffix}{number}"
         system.add(drive, **{drive: -a, f"command{number}": a})
         system.add(spool, **{spool: -b, drive: b})
     extension = point.mechanics.extension[leg]
-    ends = np.array([point.supply_pressure, point.return_pressure])
-    pressures = np.append(point.pressure[leg], ends)
+    manifolds = np.array([point.supply_pressure, point.return_pressure])
+    pressures = np.append(point.pressure[leg], manifolds)
     slopes = ports.port_slopes(hydraulics, leg, point.spool[leg], pressures, point.outward[leg])
     cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
 
     def flow(row: int) -> dict[str, float]:
-        """What a port's flow depends on."""
+        """Slopes of a port's flow by state."""
         terms = {
             cap: slopes.pressure[row, ports.CAP],
             rod: slopes.pressure[row, ports.ROD],
@@ -189,33 +186,34 @@ def _fill_hydraulics(
             terms[name] = terms.get(name, 0.0) + slopes.opening[row, valve]
         return terms
 
-    whole = volumes(cylinder, extension)
-    for row, name, volume, area in (
-        (ports.CAP, cap, whole[0], cylinder.cap_area),
-        (ports.ROD, rod, whole[1], -cylinder.rod_area),
+    cap_volume, rod_volume = volumes(cylinder, extension)
+    for row, chamber, volume, area in (
+        (ports.CAP, cap, cap_volume, cylinder.cap_area),
+        (ports.ROD, rod, rod_volume, -cylinder.rod_area),
     ):
         content, rise = density(hydraulics.oil, pressures[row])
         terms = flow(row) | {speed: -content * area}
-        system.add(name, **{key: value / (volume * rise) for key, value in terms.items()})
-    for row, total in ((ports.DRAWN, drawn), (ports.RETURNED, returned)):
-        for key, value in flow(row).items():
-            total[key] = total.get(key, 0.0) + value
+        system.add(chamber, **{state: value / (volume * rise) for state, value in terms.items()})
+    return _ManifoldFlows(flow(ports.DRAWN), flow(ports.RETURNED))
+
+
+def _sum_by_state(tables: list[dict[str, float]]) -> dict[str, float]:
+    states = dict.fromkeys(state for table in tables for state in table)
+    return {state: sum(table.get(state, 0.0) for table in tables) for state in states}
 
 
 def _fill_supply(
-    plant: Plant,
-    point: OperatingPoint,
-    system: _Rows,
-    drawn: dict[str, float],
-    returned: dict[str, float],
+    plant: Plant, point: OperatingPoint, system: _System, flows: list[_ManifoldFlows]
 ) -> None:
     supply, oil = plant.hydraulics.supply, plant.hydraulics.oil
+    drawn = _sum_by_state([flow.drawn for flow in flows])
+    returned = _sum_by_state([flow.returned for flow in flows])
     high = 1.0 / (supply.supply_volume * density(oil, point.supply_pressure)[1])
     low = 1.0 / (supply.return_volume * density(oil, point.return_pressure)[1])
     system.add("supply_pressure", pump_flow=high)
-    system.add("supply_pressure", **{key: -high * value for key, value in drawn.items()})
+    system.add("supply_pressure", **{state: -high * value for state, value in drawn.items()})
     system.add("return_pressure", return_pressure=-low / supply.tank_line)
-    system.add("return_pressure", **{key: low * value for key, value in returned.items()})
+    system.add("return_pressure", **{state: low * value for state, value in returned.items()})
     gain = supply.pump_flow / supply.pump_droop
     system.add(
         "pump_flow",
@@ -225,10 +223,10 @@ def _fill_supply(
     if "accumulator_oil" not in system.row:
         return
     rise = gas_pressure(supply, point.accumulator_oil)[1]
-    one, line = supply.accumulators, supply.accumulator_line
+    count, line = supply.accumulators, supply.accumulator_line
     system.add(
         "supply_pressure",
-        accumulator_oil=high * one * rise / line,
-        supply_pressure=-high * one / line,
+        accumulator_oil=high * count * rise / line,
+        supply_pressure=-high * count / line,
     )
     system.add("accumulator_oil", accumulator_oil=-rise / line, supply_pressure=1.0 / line)

@@ -13,39 +13,39 @@ its inputs and H = e^(-s d T0) (1 - e^(-s T0)) / (s T0) delay and hold,
     position = H V / s (1 - H (B_x V / s + B_v V + B_a s e^(-s T0) V + B_p P))^-1 B_r reference
 
 The same law on every axis is a number times 1, and the axes may be any; a law in hydraulic modes is
-a matrix. The accelerometer is one frame late, as in the simulation.
-
-The report's zero pressures are nearly right for a single leg and in heave, where the law's
-pressure terms move the -90 deg bandwidth by 0.3 %. In surge and sway of the hexapod, whose legs
-swing the largest mass, they slow it by about 2 %: models of the pressures belong into that loop.
+a matrix. The accelerometer is one frame late, as in the simulation. The report's zero pressures
+slow the -90 deg bandwidth by 0.3 % for a single leg and in heave, by 2 % in surge and sway.
 """
 
 import re
-from typing import Any
+from typing import NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.linear.plants import FEEDBACK, UnitTransferFunction, leg_plant
+from cmf_mj.analysis.linear.plants import (
+    FEEDBACK,
+    MOTIONS,
+    UnitTransferFunction,
+    leg_plant,
+    reachable_states,
+)
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError, check_name
 
-DCL_INPUTS = ("reference", *FEEDBACK)
-"""Inputs of `dcl_state_space` for each leg; the reference in m."""
-
-_PRESSURES = FEEDBACK.index("cap_pressure")  #: Where the pressures begin in `FEEDBACK`.
+DCL_INPUTS = ("reference", *FEEDBACK)  #: Inputs of the DCL for each leg; the reference in m.
 
 Matrix = NDArray[np.float64]
 
 _STATES = tuple(name for name in DclState.zeros(1).arrays() if name != "offset")
-
-_SIZE = 2.0**-30
-"""Size of states and inputs that the law is asked with: no clamp acts, and no digit is lost."""
+"""States of the DCL that its linear system may have."""
+_UNIT = 2.0**-30  #: Size of states and inputs that probe the law: no clamp acts, no digit is lost.
+_MOST_LAWS = 64  #: Laws whose matrices stay in memory: many plants are closed with the same few.
 
 
 def labels(names: tuple[str, ...], legs: int) -> list[str]:
@@ -56,23 +56,24 @@ def labels(names: tuple[str, ...], legs: int) -> list[str]:
 
 
 @compiled
-def _answer(dcl, state, feedback, states, inputs, units, answers):  # type: ignore[no-untyped-def]
-    """Write output and next state of one frame from each of the units, (m, n + 6) to (m, 1 + n).
+def _probe(dcl, state, feedback, states, inputs, probes, answers):  # type: ignore[no-untyped-def]
+    """Write command and next states after one frame from each probe, (m, s + i) to (m, 1 + s).
 
-    `states` are the arrays of `state`, `inputs` the demand and those of `feedback`, part by part.
+    A probe has the s states and then the i inputs, each of all legs. `states` are the arrays of
+    `state`, `inputs` the demand and the arrays of `feedback`.
     """
     legs, count = inputs[0].shape[0], len(states)
-    for row in range(units.shape[0]):
+    for row in range(probes.shape[0]):
         for leg in range(legs):
-            for part in range(count):
-                states[part][leg] = units[row, part * legs + leg]
-            for part in range(len(inputs)):
-                inputs[part][leg] = units[row, (count + part) * legs + leg]
+            for kind in range(count):
+                states[kind][leg] = probes[row, kind * legs + leg]
+            for kind in range(len(inputs)):
+                inputs[kind][leg] = probes[row, (count + kind) * legs + leg]
         step(dcl, state, inputs[0], feedback)
         for leg in range(legs):
             answers[row, leg] = dcl.workspace.output[leg]
-            for part in range(count):
-                answers[row, (1 + part) * legs + leg] = states[part][leg]
+            for kind in range(count):
+                answers[row, (1 + kind) * legs + leg] = states[kind][leg]
 
 
 def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
@@ -80,72 +81,74 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
 
     No demand or command is clamped, the error integral is engaged and away from its bounds.
 
-    The compiled law is asked with one state or input at a time, in leg coordinates for one leg,
-    whose matrices all legs share. Of the states of each leg or mode those are kept that can act on
-    the command. An adapting law is linear while its factor stands still: this is the law with the
-    factor at 1. A law in hydraulic modes must be `bound_to` a cab.
-
-    Inputs are `DCL_INPUTS`, the output `command` [fraction]; with several legs `reference_1` and so
-    on.
+    The compiled law is probed with one state or input at a time, in leg coordinates for one leg,
+    whose matrices all legs share. States that cannot act on the command are left out. Of an
+    adapting law this is the law with the factor at 1. A law in hydraulic modes must be `bound_to` a
+    cab. Inputs are `DCL_INPUTS`, the output `command` [fraction]; with several legs `reference_1`
+    and so on.
     """
     if legs < 1:
         raise InputError(f"legs: {legs} must be at least 1")
     loaded = load_law(law)
     key = loaded.model_dump_json(), loaded.machine.model_dump_json(), legs
-    if (found := _ASKED.get(key)) is None:
-        found = _asked(loaded, legs)
-        if len(_ASKED) >= _MOST:
-            _ASKED.pop(next(iter(_ASKED)), None)
-        _ASKED[key] = found
-    *matrices, states = found
+    if key not in _MATRICES_OF_LAWS:
+        if len(_MATRICES_OF_LAWS) >= _MOST_LAWS:
+            oldest = next(iter(_MATRICES_OF_LAWS))
+            _MATRICES_OF_LAWS.pop(oldest, None)
+        _MATRICES_OF_LAWS[key] = _probed_matrices(loaded, legs)
+    a, b, c, d, states = _MATRICES_OF_LAWS[key]
+    matrices = [matrix.copy() for matrix in (a, b, c, d)]
     names = {"inputs": labels(DCL_INPUTS, legs), "outputs": labels(("command",), legs)}
-    matrices = [matrix.copy() for matrix in matrices]
     return control.ss(*matrices, loaded.frame, name="DCL", states=states, **names)
 
 
-_MOST = 64  #: Laws whose answers are kept: many plants are asked about the same few.
-_ASKED: dict[tuple[str, str, int], tuple[Any, ...]] = {}
+class _DclMatrices(NamedTuple):
+    """The DCL as a linear system."""
+
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    d: Matrix
+    states: list[str]  #: Their names.
 
 
-def _asked(law: Law, legs: int) -> tuple[Any, ...]:
-    """Matrices A, B, C and D of the DCL and the names of its states."""
-    asked = 1 if law.coordinates == "legs" else legs
-    dcl, state = make_dcl(law, asked), DclState.zeros(asked)
+_MATRICES_OF_LAWS: dict[tuple[str, str, int], _DclMatrices] = {}
+
+
+def _probed_matrices(law: Law, legs: int) -> _DclMatrices:
+    """Matrices of the DCL from its answers to unit states and inputs."""
+    axes = 1 if law.coordinates == "legs" else legs
+    dcl, state = make_dcl(law, axes), DclState.zeros(axes)
     arrays = state.arrays()
     states = tuple(arrays[name] for name in _STATES)
-    inputs = tuple(np.zeros(asked) for _ in DCL_INPUTS)
-    units = _SIZE * np.eye((len(states) + len(inputs)) * asked)
-    count = len(states) * asked
-    answers = np.empty((len(units), asked + count))
-    _answer(dcl, state, LegFeedback(*inputs[1:]), states, inputs, units, answers)
-    answers = answers.T / _SIZE
-    c, d, a, b = (
-        np.asarray(np.kron(part, np.eye(legs // asked)), dtype=np.float64)
-        for half in (answers[:asked], answers[asked:])
-        for part in (half[:, :count], half[:, count:])
+    inputs = tuple(np.zeros(axes) for _ in DCL_INPUTS)
+    probes = _UNIT * np.eye((len(states) + len(inputs)) * axes)
+    order = len(states) * axes
+    answers = np.empty((len(probes), axes + order))
+    _probe(dcl, state, LegFeedback(*inputs[1:]), states, inputs, probes, answers)
+    answers = answers.T / _UNIT
+    command, next_states = answers[:axes], answers[axes:]
+    a, b, c, d = (
+        np.asarray(np.kron(part, np.eye(legs // axes)), dtype=np.float64)
+        for part in (
+            *(next_states[:, :order], next_states[:, order:]),
+            *(command[:, :order], command[:, order:]),
+        )
     )
-    # Of all legs those states that reach the output of one do; the compensator's always counts.
+    # A state that acts on the command of one leg stays for all; the compensator's always stays.
     kinds = a.shape[0] // legs
     links = (a != 0.0).reshape(kinds, legs, kinds, legs).any(axis=(1, 3))
-    seen = (c != 0.0).reshape(-1, kinds, legs).any(axis=(0, 2))
-    seen[0] = True
-    kept = np.flatnonzero(np.repeat(reached(links.T, seen), legs))
-    names = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
-    return a[np.ix_(kept, kept)], b[kept], c[:, kept], d, names
+    read_by_command = (c != 0.0).reshape(-1, kinds, legs).any(axis=(0, 2))
+    read_by_command[0] = True
+    acting_kinds = reachable_states(links.T, read_by_command)
+    acting = np.flatnonzero(np.repeat(acting_kinds, legs))
+    names = [labels(_STATES, legs)[i].replace(".", "_") for i in acting]
+    return _DclMatrices(a[np.ix_(acting, acting)], b[acting], c[:, acting], d, names)
 
-
-def reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """All states that a chain of links, row from column, reaches."""
-    while not ((after := start | links[:, start].any(axis=1)) == start).all():
-        start = after
-    return start
-
-
-OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
-
-STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
 Complex = NDArray[np.complex128]
+OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
+STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
 
 def closed_loop(
@@ -158,13 +161,13 @@ def closed_loop(
     """Close the loop of a law around a linear plant; the clamps do not act.
 
     `plant` is a transfer function as for `leg_plant`, or a state space in SI units, continuous or
-    discrete at the law's rate; a single input may have any name. Of its outputs, position must be
-    there, velocity and acceleration where the law reads them. `command_delay` counts frames between
-    the DCL's output and the plant, at least 1. `outputs` are some of `OUTPUTS`.
+    discrete at the law's rate, with the outputs that the law reads; a single input may have any
+    name. `command_delay` counts frames between the DCL's output and the plant, at least 1.
 
-    The loop is discrete at the law's rate, SI: from `reference` [m] to the outputs; with several
-    legs from `reference_1` and on to `leg_position_1` and on, leg by leg within an output. Raises
-    `InputError` for a plant that has other names, another rate, or lacks what the law reads.
+    The loop is discrete at the law's rate, SI: from `reference` [m] to `outputs`, some of
+    `OUTPUTS`; with several legs from `reference_1` and on to `leg_position_1` and on, leg by leg
+    within an output. Raises `InputError` for a plant of other names, another rate, or that lacks an
+    output.
     """
     if command_delay < 1:
         raise InputError(f"command_delay: {command_delay} frames must be at least 1")
@@ -172,34 +175,30 @@ def closed_loop(
         check_name("outputs", name, OUTPUTS)
     loaded = load_law(law)
     sampled = at_frames(plant, loaded.frame)
-    legs, given = int(sampled.ninputs), sampled.input_labels
-    expected = given if legs == 1 else labels(("command",), legs)  # a single one has any name
-    if set(given) != set(expected):
-        raise InputError(
-            f"plant: its inputs {', '.join(given)} must be command_1 to command_{legs}"
-        )
-    columns = [given.index(name) for name in expected]
-    law_system = dcl_state_space(loaded, legs)
-    c, d = _feedback_rows(sampled, columns, law_system, outputs)
+    legs, inputs = int(sampled.ninputs), sampled.input_labels
+    commands = inputs if legs == 1 else labels(("command",), legs)  # a single one has any name
+    if set(inputs) != set(commands):
+        names = ", ".join(inputs)
+        raise InputError(f"plant: its inputs {names} must be command_1 to command_{legs}")
+    columns = [inputs.index(name) for name in commands]
+    dcl = dcl_state_space(loaded, legs)
+    c, d = _feedback_rows(sampled, columns, dcl, outputs)
     a, b = np.asarray(sampled.A), np.asarray(sampled.B)[:, columns]
     a, b, c, d = _delayed((a, b, c, d), command_delay)
     # With reference r, feedback y and command u: y = C x, since the delay takes the direct term.
-    ak, bk, ck, dk = (
-        np.asarray(m) for m in (law_system.A, law_system.B, law_system.C, law_system.D)
-    )
+    ak, bk, ck, dk = (np.asarray(matrix) for matrix in (dcl.A, dcl.B, dcl.C, dcl.D))
     br, by, dr, dy = bk[:, :legs], bk[:, legs:], dk[:, :legs], dk[:, legs:]
     law_order = ak.shape[0]
     loop_a = np.block([[a + b @ dy @ c, b @ ck], [by @ c, ak]])
     loop_b = np.vstack([b @ dr, br])
-    rows = {
-        name: (np.hstack([c[i * legs : (i + 1) * legs], np.zeros((legs, law_order))]), 0.0 * dr)
-        for i, name in enumerate(FEEDBACK)
-    }
-    rows["command"] = (np.hstack([dy @ c, ck]), dr)
-    loop_c, loop_d = (np.vstack([rows[name][i] for name in outputs]) for i in (0, 1))
-    names = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
+    feedback_rows = np.split(np.hstack([c, np.zeros((len(c), law_order))]), len(FEEDBACK))
+    c_of = dict(zip(FEEDBACK, feedback_rows, strict=True)) | {"command": np.hstack([dy @ c, ck])}
+    d_of = dict.fromkeys(FEEDBACK, 0.0 * dr) | {"command": dr}
+    loop_c = np.vstack([c_of[name] for name in outputs])
+    loop_d = np.vstack([d_of[name] for name in outputs])
+    ports = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
     name = f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}"
-    return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **names)
+    return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **ports)
 
 
 def at_frames(plant: UnitTransferFunction | control.StateSpace, frame: float) -> control.StateSpace:
@@ -228,16 +227,16 @@ def _feedback_rows(
     legs = len(columns)
     c = np.zeros((len(FEEDBACK) * legs, plant.nstates))
     d = np.zeros((len(FEEDBACK) * legs, legs))
-    read = np.any(np.vstack([law_system.B, law_system.D])[:, legs:] != 0.0, axis=0)
-    present = {label: i for i, label in enumerate(plant.output_labels)}
+    is_read = np.any(np.vstack([law_system.B, law_system.D])[:, legs:] != 0.0, axis=0)
+    plant_outputs = plant.output_labels
     for i, label in enumerate(labels(FEEDBACK, legs)):
-        if label in present:
-            c[i] = plant.C[present[label]]
-            d[i] = plant.D[present[label]][columns]
+        if label in plant_outputs:
+            row = plant_outputs.index(label)
+            c[i], d[i] = plant.C[row], plant.D[row][columns]
             continue
         name = FEEDBACK[i // legs]
-        if name in outputs or (read[i] and i < _PRESSURES * legs):
-            raise InputError(f"plant: has no output {label}; it has {', '.join(present)}")
+        if name in outputs or (is_read[i] and name in MOTIONS):
+            raise InputError(f"plant: has no output {label}; it has {', '.join(plant_outputs)}")
     return c, d
 
 
@@ -246,17 +245,15 @@ def _delayed(matrices: tuple[Matrix, ...], frames: int) -> tuple[Matrix, ...]:
     a, b, c, d = matrices
     order, legs = b.shape
     shift = np.eye(frames * legs, k=-legs)
-    first, last = np.eye(frames * legs, legs), np.eye(legs, frames * legs, k=(frames - 1) * legs)
-    joined = np.block([[a, b @ last], [np.zeros((frames * legs, order)), shift]])
-    entry = np.vstack([np.zeros((order, legs)), first])
-    return joined, entry, np.hstack([c, d @ last]), np.zeros_like(d)
+    newest = np.eye(frames * legs, legs)
+    oldest = np.eye(legs, frames * legs, k=(frames - 1) * legs)
+    delayed_a = np.block([[a, b @ oldest], [np.zeros((frames * legs, order)), shift]])
+    delayed_b = np.vstack([np.zeros((order, legs)), newest])
+    return delayed_a, delayed_b, np.hstack([c, d @ oldest]), np.zeros_like(d)
 
 
 def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> FrequencyResponse:
-    """The exact response of a SISO loop or other linear system at `frequency` [Hz], (K,).
-
-    It has the form of measured ones, with coherence 1 and bound 0.
-    """
+    """The exact response of a SISO system at `frequency` [Hz], (K,), with coherence 1, bound 0."""
     omega = 2.0 * np.pi * np.asarray(frequency, dtype=float)
     response = control.frequency_response(loop, omega).frdata[0, 0]
     ones = np.ones(omega.size)
@@ -264,9 +261,7 @@ def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> F
     return FrequencyResponse(response, omega, ones, 0.0 * ones, **names)
 
 
-def loop_step(
-    loop: control.StateSpace, duration: float = STEP_DURATION
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def loop_step(loop: control.StateSpace, duration: float = STEP_DURATION) -> tuple[Matrix, Matrix]:
     """Time [s] and response of a discrete SISO loop to a unit step, both (N,)."""
     time = np.arange(round(duration / loop.dt)) * loop.dt
     response = control.step_response(loop, time)
@@ -297,11 +292,12 @@ def closed_loop_response(
     gain, frame = _law_gains(loaded, f, v.shape[1]), loaded.frame
     hold = (1.0 - np.exp(-s * frame)) / (s * frame) * np.exp(-s * frame)
     late = s * np.exp(-s * frame)
-    back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
+    by_velocity = gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late
+    feedback = by_velocity @ v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):
-            back = back + gain[name] @ _square(name, values, f.size)
-    command = np.linalg.solve(np.eye(v.shape[1]) - hold * back, gain["reference"])
+            feedback = feedback + gain[name] @ _square(name, values, f.size)
+    command = np.linalg.solve(np.eye(v.shape[1]) - hold * feedback, gain["reference"])
     return np.asarray(hold / s * v @ command)
 
 
@@ -322,7 +318,6 @@ def _square(name: str, values: ArrayLike, lines: int) -> Complex:
     response = np.asarray(values, dtype=complex)
     response = response[:, None, None] if response.ndim == 1 else response
     if response.ndim != 3 or response.shape[0] != lines or response.shape[1] != response.shape[2]:
-        raise InputError(
-            f"{name}: shape is {np.shape(values)}; allowed: ({lines}, n, n) or ({lines},)"
-        )
+        allowed = f"({lines}, n, n) or ({lines},)"
+        raise InputError(f"{name}: shape is {np.shape(values)}; allowed: {allowed}")
     return response

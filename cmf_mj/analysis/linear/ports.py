@@ -1,18 +1,14 @@
 """Flows of one actuator and their slopes, at given openings and pressures.
 
-The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage. Cushions,
-which throttle what flows out of openings far beyond those of rest, are left out.
+The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage, without
+cushions.
 The slope of a port's flow with the opening differs for opening one way or the other,
 
     dq_cap / de = k A_cap phi(Ps - p_cap)  (e > 0),    k A_cap phi(p_cap - Pt)  (e < 0)
 
-At a closed valve the describing function is their mean, weighted with the share of outward motion;
-`outward_share` is that share.
-
-Describing function of a closed valve: which share of the two slopes of its flow counts.
-
-The flow into a chamber has a kink at the closed valve, q = s+ e for e > 0 and s- e for e < 0, which
-no amplitude is too small for. To a signal e of mean m it answers with the gain
+**Describing function of a closed valve.** The flow into a chamber has a kink at the closed valve,
+q = s+ e for e > 0 and s- e for e < 0, whatever the amplitude. To a signal e of mean m it answers
+with the gain
 
     f s+ + (1 - f) s-,    f = P(e > 0)                                     Gaussian e
                           f = 1/2 + (asin r + r sqrt(1 - r^2)) / pi        e = U (r + sin)
@@ -37,16 +33,15 @@ from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.valve import opening, orifice
 
 Excitation = Literal["noise", "sine", "mean"]
-"""What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine; `mean` is
-f = 1/2, the plain mean of both slopes that numerical differences give."""
+"""Signal at the valves: Gaussian (nearly a multisine), or one sine; `mean` is f = 1/2."""
 
-_FARTHEST = 8.0  #: Largest mean over standard deviation that is looked for.
+_LARGEST_MEAN = 8.0  #: Over the standard deviation, in the search for the mean of the signal.
 
 
 def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
     """Share f of the slopes to e > 0, for `ratio` = <e+> / <e-> = S- / S+, greater than 0.
 
-    It is 0 or 1 for ratios that a mean of `_FARTHEST` deviations does not reach.
+    It is 0 or 1 for ratios that a mean of eight deviations does not reach.
     """
     if not 0.0 < ratio < np.inf:
         raise InputError(f"ratio: {ratio} must be greater than 0 and finite")
@@ -60,9 +55,9 @@ def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
     def surplus(mean: float) -> float:
         return _normal_part(mean) - ratio * _normal_part(-mean)
 
-    if surplus(-_FARTHEST) > 0.0 or surplus(_FARTHEST) < 0.0:
+    if surplus(-_LARGEST_MEAN) > 0.0 or surplus(_LARGEST_MEAN) < 0.0:
         return float(ratio > 1.0)
-    return float(special.ndtr(optimize.brentq(surplus, -_FARTHEST, _FARTHEST)))
+    return float(special.ndtr(optimize.brentq(surplus, -_LARGEST_MEAN, _LARGEST_MEAN)))
 
 
 def _normal_part(mean: float) -> float:
@@ -75,9 +70,7 @@ def _sine_part(mean: float) -> float:
     return float(np.sqrt(1.0 - mean**2) + mean * (0.5 * np.pi + np.arcsin(mean)))
 
 
-CAP, ROD, DRAWN, RETURNED = range(4)
-"""Rows: flows into the chambers, out of the supply manifold and into the return manifold."""
-
+CAP, ROD, DRAWN, RETURNED = range(4)  #: Rows: flows into chambers, from supply, to return.
 HIGH, LOW = 2, 3  #: Columns of pressure slopes: cap, rod, supply and return manifold.
 
 Matrix = NDArray[np.float64]
@@ -91,20 +84,20 @@ class Slopes(NamedTuple):
     opening: Matrix  #: With the openings of both valves [m^3/s], (4, 2).
 
 
-class Path(NamedTuple):
+class PathFlow(NamedTuple):
     """Flow through an orifice behind a hose."""
 
     flow: float
-    drop: float  #: Slope with the pressure drop.
-    gain: float  #: Slope with the orifice's gain.
+    by_drop: float  #: Slope with the pressure drop.
+    by_gain: float  #: Slope with the orifice's gain.
 
 
-def path(gain: float, hose: float, laminar: float, drop: float) -> Path:
+def path_flow(gain: float, hose: float, laminar: float, drop: float) -> PathFlow:
     """Flow q = G phi(dp; s + R G) and its slopes; phi falls by phi / root with s + R G."""
     resistance = laminar + hose * gain
     phi, slope = orifice(drop, resistance)
     root = np.sqrt(resistance**2 + 4.0 * abs(drop))
-    return Path(gain * phi, gain * slope, phi * (1.0 - hose * gain / root))
+    return PathFlow(gain * phi, gain * slope, phi * (1.0 - hose * gain / root))
 
 
 def port_slopes(
@@ -113,37 +106,40 @@ def port_slopes(
     """Flows and slopes of one actuator.
 
     `spools` are the positions of its two spools, fractions, (2,), `pressures` those of cap, rod,
-    supply and return [Pa], (4,), `outward` is the weight of the
-    slopes to e > 0 where a valve is closed.
+    supply and return [Pa], (4,), `outward` is the `outward_share` of a closed valve.
     """
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
-    # Gains of cap in, cap out, rod in, rod out, and what an opening adds to each.
-    gains, rises = np.zeros(4), np.zeros((4, 2))
+    # Gains of the four paths, cap in, cap out, rod in, rod out, and their slopes with the openings.
+    gains, gain_slopes = np.zeros(4), np.zeros((4, 2))
     for index in range(2):
         valve, size = valves[index], opening(valves[index], spools[index])
-        out = np.array([valve.cap_gain, 0.0, 0.0, valve.rod_gain])
-        back = np.array([0.0, valve.cap_gain, valve.rod_gain, 0.0])
-        gains += max(size, 0.0) * out + max(-size, 0.0) * back
+        outward_gains = np.array([valve.cap_gain, 0.0, 0.0, valve.rod_gain])
+        inward_gains = np.array([0.0, valve.cap_gain, valve.rod_gain, 0.0])
+        gains += max(size, 0.0) * outward_gains + max(-size, 0.0) * inward_gains
         share = outward if size == 0.0 else float(size > 0.0)
-        rises[:, index] = share * out - (1.0 - share) * back
+        gain_slopes[:, index] = share * outward_gains - (1.0 - share) * inward_gains
     cap, rod, high, low = pressures
     laminar, supply, tank = hydraulics.laminar, cylinder.supply_hose, cylinder.return_hose
     throttle = cylinder.cap_throttle
     paths = (
-        path(gains[0], supply + throttle, laminar, high - cap),
-        path(gains[1], tank + throttle, laminar, cap - low),
-        path(gains[2], supply, laminar, high - rod),
-        path(gains[3], tank, laminar, rod - low),
+        path_flow(gains[0], supply + throttle, laminar, high - cap),
+        path_flow(gains[1], tank + throttle, laminar, cap - low),
+        path_flow(gains[2], supply, laminar, high - rod),
+        path_flow(gains[3], tank, laminar, rod - low),
     )
-    # What each path, and the two leakages, add to the four rows; drops by pressures.
-    into = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 0, 1, 0], [0, 1, 0, 1]], dtype=float)
+    # What each path, and each of the two leakages, adds to the rows; drops by pressures.
+    to_rows = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 0, 1, 0], [0, 1, 0, 1]], dtype=float)
     drops = np.array([[-1, 0, 1, 0], [1, 0, 0, -1], [0, -1, 1, 0], [0, 1, 0, -1]], dtype=float)
-    leaks = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.0]]).T
-    across = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+    leak_to_rows = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.0]]).T
+    leak_drops = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
     conductance = np.array([cylinder.leakage, cylinder.bearing_leakage])
-    by_gain = into * np.array([p.gain for p in paths])
+    flows = np.array([path.flow for path in paths])
+    by_drop, by_gain = (
+        to_rows * np.array(slopes)
+        for slopes in ([path.by_drop for path in paths], [path.by_gain for path in paths])
+    )
     return Slopes(
-        into @ np.array([p.flow for p in paths]) + leaks @ (conductance * (across @ pressures)),
-        (into * np.array([p.drop for p in paths])) @ drops + (leaks * conductance) @ across,
-        by_gain @ rises,
+        flow=to_rows @ flows + leak_to_rows @ (conductance * (leak_drops @ pressures)),
+        pressure=by_drop @ drops + (leak_to_rows * conductance) @ leak_drops,
+        opening=by_gain @ gain_slopes,
     )

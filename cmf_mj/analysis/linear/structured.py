@@ -13,19 +13,17 @@ diag(delta_i 1) are found with (M. Fan, A. Tits and J. Doyle, IEEE Trans. Automa
 One pair X, Y serves a closed interval of frequencies: on s = j w e^(j turn) det Phi has its zeros
 at imaginary eigenvalues of a Hamiltonian matrix, and between two of them Phi keeps its sign (C.
 Roos and J.-M. Biannic, IET Control Theory and Applications 4 (2010) 2447-2462). Work ends when such
-intervals cover all of 0 <= w <= infinity, both ends included; negative w are their mirror images.
-So nothing is left between two. Each counts for a little less than its eigenvalues say, so that
-rounding opens no gap where two meet.
+intervals cover all of 0 <= w <= infinity; negative w are their mirror images. Each counts for a
+little less than its eigenvalues say, so that rounding opens no gap where two meet.
 
-A real number may act at one frequency alone, the damper of an oscillator for one; towards it Y
-grows and intervals shrink without end. So none may be narrower than `_NARROW` of the distance from
-the nearest pole of A, which keeps their number finite: there one pair X, Y is sought for three
-frequencies so far apart, and beta raised until it serves what lies between, by what M changes
-there. For modes damped by less than 1e-4 the search ends early: beta is too large, never too small.
+A real number may act at one frequency alone, such as the damper of an oscillator; towards it Y
+grows and intervals shrink without end. So none may be narrower than `_NARROWEST` of the distance
+from the nearest pole of A: there one pair X, Y is sought for three frequencies, and beta raised
+until it serves between them. For modes damped by less than 1e-4 beta is too large, never too small.
 
 With `turn` = asin(zeta) the ray is where poles have the damping ratio zeta: as long as none gets
 there all have more. Where slow poles do not count the ray begins where it meets another, from
-s = slow at 45 degrees, and this one is swept instead up to there.
+s = `ignored_below` at 45 degrees, and this one is swept instead up to there.
 """
 
 from itertools import pairwise
@@ -39,15 +37,13 @@ Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _SLACK = 1.01  #: Beta over the one found at a frequency.
-_NARROW = 5e-4  #: Least half width of an interval over the distance from the nearest pole.
-_MANY = 400  #: Intervals after which beta is raised with each, to come to an end.
-_SURE = 0.999  #: How far an interval counts, over where its eigenvalue is.
-_MOST = 1e6  #: Largest part of S, for the sake of rounding.
-_NEAR = 1e-2  #: Real part over modulus up to which an eigenvalue is tried as an imaginary one.
-_SHARPNESS = (20.0, 60.0, 200.0)
-"""Of the smooth maximum of eigenvalues that is minimised, round by round."""
-_ENOUGH, _GOOD = 0.9, 0.97
-"""Shares of beta below which a search ends, and below which it does not begin again."""
+_NARROWEST = 5e-4  #: Least half width of an interval over the distance from the nearest pole.
+_MOST_INTERVALS = 400  #: After so many beta is raised with each, to come to an end.
+_CERTAIN_SHARE = 0.999  #: How far an interval counts, over where its eigenvalue is.
+_LARGEST_S = 1e6  #: Largest part of S, for the sake of rounding.
+_NEAR_IMAGINARY = 1e-2  #: Real part over modulus up to which an eigenvalue is tried.
+_SHARPNESS = (20.0, 60.0, 200.0)  #: Of the smooth maximum of eigenvalues, round by round.
+_ENOUGH, _GOOD = 0.9, 0.97  #: Shares of beta at which a search ends, and does not begin again.
 _OPTIONS = {"maxiter": 100, "maxcor": 20, "ftol": 1e-6}
 
 
@@ -69,79 +65,106 @@ class Scaling(NamedTuple):
     s: Complex
 
 
+class _Variables:
+    """T upper triangular and S Hermitian, in blocks of `sizes`, as the variables of a search."""
+
+    def __init__(self, sizes: tuple[int, ...]) -> None:
+        pattern = linalg.block_diag(*(np.ones((size, size)) for size in sizes)) > 0.0
+        self.identity = np.eye(len(pattern), dtype=complex)
+        self.entries = rows, columns = np.nonzero(np.triu(pattern))
+        self.count = len(rows)
+        self._share = np.where(rows == columns, 0.5, 1.0)  # of S, whose adjoint is added
+        largest = np.repeat([np.inf, _LARGEST_S], 2 * self.count)
+        self.bounds = optimize.Bounds(-largest, largest)
+
+    def pack(self, t: Complex, s: Complex) -> Matrix:
+        """The variables of T and S."""
+        on_t, on_s = t[self.entries], self._share * s[self.entries]
+        return np.concatenate([on_t.real, on_t.imag, on_s.real, on_s.imag])
+
+    def unpack(self, values: Matrix) -> tuple[Complex, Complex]:
+        """T and S of the variables."""
+        t_real, t_imag, s_real, s_imag = values.reshape(4, self.count)
+        t, s = np.zeros_like(self.identity), np.zeros_like(self.identity)
+        t[self.entries] = t_real + 1j * t_imag
+        s[self.entries] = s_real + 1j * s_imag
+        return t, s + s.conj().T
+
+    def cost(self, values: Matrix, m: Complex, sharpness: float) -> tuple[float, Matrix]:
+        """Smooth maximum of the eigenvalues of Phi at beta = 0 over X, and its gradient."""
+        t, s = self.unpack(values)
+        inverse = linalg.solve_triangular(t, self.identity, check_finite=False)
+        scaled = t @ m @ inverse
+        eigenvalue, vector = _eigh(_gain(scaled, s))
+        weight = np.exp(sharpness * (eigenvalue - eigenvalue.max()))
+        value = float(eigenvalue.max() + np.log(weight.sum()) / sharpness)
+        density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
+        pull = density @ (_adjoint(scaled) + 1j * s)
+        by_t = 2.0 * _adjoint(inverse @ (scaled @ pull - pull @ scaled).sum(axis=0))[self.entries]
+        product = (1j * scaled @ density).sum(axis=0)
+        by_s = 2.0 * (product + _adjoint(product))[self.entries]
+        return value, np.concatenate([by_t.real, by_t.imag, by_s.real, by_s.imag])
+
+
 def point_bound(
     m: Complex, sizes: tuple[int, ...], start: Scaling | None = None, enough: float = 0.0
 ) -> Scaling:
     """The least beta found for one or all of m, (k, k) or (n, k, k); stops below `enough`."""
-    pattern = linalg.block_diag(*(np.ones((size, size)) for size in sizes)) > 0.0
-    m, entries = m.reshape(-1, *pattern.shape), np.nonzero(np.triu(pattern))
-    count, identity = len(entries[0]), np.eye(len(pattern), dtype=complex)
+    variables = _Variables(sizes)
+    base = identity = variables.identity
+    m = m.reshape(-1, *identity.shape)
+    t, s = _balanced(m) if start is None else (start.t, start.s)
 
-    def unpack(values: Matrix) -> tuple[Complex, Complex]:
-        parts = values.reshape(4, count)
-        t, s = np.zeros_like(identity), np.zeros_like(identity)
-        t[entries] = parts[0] + 1j * parts[1]
-        s[entries] = parts[2] + 1j * parts[3]
-        return t, s + s.conj().T
-
-    def cost(values: Matrix, m: Complex, scale: float) -> tuple[float, Matrix]:
-        t, s = unpack(values)
-        inverse = linalg.solve_triangular(t, identity, check_finite=False)
-        scaled = t @ m @ inverse
-        eigenvalue, vector = _eigh(_gain(scaled, s))
-        weight = np.exp(scale * (eigenvalue - eigenvalue.max()))
-        value = float(eigenvalue.max() + np.log(weight.sum()) / scale)
-        density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
-        pull = density @ (_adjoint(scaled) + 1j * s)
-        on_t = 2.0 * _adjoint(inverse @ (scaled @ pull - pull @ scaled).sum(axis=0))[entries]
-        turned = (1j * scaled @ density).sum(axis=0)
-        on_s = 2.0 * (turned + _adjoint(turned))[entries]
-        return value, np.concatenate([on_t.real, on_t.imag, on_s.real, on_s.imag])
+    settings = {"jac": True, "method": "L-BFGS-B", "bounds": variables.bounds, "options": _OPTIONS}
 
     def stop(intermediate_result: optimize.OptimizeResult) -> None:  # SciPy looks for this name
         if intermediate_result.fun < enough**2:
             raise StopIteration
 
-    half, base = np.where(entries[0] == entries[1], 0.5, 1.0), identity
-    t, s = (identity, np.zeros_like(identity)) if start is None else (start.t, start.s)
-    if start is None:
-        size = np.abs(m).max(axis=0) + 1e-12
-        t = np.diag(1.0 / linalg.matrix_balance(size, permute=False, separate=True)[1][0] + 0j)
-        given, ends = t @ m @ np.linalg.inv(t), np.arcsinh([-_MOST, _MOST]) - [-1.0, 1.0]
-
-        def plain(x: float) -> float:
-            return largest(given, Scaling(0.0, identity, np.sinh(x) * identity))
-
-        s = np.sinh(optimize.minimize_scalar(plain, bounds=ends, method="bounded").x) * identity
     for sharpness in _SHARPNESS:
         base = t @ base
         base /= np.abs(np.diag(base)).max()
-        given, t = base @ m @ np.linalg.inv(base), identity
-        size = max(abs(largest(given, Scaling(0.0, t, s))), 1e-9)
-        begun = t[entries], half * s[entries]
-        values = np.concatenate([part for matrix in begun for part in (matrix.real, matrix.imag)])
-        most = optimize.Bounds(*(np.repeat([np.inf, _MOST], 2 * count) * end for end in (-1, 1)))
-        how = {"method": "L-BFGS-B", "callback": stop, "bounds": most, "options": _OPTIONS}
-        values = optimize.minimize(cost, values, (given, sharpness / size), jac=True, **how).x
-        t, s = unpack(values)
-        if largest(given, Scaling(0.0, t, s)) < enough**2:
+        scaled, t = base @ m @ np.linalg.inv(base), identity
+        size = max(abs(largest_eigenvalue(scaled, Scaling(0.0, t, s))), 1e-9)
+        start_values, sharp = variables.pack(t, s), (scaled, sharpness / size)
+        search = optimize.minimize(variables.cost, start_values, sharp, callback=stop, **settings)
+        t, s = variables.unpack(search.x)
+        if largest_eigenvalue(scaled, Scaling(0.0, t, s)) < enough**2:
             break
-    found = Scaling(0.0, t @ base, s)
-    return found._replace(beta=float(np.sqrt(max(largest(m, found), 0.0))))
+    scaling = Scaling(0.0, t @ base, s)
+    return scaling._replace(beta=float(np.sqrt(max(largest_eigenvalue(m, scaling), 0.0))))
 
 
-def largest(m: Complex, scaling: Scaling) -> float:
+def _balanced(m: Complex) -> tuple[Complex, Complex]:
+    """A first T, diagonal, that balances m (n, k, k), and the best S that is a number times 1."""
+    identity = np.eye(m.shape[-1], dtype=complex)
+    size = np.abs(m).max(axis=0) + 1e-12
+    _, (balance, _) = linalg.matrix_balance(size, permute=False, separate=True)
+    t = np.diag(1.0 / balance + 0j)
+    scaled = t @ m @ np.linalg.inv(t)
+
+    def eigenvalue(x: float) -> float:
+        return largest_eigenvalue(scaled, Scaling(0.0, identity, np.sinh(x) * identity))
+
+    bounds = np.arcsinh([-_LARGEST_S, _LARGEST_S]) - [-1.0, 1.0]
+    search = optimize.minimize_scalar(eigenvalue, bounds=bounds, method="bounded")
+    return t, np.sinh(search.x) * identity
+
+
+def largest_eigenvalue(m: Complex, scaling: Scaling) -> float:
     """The largest eigenvalue of Phi at beta = 0 over X, of a matrix or of several."""
     scaled = scaling.t @ m @ np.linalg.inv(scaling.t)
     return float(np.linalg.eigvalsh(_gain(scaled, scaling.s)).max())
 
 
-def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05, slow: float = 0.0) -> float:
-    """The bound on s = j w e^(j turn), or `least`, above 0, where that is more.
+def peak_bound(
+    loop: Uncertain, turn: float = 0.0, floor: float = 0.05, ignored_below: float = 0.0
+) -> float:
+    """The bound on s = j w e^(j turn), or `floor`, above 0, where that is more.
 
-    No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 none of A may be on
-    its right, else none of A above the real axis; but for those with Re + |Im| < `slow` [rad/s],
-    which do not count. `turn` is below 45 degrees.
+    No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 no pole of A may be
+    on its right, else none above the real axis; poles with Re + |Im| < `ignored_below` [rad/s] do
+    not count. `turn` is below 45 degrees.
 
     >>> from cmf_mj.analysis.linear.structured import Uncertain, peak_bound
     >>> a, b = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[0.0, 0.0], [-1.0, -1.0]])
@@ -150,100 +173,105 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05, slow: fl
     >>> 1.96 < 1.0 / peak_bound(loop) <= 2.0
     True
     """
-    meets = slow / (np.cos(turn) - np.sin(turn))
-    if slow > 0.0:
-        shifted = loop._replace(a=loop.a - slow * np.eye(len(loop.a)))
-        least = _swept(
-            _Cover(shifted, 0.25 * np.pi, least), 0.0, np.sqrt(2.0) * np.cos(turn) * meets
-        )
-    return _swept(_Cover(loop, turn, least), meets, np.inf)
+    corner = ignored_below / (np.cos(turn) - np.sin(turn))
+    if ignored_below > 0.0:
+        shifted = loop._replace(a=loop.a - ignored_below * np.eye(len(loop.a)))
+        floor = _Ray(shifted, 0.25 * np.pi, floor).sweep(0.0, np.sqrt(2.0) * np.cos(turn) * corner)
+    return _Ray(loop, turn, floor).sweep(corner, np.inf)
 
 
-def _swept(cover: "_Cover", low: float, high: float) -> float:
-    """The beta of a ray from one frequency to another."""
-    if low == 0.0:
-        bottom = cover.width(0.0)
-        low = cover.raised(0.0, 0.5 * bottom, bottom)[1]
-    if np.isinf(high):
-        top = float(np.abs(cover.poles).max()) / _NARROW
-        high = cover.raised(top, 2.0 * top, np.inf)[0]
-    left = [(low, high)]
-    while left:
-        low, high = left.pop()
-        if high <= low:
-            continue
-        omega = float(np.sqrt(low * high))
-        scaling = cover.known[omega] = cover.best(omega)
-        grown = _SLACK if len(cover.known) > _MANY else 1.0
-        cover.beta = max(cover.beta * grown, _SLACK * scaling.beta)
-        begin, end = cover.reach(omega, scaling._replace(beta=cover.beta))
-        if min(omega - begin, end - omega) < cover.width(omega):
-            width = cover.width(omega)
-            begin, end = cover.raised(omega - width, omega, omega + width)
-        left += [(low, begin), (end, high)]
-    return cover.beta
-
-
-class _Cover:
+class _Ray:
     """The ray of a loop, its scalings by frequency, and the beta that they prove."""
 
-    def __init__(self, loop: Uncertain, turn: float, least: float) -> None:
+    def __init__(self, loop: Uncertain, turn: float, beta: float) -> None:
         _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)
-        self.loop, self.beta, self.known = loop, least, dict[float, Scaling]()
+        self.loop, self.beta, self.scalings = loop, beta, dict[float, Scaling]()
         self.a = loop.a / scale[:, None] * scale * np.exp(-1j * turn)
         self.b, self.c = loop.b / scale[:, None] * np.exp(-1j * turn), loop.c * scale
         self.poles = np.linalg.eigvals(self.a)
 
-    def width(self, omega: float) -> float:
-        return _NARROW * float(np.abs(1j * omega - self.poles).min())
+    def sweep(self, low: float, high: float) -> float:
+        """The beta that serves from one frequency to another."""
+        if low == 0.0:
+            width = self.half_width(0.0)
+            _, low = self.raise_beta(0.0, 0.5 * width, width)
+        if np.isinf(high):
+            top = float(np.abs(self.poles).max()) / _NARROWEST
+            high, _ = self.raise_beta(top, 2.0 * top, np.inf)
+        gaps = [(low, high)]
+        while gaps:
+            low, high = gaps.pop()
+            if high <= low:
+                continue
+            omega = float(np.sqrt(low * high))
+            scaling = self.scalings[omega] = self.best_scaling(omega)
+            growth = _SLACK if len(self.scalings) > _MOST_INTERVALS else 1.0
+            self.beta = max(self.beta * growth, _SLACK * scaling.beta)
+            begin, end = self.interval(omega, scaling._replace(beta=self.beta))
+            width = self.half_width(omega)
+            if min(omega - begin, end - omega) < width:
+                begin, end = self.raise_beta(omega - width, omega, omega + width)
+            gaps += [(low, begin), (end, high)]
+        return self.beta
+
+    def half_width(self, omega: float) -> float:
+        return _NARROWEST * float(np.abs(1j * omega - self.poles).min())
 
     def response(self, *omegas: float) -> Complex:
         finite = np.array([0.0 if np.isinf(omega) else omega for omega in omegas])
-        inside = 1j * finite[:, None, None] * np.eye(len(self.a)) - self.a
-        moves = self.c @ np.linalg.solve(inside, self.b[None])
-        return np.asarray(np.isfinite(omegas)[:, None, None] * moves + self.loop.d)
+        characteristic = 1j * finite[:, None, None] * np.eye(len(self.a)) - self.a
+        dynamic = self.c @ np.linalg.solve(characteristic, self.b[None])
+        return np.asarray(np.isfinite(omegas)[:, None, None] * dynamic + self.loop.d)
 
-    def reach(self, omega: float, scaling: Scaling) -> tuple[float, float]:
+    def interval(self, omega: float, scaling: Scaling) -> tuple[float, float]:
         """The interval about a frequency on which the scaling proves its beta."""
+        crossings = self._crossings(scaling)
+        above = [omega, *crossings[crossings > omega], np.inf]
+        below = [omega, *crossings[crossings <= omega][::-1], 0.0]
+        return self._proven_end(omega, below, scaling), self._proven_end(omega, above, scaling)
+
+    def _crossings(self, scaling: Scaling) -> Matrix:
+        """Frequencies at which det Phi may be zero, ascending."""
         t, inverse, a = scaling.t, np.linalg.inv(scaling.t), self.a
         bs, cs, ds = self.b @ inverse, t @ self.c, t @ self.loop.d @ inverse
         r = _gain(ds, scaling.s) - scaling.beta**2 * np.eye(len(ds))
         s = cs.conj().T @ ds - 1j * cs.conj().T @ scaling.s
-        inside = np.linalg.solve(r, np.hstack([s.conj().T, bs.conj().T]))
-        left, right = inside[:, : len(a)], inside[:, len(a) :]
-        closed = a - bs @ left
-        ham = np.block([[closed, -bs @ right], [s @ left - cs.conj().T @ cs, -closed.conj().T]])
-        values = np.linalg.eigvals(ham)
-        near = (np.abs(values.real) <= _NEAR * np.abs(values)) & (values.imag > 0.0)
-        crossing = np.sort(values.imag[near])
-        above = [omega, *crossing[crossing > omega], np.inf]
-        below = [omega, *crossing[crossing <= omega][::-1], 0.0]
-        ends = [omega, omega]
-        for i, side in enumerate((below, above)):
-            for start, far in pairwise(side):
-                sure = far if far in (0.0, np.inf) else omega + _SURE * (far - omega)
-                middle = 2.0 * start if np.isinf(far) else 0.5 * (start + far)
-                if largest(self.response(middle, sure), scaling) > scaling.beta**2:
-                    break
-                ends[i] = sure
-        return ends[0], ends[1]
+        solution = np.linalg.solve(r, np.hstack([s.conj().T, bs.conj().T]))
+        by_s, by_b = solution[:, : len(a)], solution[:, len(a) :]
+        closed = a - bs @ by_s
+        lower = s @ by_s - cs.conj().T @ cs
+        hamiltonian = np.block([[closed, -bs @ by_b], [lower, -closed.conj().T]])
+        values = np.linalg.eigvals(hamiltonian)
+        is_near = np.abs(values.real) <= _NEAR_IMAGINARY * np.abs(values)
+        return np.sort(values.imag[is_near & (values.imag > 0.0)])
 
-    def best(self, omega: float, *omegas: float) -> Scaling:
-        """Of one frequency or of several about it, from the nearest known and from none."""
-        m, found = self.response(*(omegas or (omega,))), []
-        others = sorted(self.known, key=lambda w: abs(np.log(w / omega)))
-        for start in (*(self.known[w] for w in others[:2]), None):
-            found.append(point_bound(m, self.loop.sizes, start, _ENOUGH * self.beta))
-            if found[-1].beta < _GOOD * self.beta:
+    def _proven_end(self, omega: float, steps: list[float], scaling: Scaling) -> float:
+        """How far from a frequency the scaling proves its beta, of the steps to one side."""
+        end = omega
+        for near, far in pairwise(steps):
+            certain = far if far in (0.0, np.inf) else omega + _CERTAIN_SHARE * (far - omega)
+            middle = 2.0 * near if np.isinf(far) else 0.5 * (near + far)
+            if largest_eigenvalue(self.response(middle, certain), scaling) > scaling.beta**2:
                 break
-        return min(found, key=lambda scaling: scaling.beta)
+            end = certain
+        return end
 
-    def raised(self, low: float, omega: float, high: float) -> tuple[float, float]:
-        """The interval after beta was raised until one scaling serves from low to high."""
-        scaling = self.best(omega, low, omega, high)
+    def best_scaling(self, omega: float, *omegas: float) -> Scaling:
+        """Of one frequency or of several about it, from the nearest known and from none."""
+        m, candidates = self.response(*(omegas or (omega,))), []
+        neighbours = sorted(self.scalings, key=lambda w: abs(np.log(w / omega)))[:2]
+        for start in (*(self.scalings[w] for w in neighbours), None):
+            candidates.append(point_bound(m, self.loop.sizes, start, _ENOUGH * self.beta))
+            if candidates[-1].beta < _GOOD * self.beta:
+                break
+        return min(candidates, key=lambda scaling: scaling.beta)
+
+    def raise_beta(self, low: float, omega: float, high: float) -> tuple[float, float]:
+        """Raise beta until one scaling serves from low to high; returns its interval."""
+        scaling = self.best_scaling(omega, low, omega, high)
         self.beta = max(self.beta, _SLACK * scaling.beta)
         while True:
-            begin, end = self.reach(omega, scaling._replace(beta=self.beta))
+            begin, end = self.interval(omega, scaling._replace(beta=self.beta))
             if begin <= low and high <= end:
                 return begin, end
             self.beta *= _SLACK
@@ -258,7 +286,7 @@ def _eigh(m: Complex) -> tuple[Matrix, Complex]:
     try:
         return np.linalg.eigh(m)
     except np.linalg.LinAlgError:
-        values, vectors = zip(*(linalg.eigh(one, driver="ev") for one in m), strict=True)
+        values, vectors = zip(*(linalg.eigh(each, driver="ev") for each in m), strict=True)
         return np.array(values), np.array(vectors)
 
 

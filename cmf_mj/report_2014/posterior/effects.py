@@ -30,11 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import line_bandwidths
-from cmf_mj.analysis.linear.linear import Linear, loop_damping
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import at_frames, closed_loop, labels
 from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.analysis.measures import NO_OVERSHOOT, are_stable, damping_from_overshoot
+from cmf_mj.analysis.linear.poles import are_stable, loop_damping
 from cmf_mj.analysis.modes import bound
+from cmf_mj.analysis.step_response import NO_OVERSHOOT, damping_from_overshoot
 from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS

@@ -36,13 +36,8 @@ from pydantic import Field
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.measures import (
-    Measures,
-    are_stable,
-    least_damped_mode,
-    measure_loop,
-    measures_from,
-)
+from cmf_mj.analysis.linear.poles import are_stable, least_damped_mode
+from cmf_mj.analysis.measures import Measures, measure_loop, measures_from
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, within

@@ -53,7 +53,7 @@ from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.columns import load_columns, write_facility_csv
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Command, plain
+from cmf_mj.signals.signal import Command, as_plain
 from cmf_mj.studies.asymptotes import stall_forces
 from cmf_mj.studies.case import RECORDER
 from cmf_mj.studies.fit.campaign import FILE
@@ -233,7 +233,7 @@ class Workspace:
         """The recording at its part of the largest size, as a run with other `settings`."""
 
         def run(size: float) -> Run:
-            return Run(**settings, change=plain(planned.changes(size)))
+            return Run(**settings, change=as_plain(planned.changes(size)))
 
         corner = STEP_CORNER if planned.kind == "step" else None
         size = self.largest_size(lambda size: demand(run(size)), self.share, corner)
@@ -360,7 +360,7 @@ def record_campaign(
     recordings = table["recordings"]
     runs = {name: load_scenario(file.parent / recordings[name]["source"]) for name in names}
     sheet, channels = runs[names[0]], ("demand_pose", *load_columns().channels)
-    sheet_metadata = load_machine(sheet.machine).known()
+    sheet_metadata = load_machine(sheet.machine).metadata()
     if machine is None:
         machine, cab = sheet.machine, cab or sheet.cab
         hydraulics = hydraulics or sheet.hydraulics

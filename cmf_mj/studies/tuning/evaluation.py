@@ -18,7 +18,7 @@ from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.analysis.linear.plants import FEEDBACK
-from cmf_mj.analysis.measures import oscillations
+from cmf_mj.analysis.linear.poles import oscillations
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.engage import engaged

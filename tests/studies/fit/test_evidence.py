@@ -12,8 +12,8 @@ import tomlkit
 import cmf_mj
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.measures import step_metrics
 from cmf_mj.analysis.published import published_results
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core.errors import InputError
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.fit import doubt as doubts

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from cmf_mj import Record, signals, step_metrics
-from cmf_mj.analysis.measures import damping_from_overshoot, resonant_damping
+from cmf_mj.analysis.measures import resonant_damping
+from cmf_mj.analysis.step_response import damping_from_overshoot
 from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
