@@ -48,7 +48,7 @@ from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.plant import native
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.plant.native import quiet
+from cmf_mj.plant.native import without_sensors
 from cmf_mj.studies.engine import CASES, evaluate_tasks
 from cmf_mj.studies.settings import StudyCase, load_study
 
@@ -264,7 +264,7 @@ def main() -> None:
     second = signals.sine("heave", 0.33 * 0.0254, 1.0, cycles=1)
     frames, law = command.pose.shape[0], load_law(options.law)
     plants = [Hexapod(), Hexapod()]
-    drawn, headless = drawn_model(), quiet(plants[0].model)
+    drawn, headless = drawn_model(), without_sensors(plants[0].model)
     plants[0].start()
     load = plants[0].static_load()
     for plant in plants:
@@ -276,7 +276,7 @@ def main() -> None:
         for _ in range(options.repeat):
             frame = loop_seconds(plants[0], options.law, command)[1]
             bare = bare_seconds(drawn, load, frames)
-            with native.untimed():
+            with native.without_clock():
                 rows.append((frame, bare, bare_seconds(headless, load, frames)))
             whole, inside = loop_seconds(plants[0], options.law, second)
             shares.append(1.0 - inside / whole)
@@ -303,7 +303,7 @@ def main() -> None:
     if options.start:
         result |= starting(dict(os.environ))
     if options.flight:
-        with native.untimed():
+        with native.without_clock():
             result |= flying(3, lambda count: bare_seconds(headless, load, count))
     if options.study:
         result |= studying(options.repeat)

@@ -11,9 +11,9 @@ from cmf_mj.plant.hydraulics import (
     Hydraulics,
     HydraulicState,
     advance,
-    loads,
     make_hydraulics,
     rest,
+    write_loads,
 )
 from cmf_mj.plant.oil import enthalpy
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
@@ -214,7 +214,7 @@ def one_step(parameters: HydraulicParameters, step: float, z: np.ndarray) -> np.
     hydraulics = machine(parameters, step)
     load = np.empty(1)
     state = state_of(parameters, hydraulics, z[None, :4], z[4:5])
-    loads(hydraulics.cylinder, state.pressure, state.friction, load)
+    write_loads(hydraulics.cylinder, state.pressure, state.friction, load)
     v = z[5] + step * (load[0] - WEIGHT) / MASS
     x = z[4] + step * v
     assert advance(hydraulics, state, no_faults(1), np.zeros(1), z[4:5], np.array([x]))

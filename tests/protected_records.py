@@ -1,7 +1,13 @@
 """The protection run on the readings that a record holds."""
 
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
+from cmf_mj.control.protection import (
+    Fault,
+    Protection,
+    check_frame,
+    latched_fault,
+    protection_state,
+)
 from cmf_mj.core.compiled import allocating
 from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.electronics.sensors import at_frame
@@ -14,7 +20,7 @@ from cmf_mj.record.record import Record
 def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
         now = at_frame(feedback, frame)
-        protect(protection, state, frame, reference[frame], now, supply_pressure)
+        check_frame(protection, state, frame, reference[frame], now, supply_pressure)
 
 
 def fault_of(record: Record, protection: Protection, supply_pressure: float) -> Fault | None:
@@ -30,4 +36,4 @@ def fault_of(record: Record, protection: Protection, supply_pressure: float) -> 
         histories.acceleration[:] -= gravity_history(histories.position, machine)
     state = protection_state(histories.position[0])
     _watch(protection, state, reference, histories, supply_pressure)
-    return latched(state)
+    return latched_fault(state)

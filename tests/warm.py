@@ -17,7 +17,7 @@ from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.state import load_dcu, make_dcu, resting
-from cmf_mj.control.inverse import follow, opened
+from cmf_mj.control.inverse import follow_pose, load_opening
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.control.states import Request, State
@@ -52,8 +52,8 @@ def table() -> None:
     fault_of(record, make_protection(load_protection()), 1e7)
     gravity_history(record["leg_position"])
     inverse = make_dcl(load_law("modal_plan").bound_to("gfd"), 6).plan.inverse
-    follow(inverse, np.zeros(6))
-    opened(inverse, 0.1, 0.1, 0.1, 0.1)
+    follow_pose(inverse, np.zeros(6))
+    load_opening(inverse, 0.1, 0.1, 0.1, 0.1)
     step_response(load_law("velocity"), linear_cab(machine), [0], np.ones(6))
     cylinder = Cylinder(*make_cylinders(load_hydraulics("report"), ["leg"])[0])
     cylinders.test_volume_slopes_are_the_areas(cylinder)

@@ -79,10 +79,10 @@ def bound(law: Law, machine: str | Cab | Plant) -> Law:
     law in hydraulic modes that has none of a CMF's cab or of a plant without cabs.
     """
     if isinstance(machine, Plant):
-        return bound(law, machine.law_key).on(machine.machine)
+        return bound(law, machine.law_key).for_machine(machine.machine)
     if isinstance(machine, str):
         return law.bound_to(machine)
-    law = law.on(machine.machine)
+    law = law.for_machine(machine.machine)
     has_modes = machine.name in law.modes or (machine.unchanged and machine.machine.name == CMF)
     if law.coordinates == "legs" or has_modes:
         return law.bound_to(machine.name)

@@ -69,10 +69,10 @@ def choice(
 
 def _law_on_machine(ctx: typer.Context, name: str) -> str:
     """The name that a law has on the machine of the option `machine`."""
-    from cmf_mj.control.law import law_on
+    from cmf_mj.control.law import law_source
 
     machine = ctx.params.get("machine")
-    return name if machine is None else law_on(cmf_mj.load_machine(machine), name)
+    return name if machine is None else law_source(cmf_mj.load_machine(machine), name)
 
 
 def of_machine(source: str, metavar: str, text: str, source_of_all: str = "") -> Any:

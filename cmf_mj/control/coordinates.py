@@ -9,9 +9,8 @@ and valves that are alike stay alike, d = V^T c. A law in *hydraulic modes* read
 demand and feedback, runs each mode as it would a leg, and hands c = V d to the valves. Away from
 neutral, with the Jacobian's change, and where valves differ, modes couple again.
 
-Source: modal (decoupled) control of hydraulic hexapods: S. H. Koekebakker, Model based control of a
-flight simulator motion system (2001); A. R. Plummer and P. S. Guinzio, Modal control of an
-electrohydrostatic flight simulator motion system (2009).
+Source: S. H. Koekebakker, Model based control of a flight simulator motion system (2001); A. R.
+Plummer, P. S. Guinzio, Modal control of an electrohydrostatic flight simulator system (2009).
 """
 
 from typing import Annotated, Any
@@ -28,26 +27,28 @@ MODES = 6  #: Hydraulic modes of a hexapod.
 
 ORTHONORMAL = 1e-8  #: Largest entry of V^T V - 1 that passes for round-off of a table's ten digits.
 
-_SIX = Field(min_length=MODES, max_length=MODES)
-_Six = Annotated[tuple[float, ...], _SIX]
+_ONE_A_MODE = Field(min_length=MODES, max_length=MODES)
+_ModeNumbers = Annotated[tuple[float, ...], _ONE_A_MODE]
 
 
-def _one_or_six(value: Any) -> Any:
-    found = as_tuples(value)
-    numbers = found if isinstance(found, tuple) and len(found) == MODES else (found,)
-    if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers):
-        raise InputError(f"must be a number, or a list of {MODES}")
-    return found
+def _check_numbers(value: Any) -> Any:
+    """Refuse what is neither a number nor a list of one a mode."""
+    setting = as_tuples(value)
+    is_list = isinstance(setting, tuple) and len(setting) == MODES
+    for number in setting if is_list else (setting,):
+        if not isinstance(number, int | float) or isinstance(number, bool):
+            raise InputError(f"must be a number, or a list of {MODES}")
+    return setting
 
 
-PerMode = Annotated[float | _Six, BeforeValidator(_one_or_six)]
+PerMode = Annotated[float | _ModeNumbers, BeforeValidator(_check_numbers)]
 """One number for all coordinates, or a list of six, a mode each."""
 
 Positive = Annotated[float, Field(gt=0.0)]
-_Positives = Annotated[tuple[Positive, ...], _SIX, BeforeValidator(as_tuples)]
+_Positives = Annotated[tuple[Positive, ...], _ONE_A_MODE, BeforeValidator(as_tuples)]
 
 
-def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
+def per_coordinate(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
     """A `PerMode` setting as an array, (count,); a list of another length is refused."""
     if isinstance(value, tuple) and len(value) != count:
         raise InputError(f"modes: {len(value)} values are refused for {count} coordinates")
@@ -60,13 +61,12 @@ class Modes(Settings):
     source: str = ""  #: Where they come from.
     frequency: _Positives  #: Undamped natural frequencies [Hz].
     mass: _Positives  #: Mass of each mode [lbm].
-    shape: Annotated[tuple[_Six, ...], _SIX, BeforeValidator(as_tuples)]
+    shape: Annotated[tuple[_ModeNumbers, ...], _ONE_A_MODE, BeforeValidator(as_tuples)]
     """V^T, a row a mode: leg motion, orthonormal."""
-    follow_pose: bool = True
-    """Whether legs carry one platform, whose reflected mass follows its pose."""
+    follow_pose: bool = True  #: Whether legs carry one platform: its pose changes the mass.
 
     @model_validator(mode="after")
-    def _orthonormal(self) -> "Modes":
+    def _check_shape(self) -> "Modes":
         rows = np.array(self.shape)
         error = float(np.abs(rows @ rows.T - np.eye(MODES)).max())
         if error > ORTHONORMAL:

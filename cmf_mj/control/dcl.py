@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.control.coordinates import make_shape, spread
+from cmf_mj.control.coordinates import make_shape, per_coordinate
 from cmf_mj.control.error import (
     ErrorCalculations,
     ErrorState,
@@ -31,19 +31,19 @@ from cmf_mj.control.feedback import (
     CompiledLoadFeedback,
     Feedback,
     LegFeedback,
-    damp,
+    damp_load,
     filter_acceleration,
     make_load_feedback,
     pressure_force,
 )
-from cmf_mj.control.inverse import command
+from cmf_mj.control.inverse import write_commands
 from cmf_mj.control.law import SIGNAL_UNITS, SIGNALS, Gains, Law
-from cmf_mj.control.plan import CompiledPlan, PlanState, advance, correct, look_ahead, make_plan
+from cmf_mj.control.plan import CompiledPlan, PlanState, advance, correction, look_ahead, make_plan
 from cmf_mj.control.reference_model import (
     AdaptationState,
     CompiledModel,
     ModelState,
-    follow,
+    follow_model,
     make_model,
 )
 from cmf_mj.core import units
@@ -68,17 +68,18 @@ class Compensator(NamedTuple):
 def make_compensator(law: Law, legs: int) -> Compensator:
     """Convert a law's published gains to SI, the same for every leg or by mode."""
 
-    def row(gains: Gains, scale: float) -> NDArray[np.float64]:
-        values = [
-            spread(getattr(gains, name), legs) * scale / SIGNAL_UNITS[name] for name in SIGNALS
+    def gain_rows(gains: Gains, unit: float) -> NDArray[np.float64]:
+        columns = [
+            per_coordinate(getattr(gains, signal), legs) * unit / size
+            for signal, size in SIGNAL_UNITS.items()
         ]
-        return np.ascontiguousarray(np.array(values).T)
+        return np.ascontiguousarray(np.array(columns).T)
 
     return Compensator(
         state_gain=np.full(legs, law.state_gain),
-        input_gain=row(law.input_gain, 1.0),
+        input_gain=gain_rows(law.input_gain, 1.0),
         output_gain=np.full(legs, law.output_gain * units.PERCENT),
-        direct_gain=row(law.direct_gain, units.PERCENT),
+        direct_gain=gain_rows(law.direct_gain, units.PERCENT),
     )
 
 
@@ -96,18 +97,17 @@ def compensate(compensator, leg, state, signals):  # type: ignore[no-untyped-def
 class Workspace(NamedTuple):
     """Where a frame is computed, (n,): its results stay until the next frame."""
 
-    limited: NDArray[np.float64]  #: Leg demands within limits [m].
-    moved: NDArray[np.float64]  #: Their change since the frame before [m].
-    signals: np.recarray[Any, Any]
-    """Inputs of the compensator with the fields `SIGNALS`, by leg or mode."""
+    limited_demand: NDArray[np.float64]  #: Leg demands within limits [m].
+    demand_change: NDArray[np.float64]  #: Their change since the frame before [m].
+    signals: np.recarray[Any, Any]  #: Inputs of the compensator, fields `SIGNALS`, (n,).
     inputs: NDArray[np.float64]  #: The same memory as an array, (n, 10).
     output: NDArray[np.float64]  #: Outputs before the clamp, by leg, command fractions.
     command: NDArray[np.float64]  #: Valve commands, fractions.
     reference: NDArray[np.float64]  #: Limited demand in coordinates of the law [m].
     integral: NDArray[np.float64]  #: Error integrals in coordinates of the law [m s].
     target: NDArray[np.float64]  #: What the errors count from, by leg [m].
-    planned: NDArray[np.float64]  #: Planned commands in coordinates of the law, fractions.
-    legs: NDArray[np.float64]  #: Any quantity of legs on its way from modes.
+    planned_commands: NDArray[np.float64]  #: Planned commands in coordinates of the law, fractions.
+    scratch: NDArray[np.float64]  #: One quantity of all legs, made of that of modes.
     feedback: LegFeedback  #: Feedback in coordinates of the law.
 
 
@@ -118,9 +118,9 @@ class Dcl(NamedTuple):
     arrays in a frame.
     """
 
-    modal: bool  #: Whether the law runs in hydraulic modes.
-    planned: bool  #: Whether it has a plan.
-    damped: bool  #: Whether it has load feedback.
+    is_modal: bool  #: Whether the law runs in hydraulic modes.
+    has_plan: bool  #: Whether it has a plan.
+    has_load_feedback: bool  #: Whether it has load feedback.
     feedback: Feedback
     error: ErrorCalculations
     compensator: Compensator
@@ -128,7 +128,7 @@ class Dcl(NamedTuple):
     plan: CompiledPlan
     load_feedback: CompiledLoadFeedback
     shape: NDArray[np.float64]  #: Modes of legs, V^T, (n, n).
-    offset_stays: float  #: What is left of the offset of a hand-over after a frame.
+    offset_decay: float  #: What is left of the offset of a hand-over after a frame.
     workspace: Workspace
 
 
@@ -141,8 +141,7 @@ class DclState(NamedTuple):
     model: ModelState
     plan: PlanState
     load_filter: NDArray[np.float64]  #: Low-passed load force [N].
-    offset: NDArray[np.float64]
-    """What is left of the output of the law before, by leg, fraction; it fades."""
+    offset: NDArray[np.float64]  #: What is left of the output of the law before, by leg, fraction.
 
     @classmethod
     def zeros(cls, legs: int) -> "DclState":
@@ -200,9 +199,9 @@ def make_dcl(law: Law, legs: int) -> Dcl:
     work["signals"] = work["inputs"].view(fields)[:, 0].view(np.recarray)
     work["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     return Dcl(
-        modal=modes is not None,
-        planned=law.plan is not None,
-        damped=law.load_feedback is not None,
+        is_modal=modes is not None,
+        has_plan=law.plan is not None,
+        has_load_feedback=law.load_feedback is not None,
         feedback=Feedback(
             law.accelerometer_pole,
             law.accelerometer_gain,
@@ -217,25 +216,25 @@ def make_dcl(law: Law, legs: int) -> Dcl:
             law.load_feedback, sizes, modes if law.plan else None, legs, law.frame
         ),
         shape=make_shape(modes, legs),
-        offset_stays=float(np.exp(-law.frame / OFFSET_TIME)),
+        offset_decay=float(np.exp(-law.frame / OFFSET_TIME)),
         workspace=Workspace(**work),
     )
 
 
 @compiled
-def limit(demand, travel):  # type: ignore[no-untyped-def]
+def limit_demand(demand, travel):  # type: ignore[no-untyped-def]
     """The demand of one leg [m], within the working stroke, +-37.5 in (section 3.2.1)."""
     return min(max(demand, -travel), travel)
 
 
 @compiled
-def clamp(output):  # type: ignore[no-untyped-def]
+def clamp_command(output):  # type: ignore[no-untyped-def]
     """Valve command of one leg as a fraction, -1 to 1 (section 2.3.3)."""
     return min(max(output, -1.0), 1.0)
 
 
 @compiled
-def fill(dcl, state, leg, reference, target, integral, feedback, signals):  # type: ignore[no-untyped-def]
+def write_inputs(dcl, state, leg, reference, target, integral, feedback, signals):  # type: ignore[no-untyped-def]
     """Write the compensator's inputs of one leg; return the next states of the filters."""
     position = feedback.position[leg]
     error_rate, error_filter = filtered_rate(
@@ -244,31 +243,31 @@ def fill(dcl, state, leg, reference, target, integral, feedback, signals):  # ty
     reference_rate, reference_filter = filtered_rate(
         dcl.error, target, state.error.reference_filter[leg]
     )
-    cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
+    cap_pressure, rod_pressure = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
     inputs = signals[leg]
     inputs.reference = reference
-    inputs.cap_pressure = cap
-    inputs.rod_pressure = rod
+    inputs.cap_pressure = cap_pressure
+    inputs.rod_pressure = rod_pressure
     inputs.position = position
     inputs.velocity = feedback.velocity[leg]
     inputs.position_error_rate = error_rate
     inputs.velocity_error = reference_rate - feedback.velocity[leg]
     inputs.error_integral = integral
     inputs.acceleration = state.acceleration[leg]
-    inputs.force = pressure_force(dcl.feedback, cap, rod)
+    inputs.force = pressure_force(dcl.feedback, cap_pressure, rod_pressure)
     return error_filter, reference_filter
 
 
 @compiled
-def _plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
+def _add_plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
     """Add the plan's part to the outputs of all legs or modes; the plan moves on."""
-    plan, work = dcl.plan, dcl.workspace
-    commands, count = work.planned, reference.shape[0]
+    plan, workspace = dcl.plan, dcl.workspace
+    commands, count = workspace.planned_commands, reference.shape[0]
     for leg in range(count):
         look_ahead(plan, state, leg, reference[leg])
-    command(plan.inverse, state.pose, dcl.shape, dcl.modal, commands)
+    write_commands(plan.inverse, state.pose, dcl.shape, dcl.is_modal, commands)
     for leg in range(count):
-        work.output[leg] += commands[leg] + correct(plan, state, leg, feedback)
+        workspace.output[leg] += commands[leg] + correction(plan, state, leg, feedback)
         advance(plan, state, leg)
 
 
@@ -276,7 +275,7 @@ def _plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
 def _into_modes(shape, work, integral, feedback):  # type: ignore[no-untyped-def]
     """Write demand, integral and feedback in modes, q = V^T l."""
     modes = work.feedback
-    multiply(shape, work.limited, work.reference)
+    multiply(shape, work.limited_demand, work.reference)
     multiply(shape, integral, work.integral)
     multiply(shape, feedback.position, modes.position)
     multiply(shape, feedback.velocity, modes.velocity)
@@ -288,61 +287,61 @@ def _into_modes(shape, work, integral, feedback):  # type: ignore[no-untyped-def
 @compiled
 def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
     """Turn outputs and targets back to legs, l = V q."""
-    multiply_transposed(shape, work.output, work.legs)
-    assign(work.output, work.legs)
-    multiply_transposed(shape, work.target, work.legs)
-    assign(work.target, work.legs)
+    multiply_transposed(shape, work.output, work.scratch)
+    assign(work.output, work.scratch)
+    multiply_transposed(shape, work.target, work.scratch)
+    assign(work.target, work.scratch)
 
 
 @inlined
 def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
     """One frame of the DCL from leg demands (n,) [m]; its results are in `dcl.workspace`."""
     # In one piece: handing all arrays to a function with branches costs more than its work.
-    work, modal = dcl.workspace, dcl.modal
+    workspace, is_modal = dcl.workspace, dcl.is_modal
     for leg in range(demand.shape[0]):
-        limited = limit(demand[leg], dcl.error.travel)
-        work.moved[leg] = limited - work.limited[leg]
-        work.limited[leg] = limited
-    if modal:
-        _into_modes(dcl.shape, work, state.error.integral, feedback)
-    references = work.reference if modal else work.limited
-    integral = work.integral if modal else state.error.integral
-    seen = work.feedback if modal else feedback
+        limited = limit_demand(demand[leg], dcl.error.travel)
+        workspace.demand_change[leg] = limited - workspace.limited_demand[leg]
+        workspace.limited_demand[leg] = limited
+    if is_modal:
+        _into_modes(dcl.shape, workspace, state.error.integral, feedback)
+    reference_of = workspace.reference if is_modal else workspace.limited_demand
+    integral = workspace.integral if is_modal else state.error.integral
+    measured = workspace.feedback if is_modal else feedback
     for leg in range(demand.shape[0]):
-        reference = references[leg]
+        reference = reference_of[leg]
         target = reference
-        if dcl.model.active:
+        if dcl.model.is_active:
             target = state.model.position[leg]
-        elif dcl.planned:
+        elif dcl.has_plan:
             target = state.plan.position[leg]
-        error_filter, reference_filter = fill(
-            dcl, state, leg, reference, target, integral[leg], seen, work.signals
+        error_filter, reference_filter = write_inputs(
+            dcl, state, leg, reference, target, integral[leg], measured, workspace.signals
         )
         output, following = compensate(
-            dcl.compensator, leg, state.compensator[leg], work.inputs[leg]
+            dcl.compensator, leg, state.compensator[leg], workspace.inputs[leg]
         )
-        if dcl.model.active:
-            output = follow(dcl.model, state.model, leg, reference, seen, output)
-        if dcl.damped:
+        if dcl.model.is_active:
+            output = follow_model(dcl.model, state.model, leg, reference, measured, output)
+        if dcl.has_load_feedback:
             acceleration = state.plan.acceleration[leg]
-            output += damp(dcl.load_feedback, state.load_filter, leg, seen, acceleration)
-        work.output[leg] = output
-        work.target[leg] = target
+            output += damp_load(dcl.load_feedback, state.load_filter, leg, measured, acceleration)
+        workspace.output[leg] = output
+        workspace.target[leg] = target
         state.compensator[leg] = following
         state.error.position_filter[leg] = error_filter
         state.error.reference_filter[leg] = reference_filter
         state.acceleration[leg] = filter_acceleration(
-            dcl.feedback, state.acceleration[leg], seen.acceleration[leg]
+            dcl.feedback, state.acceleration[leg], measured.acceleration[leg]
         )
-    if dcl.planned:
-        _plan(dcl, state.plan, references, seen)
-    if modal:
-        _out_of_modes(dcl.shape, work)
+    if dcl.has_plan:
+        _add_plan(dcl, state.plan, reference_of, measured)
+    if is_modal:
+        _out_of_modes(dcl.shape, workspace)
     for leg in range(demand.shape[0]):
         state.error.integral[leg] = integrate(
-            dcl.error, state.error.integral[leg], work.target[leg], feedback.position[leg]
+            dcl.error, state.error.integral[leg], workspace.target[leg], feedback.position[leg]
         )
         if state.offset[leg] != 0.0:
-            work.output[leg] += state.offset[leg]
-            state.offset[leg] *= dcl.offset_stays
-        work.command[leg] = clamp(work.output[leg])
+            workspace.output[leg] += state.offset[leg]
+            state.offset[leg] *= dcl.offset_decay
+        workspace.command[leg] = clamp_command(workspace.output[leg])

@@ -11,9 +11,8 @@ omega = E (roll, pitch, yaw rate), one leg is (Eqs 2.1 and C.6, here in inertial
 
 the second derivative being J d2x/dt2 + dJ/dt dx/dt, exact.
 
-A demand that counts at another point of the platform, as Eq 2.1 does at the static centre of mass,
-has the geometry of `kinematics.geometry_about` that point. The platform is rigid: for dA_j of Eq
-2.1, where the upper gimbal sits under load, the report gives no values.
+A demand at another point of the platform, as that of Eq 2.1 at the static centre of mass, has the
+geometry of `kinematics.geometry_about` that point. The platform is rigid: dA_j of Eq 2.1 is 0.
 """
 
 import numpy as np
@@ -23,17 +22,17 @@ from cmf_mj.machine import kinematics
 
 
 @compiled
-def _turning(pose, rates, changes):  # type: ignore[no-untyped-def]
+def _angular_motion(pose, rate, acceleration):  # type: ignore[no-untyped-def]
     """The angular velocity omega = E rates and its derivative, inertial axes."""
     ct, st = np.cos(pose[4]), np.sin(pose[4])
     cp, sp = np.cos(pose[5]), np.sin(pose[5])
-    roll, pitch, yaw = rates[3], rates[4], rates[5]
+    roll, pitch, yaw = rate[3], rate[4], rate[5]
     x, y, z = ct * cp * roll - sp * pitch, ct * sp * roll + cp * pitch, yaw - st * roll
-    dx = ct * cp * changes[3] - sp * changes[4]
+    dx = ct * cp * acceleration[3] - sp * acceleration[4]
     dx += (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch
-    dy = ct * sp * changes[3] + cp * changes[4]
+    dy = ct * sp * acceleration[3] + cp * acceleration[4]
     dy += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
-    dz = changes[5] - st * changes[3] - ct * pitch * roll
+    dz = acceleration[5] - st * acceleration[3] - ct * pitch * roll
     return x, y, z, dx, dy, dz
 
 
@@ -45,10 +44,10 @@ def step(geometry, motion, legs):  # type: ignore[no-untyped-def]
     """
     pose, velocity, acceleration = motion[0], motion[1], motion[2]
     upper, lower, neutral = geometry
-    turn = kinematics.turn_of(pose[3], pose[4], pose[5])
-    ox, oy, oz, bx, by, bz = _turning(pose, velocity, acceleration)
+    rotation = kinematics.turn_of(pose[3], pose[4], pose[5])
+    ox, oy, oz, bx, by, bz = _angular_motion(pose, velocity, acceleration)
     for j in range(6):
-        rx, ry, rz = kinematics.rotated_arm(turn, upper[j])
+        rx, ry, rz = kinematics.rotated_arm(rotation, upper[j])
         lx = pose[0] + rx - lower[j, 0]
         ly = pose[1] + ry - lower[j, 1]
         lz = pose[2] + rz - lower[j, 2]
@@ -60,8 +59,8 @@ def step(geometry, motion, legs):  # type: ignore[no-untyped-def]
         ty = oz * sx - ox * sz + bz * rx - bx * rz + acceleration[1]
         tz = ox * sy - oy * sx + bx * ry - by * rx + acceleration[2]
         wx, wy, wz = velocity[0] + sx, velocity[1] + sy, velocity[2] + sz
-        along = lx * wx + ly * wy + lz * wz
+        leg_rate = lx * wx + ly * wy + lz * wz
         legs[0, j] = length - neutral[j]
-        legs[1, j] = along
-        across = wx * wx + wy * wy + wz * wz - along * along
-        legs[2, j] = lx * tx + ly * ty + lz * tz + across / length
+        legs[1, j] = leg_rate
+        centripetal_term = wx * wx + wy * wy + wz * wz - leg_rate * leg_rate
+        legs[2, j] = lx * tx + ly * ty + lz * tz + centripetal_term / length

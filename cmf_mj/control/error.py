@@ -64,6 +64,6 @@ def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
 @compiled
 def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
     """Next value of the error integral of one leg [m s]."""
-    seen = position if position > error.integrator_trigger else -error.travel
-    moved = integral + error.frame * (reference - seen)
-    return min(max(moved, -error.integrator_limit), error.integrator_limit)
+    counted_position = position if position > error.integrator_trigger else -error.travel
+    following = integral + error.frame * (reference - counted_position)
+    return min(max(following, -error.integrator_limit), error.integrator_limit)

@@ -5,21 +5,16 @@
 
 Eq 3.5 prints 0.312 / (0.2 s + 0.312); Eq 3.6 is the zero-order hold with 0.02 s and is what runs.
 
-White noise in the accelerometer leaves its filter smaller by gain / sqrt(1 - pole^2), which for a
-gain of 1 - pole is sqrt((1 - pole) / (1 + pole)).
-
 Where accelerometers feel gravity, the electronics hand over readings without it, unless the law
-chose `gravity_compensation = false`. A law of gain K_a that reads g n . up = 0.832 g at neutral has
-K_a 0.832 g b / (1 - a) in its command for good, with filter pole a and gain b.
+has `gravity_compensation = false`.
 
 **Dynamic load pressure feedback**: damping from what the cylinders push, not from what they hold.
 
     F = A_cap p_cap - A_rod p_rod,    h = F - m a_plan,    output -= K_f (h - z)
     z[k+1] = z[k] + (1 - e^(-w T)) (h[k] - z[k]),    w = 2 pi corner
 
-The high-pass takes the static load out, which would push the leg off its demand. Of a mode m is
-its mass and a_plan its planned acceleration (`cmf_mj.control.plan`): what the plan needs is not
-damped. Without a plan, a_plan is zero and the block is the field's dynamic pressure feedback.
+The high-pass takes the static load out. Of a mode m is its mass and a_plan its planned acceleration
+(`cmf_mj.control.plan`), so that the plan is not damped; without a plan, a_plan is zero.
 
 Source: H. E. Merritt, Hydraulic Control Systems (1967), section 6-6 (dynamic pressure feedback
 valves); J. Watton, Fundamentals of Fluid Power Control (2009), for its electronic form.
@@ -31,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
+from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, per_coordinate
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.settings import Settings
@@ -83,7 +78,7 @@ class CompiledLoadFeedback(NamedTuple):
     rod_area: float  #: A_rod [m^2].
     gain: NDArray[np.float64]  #: K_f, (n,) [1/N].
     mass: NDArray[np.float64]  #: m, (n,) [kg]; 0 where the law knows none.
-    passes: float  #: 1 - e^(-w T).
+    filter_gain: float  #: 1 - e^(-w T).
 
 
 def make_load_feedback(
@@ -91,25 +86,25 @@ def make_load_feedback(
 ) -> CompiledLoadFeedback:
     """Compile the block; None for none. Modes are those of a plan, whose forces are not damped."""
     mass = np.zeros(legs) if modes is None else mode_mass(modes)
-    cap, rod = sizes.cap_area, sizes.rod_area
+    cap_area, rod_area = sizes.cap_area, sizes.rod_area
     if settings is None:
-        return CompiledLoadFeedback(cap, rod, np.zeros(legs), mass, 0.0)
-    gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
-    passes = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
-    return CompiledLoadFeedback(cap, rod, gain, mass, passes)
+        return CompiledLoadFeedback(cap_area, rod_area, np.zeros(legs), mass, 0.0)
+    gain = per_coordinate(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
+    filter_gain = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
+    return CompiledLoadFeedback(cap_area, rod_area, gain, mass, filter_gain)
 
 
 @compiled
-def load(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+def load_force(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
     """Force h of one mode [N]; `acceleration` is the planned one."""
-    push = block.cap_area * feedback.cap_pressure[mode]
-    pull = block.rod_area * feedback.rod_pressure[mode]
-    return push - pull - block.mass[mode] * acceleration
+    cap_force = block.cap_area * feedback.cap_pressure[mode]
+    rod_force = block.rod_area * feedback.rod_pressure[mode]
+    return cap_force - rod_force - block.mass[mode] * acceleration
 
 
 @compiled
-def damp(block, state, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+def damp_load(block, static_force, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
     """Command of one mode, fraction; its low-passed force `state[mode]` moves on."""
-    swing = load(block, mode, feedback, acceleration) - state[mode]
-    state[mode] += block.passes * swing
-    return -block.gain[mode] * swing
+    force_change = load_force(block, mode, feedback, acceleration) - static_force[mode]
+    static_force[mode] += block.filter_gain * force_change
+    return -block.gain[mode] * force_change

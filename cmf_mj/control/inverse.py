@@ -1,4 +1,4 @@
-"""From a planned motion to the command that makes it: machine, oil and valves turned round.
+"""From a planned motion to the command that makes it: the inverse of machine, oil and valves.
 
 Legs l = V p of a platform with the reflected mass M_leg, on oil springs K, behind valves of speed k
 with the drive lag a, the spool lag b and the leak rate lambda, ask for
@@ -24,8 +24,7 @@ F (A_c / V_c + A_r / V_r) / K, whose leak takes off the force by the same factor
     g = sqrt(1 - F sgn(z) / F_s),    F_s = (Ps - Pt) (A_cap + A_rod) / 2    (the `stall`)
 
 so z / g is asked for z. Its kink at z = 0 is rounded over `SMALL_FLOW`, F is bent below
-`NEAR_STALL`. For a flow Z cos and a load X F_s sin the fundamental of z / g is Z cos + 2 X / (3 pi)
-Z sin: a turn of the phase by 12 deg per X, which is lost without it.
+`NEAR_STALL`. A load X F_s sin turns the phase of a flow cos by 12 deg per X.
 """
 
 from typing import NamedTuple
@@ -48,12 +47,11 @@ from cmf_mj.machine.machine import Machine
 
 NEAR_STALL = 0.8  #: Share of the stall to which loads are bent for a valve's opening.
 
-SMALL_FLOW = 2.0 * units.INCH
-"""Flow, as speed of a leg, about which a change of direction is rounded [m/s]."""
+SMALL_FLOW = 2.0 * units.INCH  #: Flow about which a change of direction is rounded [m/s of a leg].
 
 
 class Valves(NamedTuple):
-    """What is to be known of a leg's valves, SI."""
+    """Numbers of a leg's valves that the inverse needs, SI."""
 
     speed: float  #: k [m/s per full command].
     corners: tuple[float, float]  #: a and b [rad/s].
@@ -71,20 +69,20 @@ class Inverse(NamedTuple):
     stall: float  #: F_s [N].
     compliance: NDArray[np.float64]  #: 1/w^2, (n,) [s^2].
     spring: float  #: Oil spring of a leg at neutral [N/m]; 1 where masses are not known.
-    follows: bool  #: Whether masses and springs follow the pose.
+    follows_pose: bool  #: Whether masses and springs follow the pose.
     geometry: Geometry
     half_stroke: float  #: [m].
     cap_share: float  #: Cap area over that of cap and rod side.
     chord: NDArray[np.float64]  #: Pose per leg motion at neutral, (6, 6).
     inertia: NDArray[np.float64]  #: Of the platform with its legs, platform axes, (6, 6).
-    mean: NDArray[np.float64]
+    mean_motion: NDArray[np.float64]
     """Mean of the planned motion over the next frame, position to fifth derivative, (6, n)."""
-    legs: NDArray[np.float64]  #: The same of legs, (6, n).
-    force: NDArray[np.float64]  #: Planned force of legs and three derivatives, (4, n) [N, ..].
-    coordinates: NDArray[np.float64]  #: Quantities on their way, (2, n).
-    turn: NDArray[np.float64]  #: Rotation of the platform, (3, 3).
+    leg_motion: NDArray[np.float64]  #: The same of legs, (6, n).
+    leg_force: NDArray[np.float64]  #: Planned force of legs and three derivatives, (4, n) [N, ..].
+    scratch: NDArray[np.float64]  #: Workspace for one quantity of all coordinates, (n,).
+    rotation: NDArray[np.float64]  #: Rotation of the platform, (3, 3).
     jacobian: NDArray[np.float64]  #: Legs of the twist in platform axes, (6, 6).
-    reciprocal: NDArray[np.float64]  #: Its inverse, (6, 6).
+    inverse_jacobian: NDArray[np.float64]  #: Twist in platform axes of the legs, (6, 6).
 
 
 def make_inverse(
@@ -94,8 +92,9 @@ def make_inverse(
     legs, geometry, inertia, spring = omega.size, machine.geometry, np.zeros((MODES, MODES)), 1.0
     if modes is not None:
         mass = mode_mass(modes)
-        reach = make_shape(modes, legs) @ leg_jacobian(np.zeros(MODES), geometry)
-        inertia, spring = reach.T @ np.diag(mass) @ reach, float((mass * omega**2).mean())
+        mode_jacobian = make_shape(modes, legs) @ leg_jacobian(np.zeros(MODES), geometry)
+        inertia = mode_jacobian.T @ np.diag(mass) @ mode_jacobian
+        spring = float((mass * omega**2).mean())
     return Inverse(
         speed=valves.speed,
         leak_rate=valves.leak_rate,
@@ -104,158 +103,159 @@ def make_inverse(
         stall=valves.stall if modes is not None else np.inf,
         compliance=omega**-2.0,
         spring=spring,
-        follows=modes is not None and modes.follow_pose,
+        follows_pose=modes is not None and modes.follow_pose,
         geometry=geometry,
         half_stroke=machine.half_stroke,
         cap_share=machine.leg_sizes.cap_share,
         chord=np.ascontiguousarray(np.linalg.inv(pose_jacobian(np.zeros(MODES), geometry))),
         inertia=np.ascontiguousarray(inertia),
-        mean=np.zeros((6, legs)),
-        legs=np.zeros((6, legs)),
-        force=np.zeros((4, legs)),
-        coordinates=np.zeros((2, legs)),
-        turn=np.zeros((3, 3)),
+        mean_motion=np.zeros((6, legs)),
+        leg_motion=np.zeros((6, legs)),
+        leg_force=np.zeros((4, legs)),
+        scratch=np.zeros(legs),
+        rotation=np.zeros((3, 3)),
         jacobian=np.zeros((MODES, MODES)),
-        reciprocal=np.zeros((MODES, MODES)),
+        inverse_jacobian=np.zeros((MODES, MODES)),
     )
 
 
 @compiled
-def follow(inverse, pose):  # type: ignore[no-untyped-def]
+def follow_pose(inverse, pose):  # type: ignore[no-untyped-def]
     """Write the Jacobian's inverse at a pose, which moves a chord's step towards `legs[0]`.
 
     Where legs carry no platform the pose stays.
     """
-    if not inverse.follows:
+    if not inverse.follows_pose:
         return
-    errors, jacobian, turn = inverse.coordinates[0], inverse.jacobian, inverse.turn
-    write_legs(inverse.geometry, pose, errors)
+    legs, jacobian, rotation = inverse.scratch, inverse.jacobian, inverse.rotation
+    write_legs(inverse.geometry, pose, legs)
     write_twist_jacobian(inverse.geometry, pose, jacobian)
-    rotate(pose[3], pose[4], pose[5], turn)
+    rotate(pose[3], pose[4], pose[5], rotation)
     for j in range(6):
-        for first in range(0, 6, 3):  # of translation, then of rotation, to axes of the platform
-            x, y, z = jacobian[j, first], jacobian[j, first + 1], jacobian[j, first + 2]
+        for column in range(0, 6, 3):  # of translation, then of rotation, to axes of the platform
+            x, y, z = jacobian[j, column], jacobian[j, column + 1], jacobian[j, column + 2]
             for k in range(3):
-                jacobian[j, first + k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
-    sound = True
-    for i in range(6):  # metres and radians; written so that NaN is unsound
+                jacobian[j, column + k] = (
+                    rotation[0, k] * x + rotation[1, k] * y + rotation[2, k] * z
+                )
+    is_sound = True
+    for i in range(6):  # metres and radians; written so that NaN counts as unsound
         for j in range(6):
-            pose[i] += inverse.chord[i, j] * (inverse.legs[0, j] - errors[j])
-        sound = sound and abs(pose[i]) < 0.5 * np.pi
-    if not sound:
+            pose[i] += inverse.chord[i, j] * (inverse.leg_motion[0, j] - legs[j])
+        is_sound = is_sound and abs(pose[i]) < 0.5 * np.pi
+    if not is_sound:
         for i in range(6):
             pose[i] = 0.0
-    invert(jacobian, inverse.reciprocal)
+    write_inverse(jacobian, inverse.inverse_jacobian)
 
 
 @compiled
-def invert(matrix, inverse):  # type: ignore[no-untyped-def]
+def write_inverse(matrix, inverse):  # type: ignore[no-untyped-def]
     """Write the inverse of a matrix (n, n), which is overwritten: Gauss and Jordan, row pivots."""
     count = matrix.shape[0]
     for i in range(count):
         for j in range(count):
             inverse[i, j] = 1.0 if i == j else 0.0
     for column in range(count):
-        best = column
+        pivot = column
         for i in range(column + 1, count):
-            if abs(matrix[i, column]) > abs(matrix[best, column]):
-                best = i
-        if best != column:
+            if abs(matrix[i, column]) > abs(matrix[pivot, column]):
+                pivot = i
+        if pivot != column:
             for j in range(count):
-                matrix[best, j], matrix[column, j] = matrix[column, j], matrix[best, j]
-                inverse[best, j], inverse[column, j] = inverse[column, j], inverse[best, j]
+                matrix[pivot, j], matrix[column, j] = matrix[column, j], matrix[pivot, j]
+                inverse[pivot, j], inverse[column, j] = inverse[column, j], inverse[pivot, j]
         scale = 1.0 / matrix[column, column]
         for j in range(count):
             matrix[column, j] *= scale
             inverse[column, j] *= scale
         for i in range(count):
-            factor = matrix[i, column]
-            if i != column and factor != 0.0:
+            multiple = matrix[i, column]
+            if i != column and multiple != 0.0:
                 for j in range(count):
-                    matrix[i, j] -= factor * matrix[column, j]
-                    inverse[i, j] -= factor * inverse[column, j]
+                    matrix[i, j] -= multiple * matrix[column, j]
+                    inverse[i, j] -= multiple * inverse[column, j]
 
 
 @compiled
 def _write_forces(inverse, pose, shape, modal):  # type: ignore[no-untyped-def]
-    """Write planned forces of legs and their derivatives: M_leg l'' at the planned pose."""
-    count = inverse.mean.shape[1]
-    follow(inverse, pose)
+    """Write planned forces M_leg l'' of legs at the planned pose, and three derivatives."""
+    count = inverse.mean_motion.shape[1]
+    follow_pose(inverse, pose)
     for row in range(4):
-        force, on_way = inverse.force[row], inverse.coordinates[0]
-        if inverse.follows:
-            multiply(inverse.reciprocal, inverse.legs[row + 2], force)
-            multiply(inverse.inertia, force, on_way)
-            multiply_transposed(inverse.reciprocal, on_way, force)
+        force, scratch = inverse.leg_force[row], inverse.scratch
+        if inverse.follows_pose:
+            multiply(inverse.inverse_jacobian, inverse.leg_motion[row + 2], force)
+            multiply(inverse.inertia, force, scratch)
+            multiply_transposed(inverse.inverse_jacobian, scratch, force)
         else:
             for mode in range(count):
-                on_way[mode] = (
-                    inverse.spring * inverse.compliance[mode] * inverse.mean[row + 2, mode]
+                scratch[mode] = (
+                    inverse.spring * inverse.compliance[mode] * inverse.mean_motion[row + 2, mode]
                 )
             if modal:
-                multiply_transposed(shape, on_way, force)
+                multiply_transposed(shape, scratch, force)
             else:
-                assign(force, on_way)
+                assign(force, scratch)
 
 
 @compiled
-def opened(inverse, flow, flow_rate, load, load_rate):  # type: ignore[no-untyped-def]
-    """What a valve has to open beyond the flow asked of it, for its load, and the rate of that."""
-    share = load / inverse.stall
-    bend = 1.0 / (1.0 + (share / NEAR_STALL) ** 2)
-    change = bend * np.sqrt(bend) * load_rate / inverse.stall
-    share *= np.sqrt(bend)
-    out, back = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + share)
-    mean, half = 0.5 * (out + back) - 1.0, 0.5 * (out - back)
+def load_opening(inverse, flow, flow_rate, load, load_rate):  # type: ignore[no-untyped-def]
+    """What a valve opens for its load, z / g - z of a flow z, as leg speed; and the rate of it."""
+    load_share = load / inverse.stall
+    bending = 1.0 / (1.0 + (load_share / NEAR_STALL) ** 2)
+    load_share_rate = bending * np.sqrt(bending) * load_rate / inverse.stall
+    load_share *= np.sqrt(bending)
+    outward, inward = 1.0 / np.sqrt(1.0 - load_share), 1.0 / np.sqrt(1.0 + load_share)
+    mean, half = 0.5 * (outward + inward) - 1.0, 0.5 * (outward - inward)
     root = np.sqrt(flow * flow + SMALL_FLOW * SMALL_FLOW)
     size = flow * flow / root
-    slope = flow * (flow * flow + 2.0 * SMALL_FLOW * SMALL_FLOW) / (root * root * root)
-    up, down = 0.5 * out * out * out, 0.5 * back * back * back
-    rate = (mean + half * slope) * flow_rate
-    rate += 0.5 * ((up - down) * flow + (up + down) * size) * change
+    size_slope = flow * (flow * flow + 2.0 * SMALL_FLOW * SMALL_FLOW) / (root * root * root)
+    outward_slope, inward_slope = 0.5 * outward * outward * outward, 0.5 * inward * inward * inward
+    slope = (outward_slope - inward_slope) * flow + (outward_slope + inward_slope) * size
+    rate = (mean + half * size_slope) * flow_rate
+    rate += 0.5 * slope * load_share_rate
     return mean * flow + half * size, rate
 
 
 @compiled
-def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-def]
-    """Write the commands of the planned motion (n,), in coordinates of the law, fractions.
-
-    Modes have the shape V^T if `modal`.
-    """
-    count, legs = commands.shape[0], inverse.legs
+def write_commands(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-def]
+    """Write the commands of the planned motion (n,), in coordinates of the law, fractions."""
+    count, leg_motion = commands.shape[0], inverse.leg_motion
     for row in range(6):
         if modal:
-            multiply_transposed(shape, inverse.mean[row], legs[row])
+            multiply_transposed(shape, inverse.mean_motion[row], leg_motion[row])
         else:
-            assign(legs[row], inverse.mean[row])
+            assign(leg_motion[row], inverse.mean_motion[row])
     _write_forces(inverse, pose, shape, modal)
-    asked = inverse.coordinates[0]
+    leg_commands = inverse.scratch
     for leg in range(count):
         spring, leak = inverse.spring, inverse.leak_rate
-        if inverse.follows:
-            more_spring, more_leak = _oil(legs[0, leg] / inverse.half_stroke, inverse.cap_share)
-            spring *= more_spring
-            leak *= more_leak
-        force = inverse.force
-        y2, y3 = force[0, leg] / spring, force[1, leg] / spring
-        y4, y5 = force[2, leg] / spring, force[3, leg] / spring
-        flow = legs[1, leg] + y3 + leak * y2
-        first = legs[2, leg] + y4 + leak * y3
-        second = legs[3, leg] + y5 + leak * y4
-        more, rate = opened(inverse, flow, first, force[0, leg], force[1, leg])
-        total = flow + more + inverse.lags * (first + rate) + inverse.lags_product * second
-        asked[leg] = total / inverse.speed
+        if inverse.follows_pose:
+            extension = leg_motion[0, leg] / inverse.half_stroke
+            spring_ratio, leak_ratio = _oil_ratios(extension, inverse.cap_share)
+            spring *= spring_ratio
+            leak *= leak_ratio
+        force = inverse.leg_force
+        deflection, deflection_rate = force[0, leg] / spring, force[1, leg] / spring
+        deflection_acceleration, deflection_jerk = force[2, leg] / spring, force[3, leg] / spring
+        flow = leg_motion[1, leg] + deflection_rate + leak * deflection
+        flow_rate = leg_motion[2, leg] + deflection_acceleration + leak * deflection_rate
+        flow_acceleration = leg_motion[3, leg] + deflection_jerk + leak * deflection_acceleration
+        opening, opening_rate = load_opening(inverse, flow, flow_rate, force[0, leg], force[1, leg])
+        speed = flow + opening + inverse.lags * (flow_rate + opening_rate)
+        leg_commands[leg] = (speed + inverse.lags_product * flow_acceleration) / inverse.speed
     if modal:
-        multiply(shape, asked, commands)
+        multiply(shape, leg_commands, commands)
     else:
-        assign(commands, asked)
+        assign(commands, leg_commands)
 
 
 @compiled
-def _oil(stroke, share):  # type: ignore[no-untyped-def]
-    """Oil spring k and leak rate of a leg over those at neutral, at extension over half stroke."""
-    cap, rod = 1.0 + stroke, 1.0 - stroke
-    if abs(stroke) >= 1.0:
+def _oil_ratios(extension, cap_share):  # type: ignore[no-untyped-def]
+    """Oil spring and leak rate of a leg over those at neutral, at extension over half stroke."""
+    cap_length, rod_length = 1.0 + extension, 1.0 - extension
+    if abs(extension) >= 1.0:
         return 1.0, 1.0
-    spring = share / cap + (1.0 - share) / rod
-    return spring, 1.0 / (spring * (cap * rod) ** 2)
+    spring_ratio = cap_share / cap_length + (1.0 - cap_share) / rod_length
+    return spring_ratio, 1.0 / (spring_ratio * (cap_length * rod_length) ** 2)

@@ -79,17 +79,12 @@ class Adaptation(Settings):
     """
 
     rate: Annotated[float, Field(ge=0.0)]
-    """Adaptation rate [1/s]: a leg that is slow by a part of its speed, and is not corrected,
-    raises the factor by that part times this; 0 leaves the fixed law."""
+    """Rate [1/s] at which a leg that is slow by its whole speed raises the factor; 0: fixed law."""
     slope: Annotated[float, Field(gt=0.0)]  #: Weight of the position error to its rate [1/s].
-    corner: Annotated[float, Field(gt=0.0)]
-    """Corner of the low-pass filters of what is learned from [Hz]."""
-    level: Annotated[float, Field(gt=0.0)]
-    """Feed-forward, root mean square, at which the normalisation halves the correction [%]."""
-    dead_zone: Annotated[float, Field(ge=0.0)] = 0.0
-    """Error below which nothing is learned [in/s]."""
-    leak: Annotated[float, Field(ge=0.0)] = 0.0
-    """Rate at which the factor returns to 1, below the control rate [1/s]."""
+    corner: Annotated[float, Field(gt=0.0)]  #: Corner of the low-pass filters H [Hz].
+    level: Annotated[float, Field(gt=0.0)]  #: Feed-forward, rms, that halves the correction [%].
+    dead_zone: Annotated[float, Field(ge=0.0)] = 0.0  #: Error below which nothing is learnt [in/s].
+    leak: Annotated[float, Field(ge=0.0)] = 0.0  #: Rate of the return to 1, below `rate` [1/s].
     lowest: Annotated[float, Field(gt=0.0, le=1.0)]  #: Least factor.
     highest: Annotated[float, Field(ge=1.0)]  #: Largest factor.
 
@@ -125,8 +120,7 @@ class Law(Settings):
     """
 
     name: Name  #: Name of the table.
-    coordinates: Literal["legs", "hydraulic_modes"] = "legs"
-    """What gains act on: legs, or the hydraulic modes of the cab."""
+    coordinates: Literal["legs", "hydraulic_modes"] = "legs"  #: What gains act on.
     modes: Mapping[str, Modes] = {}
     """Hydraulic modes by cab, or by plant where there is none; a law that is bound to a cab has
     those alone. A table of a law file without modes has the shipped ones, `modes.toml`."""
@@ -144,30 +138,44 @@ class Law(Settings):
     derivative_pole: Annotated[float, Field(gt=0.0)] = 90.0
     """Corner p of the derivative filter s p / (s + p) [rad/s]; calibrated, the report prints
     none. Below twice the control rate, where the filter's forward integration is stable."""
-    integrator_limit: Annotated[float, Field(gt=0.0)] = 50.0
-    """Saturation of the error integral [in s] (section 3.2.1)."""
+    integrator_limit: Annotated[float, Field(gt=0.0)] = 50.0  #: Limit of the error integral [in s].
     integrator_trigger: Annotated[float, Field(ge=-40.0, le=37.5)] = -37.0
     """Leg position below which the integrator takes -37.5 in for it [in]: half an inch above
-    the bottom stop (section 3.2.1). No leg comes below the mechanical stop at -38 in: a trigger
-    there is none at all. Legs of another working stroke have it as far above its lower end."""
+    the bottom stop (section 3.2.1), below which no leg comes. Legs of another working stroke have
+    it as far above its lower end."""
     accelerometer_pole: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.9924
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588  #: Gain of the accelerometer filter, Eq 3.6.
     gravity_compensation: bool = True
     """Whether the law reads leg accelerations with gravity taken out (Appendix C); from ideal
     accelerometers, which feel none, nothing is taken out."""
-    reference_model: ReferenceModel | None = None
-    """A model to follow, `[name.reference_model]`; absent: the demand itself."""
+    reference_model: ReferenceModel | None = None  #: A model to follow; absent: the demand.
     plan: Plan | None = None  #: A plan to follow, `[name.plan]`, instead of a reference model.
-    load_feedback: LoadFeedback | None = None
-    """Dynamic load pressure feedback, `[name.load_feedback]`; absent: none."""
+    load_feedback: LoadFeedback | None = None  #: Dynamic load pressure feedback.
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Law":
-        modal = self.coordinates == "hydraulic_modes"
-        if modal != bool(self.modes):
-            said = "needs a table [modes.CAB] for each cab" if modal else "takes no modes"
-            raise InputError(f"coordinates: {self.coordinates} {said}")
+    def _check_coordinates(self) -> "Law":
+        is_modal = self.coordinates == "hydraulic_modes"
+        if is_modal != bool(self.modes):
+            reason = "needs a table [modes.CAB] for each cab" if is_modal else "takes no modes"
+            raise InputError(f"coordinates: {self.coordinates} {reason}")
+        if self.plan is not None and self.reference_model is not None:
+            raise InputError("plan: is not allowed beside a reference_model; choose one")
+        if self.plan is not None and is_modal == (self.plan.frequency is not None):
+            reason = "is not allowed, modes have their own" if is_modal else "is missing"
+            raise InputError(f"plan.frequency: {reason}, for coordinates {self.coordinates}")
+        lists = [
+            f"{table}.{field}"
+            for table in ("input_gain", "direct_gain", "plan", "load_feedback")
+            for field, value in getattr(self, table) or ()
+            if isinstance(value, tuple) and field != "pairs"
+        ]
+        if lists and not is_modal:
+            raise InputError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
+        return self
+
+    @model_validator(mode="after")
+    def _check_rates(self) -> "Law":
         if not self.derivative_pole < 2.0 * self.rate:
             raise InputError(
                 f"derivative_pole: {self.derivative_pole:g} rad/s must be below twice the control "
@@ -179,19 +187,6 @@ class Law(Settings):
                 f"reference_model.adaptation.leak: {adaptation.leak:g} 1/s must be below the "
                 f"control rate, {self.rate} 1/s"
             )
-        if self.plan is not None and self.reference_model is not None:
-            raise InputError("plan: is not allowed beside a reference_model; choose one")
-        if self.plan is not None and modal == (self.plan.frequency is not None):
-            said = "is not allowed, modes have their own" if modal else "is missing"
-            raise InputError(f"plan.frequency: {said}, for coordinates {self.coordinates}")
-        lists = [
-            f"{table}.{field}"
-            for table in ("input_gain", "direct_gain", "plan", "load_feedback")
-            for field, value in getattr(self, table) or ()
-            if isinstance(value, tuple) and field != "pairs"
-        ]
-        if lists and not modal:
-            raise InputError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
         return self
 
     def bound_to(self, cab: str) -> "Law":
@@ -213,16 +208,15 @@ class Law(Settings):
         """Control frame T [s]."""
         return 1.0 / self.rate
 
-    def on(self, machine: Machine) -> "Law":
+    def for_machine(self, machine: Machine) -> "Law":
         """The law bound to a machine, at its control rate."""
         return self.at_rate(machine.rate).model_copy(update={"machine": machine})
 
     def at_rate(self, rate: int) -> "Law":
         """The same law at another control rate [Hz].
 
-        A pole p of the z plane becomes p^(rate before / rate), the pole of the same decay in time,
-        and what enters its state is scaled by (1 - p') / (1 - p), so that the state settles at the
-        same value: the zero-order hold of the same first-order filter.
+        A pole p becomes p' = p^(rate before / rate), and what enters its state is scaled by
+        (1 - p') / (1 - p): the zero-order hold of the same first-order filter.
 
         Refused are a rate or derivative pole that the new frame does not allow, and a pole A below
         0, which has no decay in time.
@@ -235,15 +229,16 @@ class Law(Settings):
                 f"alone; it cannot run at {rate} Hz"
             )
         poles = np.array([self.state_gain, self.accelerometer_pole])
-        moved = np.where(poles > 0.0, poles ** (self.rate / rate), 0.0)
-        entering, accelerometer = ((1.0 - moved) / (1.0 - poles)).tolist()
-        gains = {name: (np.multiply(gain, entering)).tolist() for name, gain in self.input_gain}
+        state_pole, filter_pole = np.where(poles > 0.0, poles ** (self.rate / rate), 0.0).tolist()
+        state_scale = (1.0 - state_pole) / (1.0 - self.state_gain)
+        filter_scale = (1.0 - filter_pole) / (1.0 - self.accelerometer_pole)
+        gains = {name: np.multiply(gain, state_scale).tolist() for name, gain in self.input_gain}
         changes = {
             "rate": rate,
-            "state_gain": float(moved[0]),
+            "state_gain": state_pole,
             "input_gain": gains,
-            "accelerometer_pole": float(moved[1]),
-            "accelerometer_gain": self.accelerometer_gain * accelerometer,
+            "accelerometer_pole": filter_pole,
+            "accelerometer_gain": self.accelerometer_gain * filter_scale,
         }
         return validated(Law, dict(self) | changes, f"law {self.name}")
 
@@ -265,38 +260,41 @@ class Law(Settings):
     @property
     def reads_velocity(self) -> bool:
         """Whether the measured velocity acts on the command past the compensator."""
-        model = self.reference_model is not None and self.reference_model.reads_velocity
-        return model or (self.plan is not None and bool(np.any(self.plan.velocity)))
+        if self.reference_model is not None and self.reference_model.reads_velocity:
+            return True
+        return self.plan is not None and bool(np.any(self.plan.velocity))
 
 
-def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law:
+def _make_law(name: str, table: object, tables: dict[str, Any], where: str) -> Law:
     """One law from its table, laid over that of the law it is based on but for title and source."""
     if not isinstance(table, dict):
         raise InputError(f"{where}: {table!r} is refused: a law is a table [name]")
     if "based_on" in table:
-        others: dict[str, Any] = {}
-        for file in (*(_tables(family) for family in _FILES), tables):
-            others |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
+        bases: dict[str, Any] = {}
+        for file in (*(_shipped_tables(family) for family in _FILES), tables):
+            bases |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
         base = table["based_on"]
-        if not isinstance(base, str) or base not in others:
+        if not isinstance(base, str) or base not in bases:
             raise InputError(
-                f"{where}: based_on: {base!r} is refused: allowed: {', '.join(others)}, laws which "
+                f"{where}: based_on: {base!r} is refused: allowed: {', '.join(bases)}, laws which "
                 "are based on none"
             )
-        kept = {k: v for k, v in others[base].items() if k not in ("title", "source")}
-        table = merged(kept, {k: v for k, v in table.items() if k != "based_on"})
-    whole = {"title": name} | table | {"name": name}
-    if whole.get("coordinates") == "hydraulic_modes":
-        whole = {"modes": read_toml(_MODES)} | whole
-    return validated(Law, whole, where)
+        inherited = {k: v for k, v in bases[base].items() if k not in ("title", "source")}
+        table = merged(inherited, {k: v for k, v in table.items() if k != "based_on"})
+    table = {"title": name} | table | {"name": name}
+    if table.get("coordinates") == "hydraulic_modes":
+        table = {"modes": read_toml(_MODES)} | table
+    return validated(Law, table, where)
 
 
-def _laws_of(path: Path) -> dict[str, Law]:
+def _read_laws(path: Path) -> dict[str, Law]:
+    """All laws of a file by name."""
     tables = read_toml(path)
     for name in tables:
         checked_name(name, f"{path.name}: name of the table")
     laws = {
-        name: _law_of(name, table, tables, f"{path.name}: {name}") for name, table in tables.items()
+        name: _make_law(name, table, tables, f"{path.name}: {name}")
+        for name, table in tables.items()
     }
     if not laws:
         raise InputError(f"{path.name}: holds no law; a law is a table [name]")
@@ -304,15 +302,15 @@ def _laws_of(path: Path) -> dict[str, Law]:
 
 
 @cache
-def _tables(family: str) -> dict[str, Any]:
+def _shipped_tables(family: str) -> dict[str, Any]:
     """The tables of a shipped file, read once; not to be changed."""
     return read_toml(_FILES[family])
 
 
 @cache
-def _shipped() -> dict[str, Law]:
+def _shipped_laws() -> dict[str, Law]:
     """All shipped laws, made once; not to be changed."""
-    return {name: law for path in _FILES.values() for name, law in _laws_of(path).items()}
+    return {name: law for path in _FILES.values() for name, law in _read_laws(path).items()}
 
 
 def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[str, ...]:
@@ -325,13 +323,14 @@ def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[st
     """
     if family == "all":
         return law_names() + law_names("beyond")
-    return tuple(_tables(family))
+    return tuple(_shipped_tables(family))
 
 
-def law_on(machine: Machine, name: str) -> str:
+def law_source(machine: Machine, name: str) -> str:
     """What loads a law by name or file, the machine's own by the name in its file."""
-    plain = name not in law_names("all") and ".toml" not in name
-    return machine.law if plain and name == load_law(machine.law).name else name
+    if name in law_names("all") or ".toml" in name:
+        return name
+    return machine.law if name == load_law(machine.law).name else name
 
 
 def load_law(source: str | Path | Mapping[str, Any] | Law, machine: Machine | None = None) -> Law:
@@ -352,14 +351,14 @@ def load_law(source: str | Path | Mapping[str, Any] | Law, machine: Machine | No
         name = source.get("name", "custom")
         if isinstance(name, str):
             checked_name(name, "law: name")
-        return _law_of(name, dict(source), {}, f"law {name}")
-    text = str(source) if machine is None else law_on(machine, str(source))
+        return _make_law(name, dict(source), {}, f"law {name}")
+    text = str(source) if machine is None else law_source(machine, str(source))
     if text in law_names("all"):
-        return _shipped()[text]
+        return _shipped_laws()[text]
     stem, suffix, name = text.rpartition(".toml")
     if not suffix or (name and not name.startswith(":")):
         raise unknown_name("law", text, law_names("all"), " nor a .toml file")
-    laws = _laws_of(Path(stem + ".toml"))
+    laws = _read_laws(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:
             raise InputError(f"law: {name[1:]!r} is not in {stem}.toml; it has {', '.join(laws)}")

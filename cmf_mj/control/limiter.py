@@ -12,31 +12,26 @@ the braking parabola in discrete time: from b(R) at A the channel stops on the l
 
     max(v - A T, -V, -b(p - low)) <= v' <= min(v + A T, V, b(high - p))
 
-is never empty once it holds, and a channel in it keeps all three limits for ever, whatever the
-demand does.
+is never empty once it holds, and a channel in it keeps all three limits for ever.
 
 **Demand.** With d the demand and the lag e = d - p, the wish is
 
     p'[k+1] = d[k+1] - e',    e' = e - sgn(e) T c(|e|),
 
-where c is b with a share of A, `rejoin` A. It follows the demand's own motion and closes in on it
-along a parabola that ends, after a finite number of frames, at e' = 0 to the bit; a demand
-that accelerates by less than the other share, and moves slower than V, is then rejoined without
-overshoot. With e = 0 the wish is the demand itself: while the demand keeps the bounds the output
-*is* the demand, bit by bit, with no lag. The output is the wish, moved into the bounds. There is no
-integral that could wind up: the lag is the difference of two positions. A demand outside the range
-is skipped at the limit and met on its way back, at its own speed.
+where c is b with a share of A, `rejoin` A. The wish closes in on the demand along a parabola that
+ends, after a finite number of frames, at e' = 0 to the bit, without overshoot where the demand
+accelerates by less than the other share and moves slower than V. The output is the wish, moved into
+the bounds: while the demand keeps them the output *is* the demand, bit by bit. Nothing winds up:
+the lag is the difference of two positions. The output waits at a limit for a demand outside.
 
-`step` bounds each channel alone. Legs limited alone distort the pose. `step_together` shares one
-scale: from rest all channels follow one straight line between old and new demand, and when one
-can go no further all brake together and wait. It brakes in proportion, v - s v with
-s = A T / max |v| (the least over channels with their own A), and takes the largest share of the way
-from there to the wish that all bounds allow and from which braking in proportion still ends within
-all ranges. That takes longer than braking alone: a slow channel near its limit with a fast one is
-held back earlier. Do not change between the two in motion.
+`step` bounds each channel alone, which distorts the pose of legs. `step_together` shares one scale:
+from rest all channels follow one straight line between old and new demand, and all brake together
+when one can go no further. It brakes in proportion, v - s v with s = A T / max |v| (the least over
+channels with their own A), and takes the largest share of the way from there to the wish that all
+bounds allow and from which braking in proportion still ends within all ranges. That takes longer
+than braking alone. Do not change between the two in motion.
 
-Not limited: jerk. Parabolas are those of Zanasi, Guarino Lo Bianco and Tonielli (Automatica 36,
-2000) in the deadbeat form of discrete time.
+Jerk has no limit. Source: R. Zanasi, C. Guarino Lo Bianco, A. Tonielli, Automatica 36 (2000).
 """
 
 from typing import NamedTuple
@@ -50,7 +45,7 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 
-_HALVINGS = 40  #: Bisections for the shared scale, resolving it to 1e-12.
+_HALVINGS = 40  #: Bisections that find the shared scale to 1e-12.
 
 
 class Limiter(NamedTuple):
@@ -91,30 +86,22 @@ def make_leg_limiter(
 ) -> Limiter:
     """Limiter of leg demands: working stroke, leg speed and acceleration; default the CMF's."""
     leg = (limits or load_motion_limits()).leg
-    travel = np.full(legs, leg.position.si)
-    return make_limiter(
-        -travel,
-        travel,
-        np.full(legs, leg.velocity.si),
-        np.full(legs, leg.acceleration.si),
-        leg.rejoin.si,
-        frame,
-    )
+    travel, velocity = np.full(legs, leg.position.si), np.full(legs, leg.velocity.si)
+    acceleration = np.full(legs, leg.acceleration.si)
+    return make_limiter(-travel, travel, velocity, acceleration, leg.rejoin.si, frame)
 
 
 def make_pose_limiter(limits: MotionLimits | None = None, frame: float = FRAME) -> Limiter:
     """Limiter of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
     limits = limits or load_motion_limits()
-    low, high = limits.operational.T
-    return make_limiter(
-        low, high, limits.velocity, limits.acceleration, limits.leg.rejoin.si, frame
-    )
+    (low, high), rejoin = limits.operational.T, limits.leg.rejoin.si
+    return make_limiter(low, high, limits.velocity, limits.acceleration, rejoin, frame)
 
 
 def start(limiter: Limiter, position: ArrayLike) -> LimiterState:
     """State of a limiter at rest at `position` (n,), moved into the range."""
-    at = np.clip(np.array(position, dtype=float), limiter.low, limiter.high)
-    return LimiterState(at, np.zeros(at.size), np.zeros(at.size))
+    p = np.clip(np.array(position, dtype=float), limiter.low, limiter.high)
+    return LimiterState(position=p, velocity=np.zeros(p.size), lag=np.zeros(p.size))
 
 
 @compiled
@@ -128,38 +115,37 @@ def stopping_velocity(distance, acceleration, frame):  # type: ignore[no-untyped
 
 
 @compiled
-def _screened(limiter, i, lag, position, demand):  # type: ignore[no-untyped-def]
+def _clip_demand(limiter, i, lag, position, demand):  # type: ignore[no-untyped-def]
     """The demand, at most one range beyond the limits; the last one for one that is no number."""
     if np.isnan(demand):
         return position + lag
-    reach = limiter.high[i] - limiter.low[i]
-    return min(max(demand, limiter.low[i] - reach), limiter.high[i] + reach)
+    width = limiter.high[i] - limiter.low[i]
+    return min(max(demand, limiter.low[i] - width), limiter.high[i] + width)
 
 
 @compiled
-def _remaining(lag, closing, frame):  # type: ignore[no-untyped-def]
+def _closed_lag(lag, deceleration, frame):  # type: ignore[no-untyped-def]
     """e': the lag after one frame on the parabola of deceleration `closing`."""
     size = abs(lag)
-    if size <= closing * frame * frame:
+    if size <= deceleration * frame * frame:
         return 0.0
-    left = size - frame * stopping_velocity(size, closing, frame)
-    return left if lag > 0.0 else -left
+    remaining = size - frame * stopping_velocity(size, deceleration, frame)
+    return remaining if lag > 0.0 else -remaining
 
 
 @compiled
-def _accept(limiter, state, i, demand, position, motion):  # type: ignore[no-untyped-def]
+def _put_out(limiter, state, i, demand, position, motion):  # type: ignore[no-untyped-def]
     """Put a position out and renew the state; demanded rates pass only with their position."""
     frame, speed, limit = limiter.frame, limiter.velocity[i], limiter.acceleration[i]
-    before = state.velocity[i]
-    now = (position - state.position[i]) / frame
-    change = (now - before) / frame
+    velocity = (position - state.position[i]) / frame
+    acceleration = (velocity - state.velocity[i]) / frame
     state.position[i] = position
-    state.velocity[i] = now
+    state.velocity[i] = velocity
     state.lag[i] = demand - position
     motion[0, i] = position
     if state.lag[i] != 0.0 or not np.isfinite(motion[1, i] + motion[2, i]):
-        motion[1, i] = now + 0.5 * frame * change
-        motion[2, i] = change
+        motion[1, i] = velocity + 0.5 * frame * acceleration
+        motion[2, i] = acceleration
     motion[1, i] = min(max(motion[1, i], -speed), speed)
     motion[2, i] = min(max(motion[2, i], -limit), limit)
 
@@ -174,52 +160,50 @@ def step(limiter, state, motion):  # type: ignore[no-untyped-def]
     """
     frame = limiter.frame
     for i in range(motion.shape[1]):
-        limit, speed = limiter.acceleration[i], limiter.velocity[i]
-        at, before = state.position[i], state.velocity[i]
-        demand = _screened(limiter, i, state.lag[i], at, motion[0, i])
-        position = demand - _remaining(state.lag[i], limiter.rejoin * limit, frame)
-        wish = (position - at) / frame
-        velocity = min(max(wish, before - limit * frame, -speed), before + limit * frame, speed)
+        acceleration, speed = limiter.acceleration[i], limiter.velocity[i]
+        p, v = state.position[i], state.velocity[i]
+        demand = _clip_demand(limiter, i, state.lag[i], p, motion[0, i])
+        position = demand - _closed_lag(state.lag[i], limiter.rejoin * acceleration, frame)
+        wish = (position - p) / frame
+        change = acceleration * frame
+        velocity = min(max(wish, v - change, -speed), v + change, speed)
         # Ranges go last: where round-off parts the bounds, it does not add up to leave a range.
-        velocity = min(velocity, stopping_velocity(limiter.high[i] - at, limit, frame))
-        velocity = max(velocity, -stopping_velocity(at - limiter.low[i], limit, frame))
+        velocity = min(velocity, stopping_velocity(limiter.high[i] - p, acceleration, frame))
+        velocity = max(velocity, -stopping_velocity(p - limiter.low[i], acceleration, frame))
         if velocity != wish:
-            position = at + frame * velocity
+            position = p + frame * velocity
         position = min(max(position, limiter.low[i]), limiter.high[i])
-        _accept(limiter, state, i, demand, position, motion)
+        _put_out(limiter, state, i, demand, position, motion)
 
 
 @compiled
-def _reach(ratio, frame):  # type: ignore[no-untyped-def]
-    """Travel per velocity of one frame and of all after it, braking in proportion.
-
-    Every channel stops with that of the largest |v| / A, which is `ratio`.
-    """
-    n = np.floor(ratio / frame)
+def _braking_time(stop_time, frame):  # type: ignore[no-untyped-def]
+    """Travel per velocity of a frame and all after it, braking in proportion for a stop time."""
+    n = np.floor(stop_time / frame)
     if n == 0.0:
         return frame
-    return frame * (1.0 + n - 0.5 * frame * n * (n + 1.0) / ratio)
+    return frame * (1.0 + n - 0.5 * frame * n * (n + 1.0) / stop_time)
 
 
 @compiled
-def _fits(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
+def _is_feasible(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
     """Whether all channels may move `share` of the way from `base` to `wish`."""
     frame = limiter.frame
-    ratio = 0.0
+    stop_time = 0.0
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
-        limit = limiter.acceleration[i]
+        acceleration = limiter.acceleration[i]
         if abs(velocity) > limiter.velocity[i]:
             return False
-        if abs(velocity - state.velocity[i]) > limit * frame * (1.0 + 1e-12):
+        if abs(velocity - state.velocity[i]) > acceleration * frame * (1.0 + 1e-12):
             return False
-        ratio = max(ratio, abs(velocity) / limit)
-    reach = _reach(ratio, frame)
+        stop_time = max(stop_time, abs(velocity) / acceleration)
+    braking_time = _braking_time(stop_time, frame)
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
-        at = state.position[i]
-        left = limiter.high[i] - at if velocity > 0.0 else at - limiter.low[i]
-        if reach * abs(velocity) > left:
+        p = state.position[i]
+        distance = limiter.high[i] - p if velocity > 0.0 else p - limiter.low[i]
+        if braking_time * abs(velocity) > distance:
             return False
     return True
 
@@ -232,39 +216,41 @@ def step_together(limiter, state, motion, base, wish):  # type: ignore[no-untype
     """
     frame = limiter.frame
     channels = motion.shape[1]
-    ratio, far = 0.0, 0.0
+    stop_time, largest_lag = 0.0, 0.0
     for i in range(channels):
-        ratio = max(ratio, abs(state.velocity[i]) / limiter.acceleration[i])
-        far = max(far, abs(state.lag[i]) / limiter.acceleration[i])
-    brake = 1.0 - frame / ratio if ratio > frame else 0.0
-    reach = _reach(max(ratio - frame, 0.0), frame)
+        stop_time = max(stop_time, abs(state.velocity[i]) / limiter.acceleration[i])
+        largest_lag = max(largest_lag, abs(state.lag[i]) / limiter.acceleration[i])
+    braking_share = 1.0 - frame / stop_time if stop_time > frame else 0.0
+    braking_time = _braking_time(max(stop_time - frame, 0.0), frame)
     # The lag closes in proportion too, in units of each channel's acceleration.
-    closing = _remaining(far, limiter.rejoin, frame) / far if far > 0.0 else 0.0
+    lag_share = 0.0
+    if largest_lag > 0.0:
+        lag_share = _closed_lag(largest_lag, limiter.rejoin, frame) / largest_lag
     for i in range(channels):
-        at = state.position[i]
-        motion[0, i] = _screened(limiter, i, state.lag[i], at, motion[0, i])
-        wish[i] = (motion[0, i] - closing * state.lag[i] - at) / frame
-        base[i] = brake * state.velocity[i]
+        p = state.position[i]
+        motion[0, i] = _clip_demand(limiter, i, state.lag[i], p, motion[0, i])
+        wish[i] = (motion[0, i] - lag_share * state.lag[i] - p) / frame
+        base[i] = braking_share * state.velocity[i]
         # By induction within the range; the bound keeps round-off from adding up.
-        left = limiter.high[i] - at if base[i] > 0.0 else at - limiter.low[i]
-        base[i] = min(max(base[i], -left / reach), left / reach)
+        distance = limiter.high[i] - p if base[i] > 0.0 else p - limiter.low[i]
+        base[i] = min(max(base[i], -distance / braking_time), distance / braking_time)
     share = 1.0
-    if not _fits(limiter, state, base, wish, 1.0):
-        share, beyond = 0.0, 1.0
+    if not _is_feasible(limiter, state, base, wish, 1.0):
+        share, infeasible_share = 0.0, 1.0
         for _ in range(_HALVINGS):
-            middle = 0.5 * (share + beyond)
-            if _fits(limiter, state, base, wish, middle):
+            middle = 0.5 * (share + infeasible_share)
+            if _is_feasible(limiter, state, base, wish, middle):
                 share = middle
             else:
-                beyond = middle
+                infeasible_share = middle
     for i in range(channels):
-        at, demand = state.position[i], motion[0, i]
+        p, demand = state.position[i], motion[0, i]
         if share == 1.0:
-            position = demand - closing * state.lag[i]
+            position = demand - lag_share * state.lag[i]
         else:
-            position = at + frame * (base[i] + share * (wish[i] - base[i]))
+            position = p + frame * (base[i] + share * (wish[i] - base[i]))
         position = min(max(position, limiter.low[i]), limiter.high[i])
-        _accept(limiter, state, i, demand, position, motion)
+        _put_out(limiter, state, i, demand, position, motion)
     return share
 
 
@@ -274,18 +260,17 @@ class LimitedMotion(NamedTuple):
     position: NDArray[np.float64]  #: p [m or rad].
     velocity: NDArray[np.float64]  #: Velocity at the frames, as handed on with p.
     acceleration: NDArray[np.float64]  #: Acceleration at the frames, as handed on with p.
-    share: NDArray[np.float64]
-    """What `step_together` returned (N,); 1 throughout for channels limited alone."""
+    share: NDArray[np.float64]  #: Return values of `step_together`, (N,); 1 if limited alone.
 
 
 @allocating
-def _limit_history(limiter, state, motions, share, together):  # type: ignore[no-untyped-def]
+def _write_history(limiter, state, motions, share, together):  # type: ignore[no-untyped-def]
     base, wish = np.zeros(motions.shape[2]), np.zeros(motions.shape[2])
-    for k in range(motions.shape[0]):
+    for frame in range(motions.shape[0]):
         if together:
-            share[k] = step_together(limiter, state, motions[k], base, wish)
+            share[frame] = step_together(limiter, state, motions[frame], base, wish)
         else:
-            step(limiter, state, motions[k])
+            step(limiter, state, motions[frame])
 
 
 def limit_history(
@@ -317,6 +302,6 @@ def limit_history(
             motions[:, row] = values
     share = np.ones(position.shape[0])
     if position.shape[0]:
-        _limit_history(limiter, start(limiter, position[0]), motions, share, together)
-    p, v, a = np.ascontiguousarray(motions.transpose(1, 0, 2))
-    return LimitedMotion(p, v, a, share)
+        _write_history(limiter, start(limiter, position[0]), motions, share, together)
+    rows = np.ascontiguousarray(motions.transpose(1, 0, 2))
+    return LimitedMotion(position=rows[0], velocity=rows[1], acceleration=rows[2], share=share)

@@ -5,9 +5,8 @@ coordinates, x = (p, p', .., p''''), with r held over a frame T:
 
     e5 p^(5) = r - sum_j e_j p^(j), j = 0 .. 4,    x+ = A x + B r.
 
-Nothing in it is clamped. That E is linear is what keeps it from limit cycles; it is r that is
-bounded. r follows the demand d within bounds R on its rate, A on its acceleration and A w_s on its
-jerk. With d' = sat(rate of d, R), in units of frames,
+E is linear, which keeps it from limit cycles; r is bounded. It follows the demand d within bounds R
+on its rate, A on its acceleration and A w_s on its jerk. With d' = sat(rate of d, R), in frames,
 
     e = r - d,    r'' = sat(change of d' - 2 p (r' - d' + g(e)), A),    |change of r''| <= w_s A,
 
@@ -25,13 +24,11 @@ x[k+1] and x[k+2] the mean of p^(j+1) is (p^(j)[k+2] - p^(j)[k+1]) / T. To u are
 
 in which K_r is the lead against the drive lag.
 
-Source: feed-forward and reference from a model are the structure of two degrees of freedom of G.
-Kreisselmeier, Automatisierungstechnik 47 (1999) 266-269; the smooth reference: R. Zanasi, C.
-Guarino Lo Bianco and A. Tonielli, Automatica 36 (2000) 439-448; for electrohydraulic servos
+Source: two degrees of freedom: G. Kreisselmeier, Automatisierungstechnik 47 (1999) 266-269; smooth
+reference: R. Zanasi, C. Guarino Lo Bianco and A. Tonielli, Automatica 36 (2000) 439-448;
 feed-forward of velocity, acceleration and jerk: M. Jelali and A. Kroll, Hydraulic Servo-systems
-(2003); the inverse dynamics of a hydraulic hexapod: I. Davliakos and E. Papadopoulos, Mechanism and
-Machine Theory 43 (2008); load in the valve's inverse: H. E. Merritt, Hydraulic Control Systems
-(1967).
+(2003); inverse dynamics of a hydraulic hexapod: I. Davliakos and E. Papadopoulos, Mechanism and
+Machine Theory 43 (2008); load of valves: H. E. Merritt, Hydraulic Control Systems (1967).
 """
 
 from typing import Annotated, NamedTuple
@@ -40,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from cmf_mj.control.coordinates import Modes, PerMode, Positive, spread
+from cmf_mj.control.coordinates import Modes, PerMode, Positive, per_coordinate
 from cmf_mj.control.inverse import Inverse, Valves, make_inverse
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
@@ -59,8 +56,7 @@ class Plan(Settings):
     speed: Positive  #: Leg speed per command k [in/s/%].
     drive_lag: Annotated[float, _NYQUIST]  #: Corner a of the servo drive [Hz].
     valve_lag: Annotated[float, _NYQUIST]  #: Corner b of the spool [Hz].
-    leak_rate: Annotated[float, Field(ge=0.0)] = 0.0
-    """Rate 2 z w at which leakage relaxes a force [1/s]."""
+    leak_rate: Annotated[float, Field(ge=0.0)] = 0.0  #: Rate 2 z w of a force's decay [1/s].
     frequency: Annotated[float, _NYQUIST] | None = None
     """w of a leg [Hz], for laws in leg coordinates; modes have their own."""
     pairs: Annotated[
@@ -77,8 +73,7 @@ class Plan(Settings):
     approach: Annotated[float, _NYQUIST]
     """Frequency p at which the reference closes small errors, critically damped [Hz]."""
     stall: Annotated[float, Field(gt=0.0)] | None = None
-    """Swing of a leg's load at which a valve passes nothing [klbf]; absent: valves that do not
-    know their load."""
+    """Swing of a leg's load at which a valve passes nothing [klbf]; absent: infinite."""
     position: PerMode = 0.0  #: K_p [%/in].
     velocity: PerMode = 0.0  #: K_r [%/(in/s)].
 
@@ -111,8 +106,7 @@ class CompiledPlan(NamedTuple):
     pull: float  #: p, per frame.
     position_gain: NDArray[np.float64]  #: K_p, (n,) [1/m].
     velocity_gain: NDArray[np.float64]  #: K_r, (n,) [s/m].
-    ahead: NDArray[np.float64]
-    """Workspace: planned position and four derivatives a frame ahead, (5, n)."""
+    ahead: NDArray[np.float64]  #: Workspace: position and four derivatives a frame ahead, (5, n).
     inverse: Inverse  #: From motion to command.
 
 
@@ -129,13 +123,13 @@ def make_plan(
     plan: Plan | None, modes: Modes | None, legs: int, frame: float, machine: Machine
 ) -> CompiledPlan:
     """Compile a plan for legs, or the modes of a cab; None for none."""
-    none = np.zeros(legs)
+    zeros = np.zeros(legs)
     if plan is None:
-        motion = np.zeros((ORDER, ORDER)), np.zeros(ORDER), none, none, 0.0, 0.0, none, none
-        inverse = make_inverse(Valves(1.0, (1.0, 1.0)), none + 1.0, None, machine)
+        motion = np.zeros((ORDER, ORDER)), np.zeros(ORDER), zeros, zeros, 0.0, 0.0, zeros, zeros
+        inverse = make_inverse(Valves(1.0, (1.0, 1.0)), zeros + 1.0, None, machine)
         return CompiledPlan(frame, *motion, np.zeros((ORDER, legs)), inverse)
-    scale, step = units.PERCENT / units.INCH, units.INCH * frame
-    hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
+    gain_unit, rate_unit = units.PERCENT / units.INCH, units.INCH * frame
+    frequency = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
     stall = np.inf if plan.stall is None else plan.stall * 1000.0 * units.POUND_FORCE
     valves = Valves(
         plan.speed * units.INCH / units.PERCENT,
@@ -144,58 +138,57 @@ def make_plan(
         stall,
     )
     response = response_polynomial(plan)
-    moved = chain(response[:ORDER] / response[ORDER], 1.0 / response[ORDER], frame)
+    transition = chain(response[:ORDER] / response[ORDER], 1.0 / response[ORDER], frame)
     return CompiledPlan(
         frame=frame,
-        transition=np.ascontiguousarray(moved[:, :ORDER]),
-        input=np.ascontiguousarray(moved[:, ORDER]),
-        rate=spread(plan.rate, legs) * step,
-        acceleration=spread(plan.acceleration, legs) * step * frame,
+        transition=np.ascontiguousarray(transition[:, :ORDER]),
+        input=np.ascontiguousarray(transition[:, ORDER]),
+        rate=per_coordinate(plan.rate, legs) * rate_unit,
+        acceleration=per_coordinate(plan.acceleration, legs) * rate_unit * frame,
         smooth=2.0 * np.pi * plan.smooth * frame,
         pull=2.0 * np.pi * plan.approach * frame,
-        position_gain=spread(plan.position, legs) * scale,
-        velocity_gain=spread(plan.velocity, legs) * scale,
+        position_gain=per_coordinate(plan.position, legs) * gain_unit,
+        velocity_gain=per_coordinate(plan.velocity, legs) * gain_unit,
         ahead=np.zeros((ORDER, legs)),
-        inverse=make_inverse(valves, 2.0 * np.pi * hertz, modes, machine),
+        inverse=make_inverse(valves, 2.0 * np.pi * frequency, modes, machine),
     )
 
 
 @compiled
-def approach(error, pull, most):  # type: ignore[no-untyped-def]
-    """Rate g(e) at which to close an error: a line, then a root that keeps the deceleration A."""
-    size, near = abs(error), most / (pull * pull)
-    rate = 0.5 * pull * size if size <= 4.0 * near else np.sqrt(2.0 * most * (size - 2.0 * near))
+def approach_rate(error, pull, deceleration):  # type: ignore[no-untyped-def]
+    """Rate g(e) at which to close an error: a line, then a root that keeps a deceleration A."""
+    size, unit = abs(error), deceleration / (pull * pull)
+    if size <= 4.0 * unit:
+        rate = 0.5 * pull * size
+    else:
+        rate = np.sqrt(2.0 * deceleration * (size - 2.0 * unit))
     return rate * np.sign(error)
 
 
 @compiled
-def refer(plan, state, mode, demand):  # type: ignore[no-untyped-def]
+def advance_reference(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Move the reference of one mode on by a frame."""
-    fastest, most, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
-    before, moved = state.demand[mode], state.demand_rate[mode]
-    moving = min(max(demand - before, -fastest), fastest)
+    largest_rate, largest_change, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
+    previous_demand, previous_demand_rate = state.demand[mode], state.demand_rate[mode]
+    demand_rate = min(max(demand - previous_demand, -largest_rate), largest_rate)
     rate = state.reference_rate[mode]
-    closing = approach(state.reference[mode] - before, pull, most)
-    change = moving - moved - 2.0 * pull * (rate - moved + closing)
-    change = min(max(change, -most), most)
-    last, jump = state.reference_change[mode], plan.smooth * most
-    change = min(max(change, last - jump), last + jump)
-    after = min(max(rate + change, -fastest), fastest)
-    state.reference_change[mode] = after - rate
-    rate = after
-    state.demand[mode] = demand
-    state.demand_rate[mode] = moving
-    state.reference_rate[mode] = rate
-    state.reference[mode] += rate
+    closing_rate = approach_rate(state.reference[mode] - previous_demand, pull, largest_change)
+    rate_error = rate - previous_demand_rate + closing_rate
+    change = demand_rate - previous_demand_rate - 2.0 * pull * rate_error
+    change = min(max(change, -largest_change), largest_change)
+    previous_change, largest_bend = state.reference_change[mode], plan.smooth * largest_change
+    change = min(max(change, previous_change - largest_bend), previous_change + largest_bend)
+    following_rate = min(max(rate + change, -largest_rate), largest_rate)
+    state.reference_change[mode] = following_rate - rate
+    state.demand[mode], state.demand_rate[mode] = demand, demand_rate
+    state.reference_rate[mode] = following_rate
+    state.reference[mode] += following_rate
 
 
 @compiled
 def look_ahead(plan, state, mode, demand):  # type: ignore[no-untyped-def]
-    """Write the motion of one mode a frame ahead, and its means over the next frame.
-
-    Its reference moves on.
-    """
-    ahead, mean, held = plan.ahead, plan.inverse.mean, state.reference[mode]
+    """Write the motion of a mode a frame ahead and its means over the next; move its reference."""
+    ahead, mean_motion, reference = plan.ahead, plan.inverse.mean_motion, state.reference[mode]
     for row in range(ORDER):
         weights = plan.transition[row]
         ahead[row, mode] = (
@@ -204,20 +197,20 @@ def look_ahead(plan, state, mode, demand):  # type: ignore[no-untyped-def]
             + weights[2] * state.acceleration[mode]
             + weights[3] * state.jerk[mode]
             + weights[4] * state.snap[mode]
-            + plan.input[row] * held
+            + plan.input[row] * reference
         )
-    refer(plan, state, mode, demand)
+    advance_reference(plan, state, mode, demand)
     for row in range(ORDER):
-        after = plan.input[row] * state.reference[mode]
+        following = plan.input[row] * state.reference[mode]
         for j in range(ORDER):
-            after += plan.transition[row, j] * ahead[j, mode]
-        mean[row + 1, mode] = (after - ahead[row, mode]) / plan.frame
-    mean[0, mode] = ahead[0, mode] + 0.5 * plan.frame * mean[1, mode]
+            following += plan.transition[row, j] * ahead[j, mode]
+        mean_motion[row + 1, mode] = (following - ahead[row, mode]) / plan.frame
+    mean_motion[0, mode] = ahead[0, mode] + 0.5 * plan.frame * mean_motion[1, mode]
 
 
 @compiled
-def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
-    """Command for what the mode has of errors from the plan, fraction."""
+def correction(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
+    """Command for the errors of one mode from its plan, fraction."""
     error = state.position[mode] - feedback.position[mode]
     rate = state.velocity[mode] - feedback.velocity[mode]
     return plan.position_gain[mode] * error + plan.velocity_gain[mode] * rate

@@ -54,10 +54,9 @@ class FaultCode(IntEnum):
     HOST_RANGE = 10  #: Found by the DCU.
 
 
-FAULTS = tuple(code.name.lower() for code in FaultCode)
-"""Names of the faults; a code is the place in this tuple."""
+FAULTS = tuple(code.name.lower() for code in FaultCode)  #: Names of the faults, by code.
 
-_MACHINE = -1  #: Leg of a fault that belongs to no leg.
+NO_LEG = -1  #: Leg of a fault of the whole machine.
 
 Threshold = TypeVar("Threshold")
 
@@ -103,16 +102,15 @@ class Detection(NamedTuple):
     """The latched fault, and the frame before."""
 
     code: int = FaultCode.NONE.value  #: `FaultCode` of the fault.
-    leg: int = _MACHINE  #: Leg from 0; -1 for the machine.
+    leg: int = NO_LEG  #: Leg from 0, or `NO_LEG`.
     frame: int = -1  #: Frame in which it was detected.
-    last: int = -1  #: Frame before this one; -1 before the first.
+    previous_frame: int = -1  #: Frame before this one; -1 before the first.
 
 
 class ProtectionState(NamedTuple):
     """State of the detection."""
 
-    counts: NDArray[np.int64]
-    """Frames in a row of each condition, (9, n); conditions of no leg use column 0."""
+    counts: NDArray[np.int64]  #: Frames in a row, (9, n), by condition; column 0 for `NO_LEG`.
     estimate: NDArray[np.float64]  #: Integrated velocities z [m], (n,).
     detection: np.recarray[Any, Any]  #: `Detection`, (1,).
 
@@ -164,69 +162,71 @@ def reset(state, position):  # type: ignore[no-untyped-def]
     """Forget the fault and everything counted, at the present positions (n,) [m]."""
     state.counts[:] = 0
     assign(state.estimate, position)
-    state.detection[0].last = -1
-    _latch(state, FaultCode.NONE.value, _MACHINE, -1)
+    state.detection[0].previous_frame = -1
+    _write_fault(state, FaultCode.NONE.value, NO_LEG, -1)
 
 
 @compiled
-def _latch(state, code, leg, frame):  # type: ignore[no-untyped-def]
+def _write_fault(state, code, leg, frame):  # type: ignore[no-untyped-def]
     fault = state.detection[0]
     fault.code, fault.leg, fault.frame = code, leg, frame
 
 
 @compiled
-def latch(state, code, frame):  # type: ignore[no-untyped-def]
+def latch_outside_fault(state, code, frame):  # type: ignore[no-untyped-def]
     """Latch a fault that was found elsewhere, if there is one and no other is latched."""
     if code != FaultCode.NONE.value and state.detection[0].code == FaultCode.NONE.value:
-        _latch(state, code, _MACHINE, frame)
+        _write_fault(state, code, NO_LEG, frame)
 
 
 @compiled
-def _judge(protection, state, code, leg, column, value, frame):  # type: ignore[no-untyped-def]
-    """Count a condition |value| > threshold and latch its fault."""
+def _check(protection, state, code, leg, value, frame):  # type: ignore[no-untyped-def]
+    """Count a condition value > threshold of a leg, or `NO_LEG`, and latch its fault."""
+    column = max(leg, 0)
     if not protection.enabled[code]:
         return
     if value <= protection.threshold[code]:  # false for NaN
         state.counts[code, column] = 0
         return
     state.counts[code, column] += 1
-    new = state.counts[code, column] >= protection.persistence[code]
+    persists = state.counts[code, column] >= protection.persistence[code]
     fault, watchdog = state.detection[0], FaultCode.HOST_WATCHDOG.value
-    first = fault.code == FaultCode.NONE.value or code < watchdog <= fault.code
-    earlier = fault.frame == frame and code < fault.code
-    if new and (first or earlier):
-        _latch(state, code, leg, frame)
+    is_first = fault.code == FaultCode.NONE.value or code < watchdog <= fault.code
+    is_before = fault.frame == frame and code < fault.code
+    if persists and (is_first or is_before):
+        _write_fault(state, code, leg, frame)
 
 
 @compiled
-def protect(protection, state, frame, reference, feedback, supply_pressure, host_age=0.0):  # type: ignore[no-untyped-def]
-    """Look at one frame; returns the code of the latched fault, 0 for none.
+def check_frame(protection, state, frame, reference, feedback, supply_pressure, host_age=0.0):  # type: ignore[no-untyped-def]
+    """Check one frame; returns the code of the latched fault, 0 for none.
 
     A gap in the numbers of control frames is missed frames. `reference` (n,) are limited leg
     demands [m], `host_age` is the time since the last host frame [s], 0 where there is no host.
     """
     for leg in range(reference.shape[0]):
         position, velocity = feedback.position[leg], feedback.velocity[leg]
-        apart = position - state.estimate[leg]
-        state.estimate[leg] += protection.frame * velocity + protection.washout * apart
+        disagreement = position - state.estimate[leg]
+        state.estimate[leg] += protection.frame * velocity + protection.washout * disagreement
+        disagreement = abs(disagreement)
         cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
         pressure = cap if cap > rod or cap != cap else rod
         error = abs(reference[leg] - position)
-        felt = abs(feedback.acceleration[leg])
-        _judge(protection, state, FaultCode.TRACKING_ERROR.value, leg, leg, error, frame)
-        _judge(protection, state, FaultCode.SENSOR_DISAGREEMENT.value, leg, leg, abs(apart), frame)
-        _judge(protection, state, FaultCode.OVER_PRESSURE.value, leg, leg, pressure, frame)
-        _judge(protection, state, FaultCode.OVER_SPEED.value, leg, leg, abs(velocity), frame)
-        _judge(protection, state, FaultCode.OVER_ACCELERATION.value, leg, leg, felt, frame)
+        acceleration = abs(feedback.acceleration[leg])
+        _check(protection, state, FaultCode.TRACKING_ERROR.value, leg, error, frame)
+        _check(protection, state, FaultCode.SENSOR_DISAGREEMENT.value, leg, disagreement, frame)
+        _check(protection, state, FaultCode.OVER_PRESSURE.value, leg, pressure, frame)
+        _check(protection, state, FaultCode.OVER_SPEED.value, leg, abs(velocity), frame)
+        _check(protection, state, FaultCode.OVER_ACCELERATION.value, leg, acceleration, frame)
     if not supply_pressure >= protection.threshold[FaultCode.UNDER_PRESSURE.value]:
-        _judge(protection, state, FaultCode.UNDER_PRESSURE.value, _MACHINE, 0, np.inf, frame)
+        _check(protection, state, FaultCode.UNDER_PRESSURE.value, NO_LEG, np.inf, frame)
     else:
         state.counts[FaultCode.UNDER_PRESSURE.value, 0] = 0
     detection = state.detection[0]
-    missed = frame - detection.last - 1 if detection.last >= 0 else 0
-    detection.last = frame
-    _judge(protection, state, FaultCode.HOST_WATCHDOG.value, _MACHINE, 0, host_age, frame)
-    _judge(protection, state, FaultCode.FRAME_WATCHDOG.value, _MACHINE, 0, float(missed), frame)
+    missed = frame - detection.previous_frame - 1 if detection.previous_frame >= 0 else 0
+    detection.previous_frame = frame
+    _check(protection, state, FaultCode.HOST_WATCHDOG.value, NO_LEG, host_age, frame)
+    _check(protection, state, FaultCode.FRAME_WATCHDOG.value, NO_LEG, float(missed), frame)
     return detection.code
 
 
@@ -234,10 +234,10 @@ def fault_of(code: int, leg: int, frame: int) -> Fault | None:
     """The fault that a detection holds, if there is one."""
     if code == FaultCode.NONE:
         return None
-    return Fault(FAULTS[code], None if leg == _MACHINE else int(leg) + 1, int(frame))
+    return Fault(FAULTS[code], None if leg == NO_LEG else int(leg) + 1, int(frame))
 
 
-def latched(state: ProtectionState) -> Fault | None:
+def latched_fault(state: ProtectionState) -> Fault | None:
     """The fault of a state, if there is one."""
     detection = state.detection[0]
     return fault_of(detection.code, detection.leg, detection.frame)

@@ -22,11 +22,8 @@ leg, the error obeys
 
 H s less a dead zone. It stands still while the valve command is clamped.
 
-*Bounded, whatever happens*: d multiplies a signal of the demand alone. It is in no loop through the
-leg, so that a loop that is stable with d = 0 is stable for every history of d within its bounds,
-and errors stay below the largest |f| times the highest factor times the peak gain (the integral of
-the impulse response's magnitude) from valve command to error. At rest f is zero: noise moves
-nothing, and the leak takes the factor back to 1.
+*Bounded*: d multiplies a signal of the demand alone and is in no loop through the leg. A loop that
+is stable with d = 0 is stable for every history of d. At rest f is zero: noise moves nothing.
 
 *Converging*: let D = d - d*, d* = 1 / (k K_v) - 1. The right side above is -k D f, and the transfer
 function from it to s,
@@ -41,11 +38,9 @@ for H = 1, there are P, Q > 0 such that x = (e, e') and
 have V' = -x' Q x for a constant N without leak and dead zone: the error goes to zero, and D with it
 where f does not. Leak and dead zone leave an offset and prevent a drift.
 
-The leg is more than that: second lag, leg mode, frame of delay. For a slow adaptation averaging
-applies: a sine of angular frequency w in f moves D at -rate K_v k D |H|^2 Re W(jw) |f|^2 / 2 N, by
-the W of the whole plant. So D converges where the sum over the demand's spectrum is positive, and
-drifts to a bound where it is negative: beyond the frequency where a leg lags its feed-forward by
-90 deg. H is there to keep that small. An error integral of gain K_i needs K_i < c K_p besides.
+A sine of frequency w in f moves a slow D at -rate K_v k D |H|^2 Re W(jw) |f|^2 / 2 N on average,
+by the W of the whole plant: D drifts to a bound where a leg lags by more than 90 deg, which H keeps
+small. An error integral of gain K_i needs K_i < c K_p besides.
 
 Source: K. S. Narendra and A. M. Annaswamy, Stable Adaptive Systems (1989), for the Lyapunov rule;
 P. A. Ioannou and J. Sun, Robust Adaptive Control (1996), for leak, dead zone, projection and
@@ -83,22 +78,22 @@ class ModelState(NamedTuple):
 class CompiledModel(NamedTuple):
     """Compiled parameters, SI: m, m/s, m/s^2; commands as fractions."""
 
-    active: bool = False  #: Whether the law has a reference model; all else is unused if not.
+    is_active: bool = False  #: Whether the law has a reference model; all else is unused if not.
     frame: float = 1.0  #: T [s].
-    position_stays: float = 1.0  #: Next p_m of p_m.
+    position_of_position: float = 1.0  #: Next p_m of p_m.
     position_of_velocity: float = 0.0  #: Next p_m of v_m [s].
     position_of_reference: float = 0.0  #: Next p_m of r.
     velocity_of_position: float = 0.0  #: Next v_m of p_m [1/s].
-    velocity_stays: float = 0.0  #: Next v_m of v_m.
+    velocity_of_velocity: float = 0.0  #: Next v_m of v_m.
     velocity_of_reference: float = 0.0  #: Next v_m of r [1/s].
     position_gain: float = 0.0  #: K_p [1/m].
     rate_gain: float = 0.0  #: K_r [s/m].
     velocity_gain: float = 0.0  #: K_v [s/m].
     acceleration_gain: float = 0.0  #: K_a [s^2/m].
-    adapting: bool = False  #: Whether the adaptation rate is above 0.
+    is_adapting: bool = False  #: Whether the adaptation rate is above 0.
     adaptation_gain: float = 0.0  #: rate K_v a frame [1/m s].
     slope: float = 0.0  #: c [1/s].
-    stays: float = 0.0  #: Pole of H, per frame.
+    filter_pole: float = 0.0  #: Pole of H, per frame.
     level: float = 1.0  #: Feed-forward of the normalisation, fraction.
     dead_zone: float = 0.0  #: Dead zone of s [m/s].
     leak: float = 0.0  #: Part of d lost in a frame.
@@ -112,17 +107,17 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
         return CompiledModel()
     omega = 2.0 * np.pi * settings.natural_frequency
     damping = 2.0 * settings.damping_ratio * omega
-    (p_p, p_v, p_r), (v_p, v_v, v_r) = chain([omega**2, damping], omega**2, frame).tolist()
+    next_position, next_velocity = chain([omega**2, damping], omega**2, frame).tolist()
     scale = units.PERCENT / units.INCH
-    fixed = CompiledModel(
-        active=True,
+    model = CompiledModel(
+        is_active=True,
         frame=frame,
-        position_stays=p_p,
-        position_of_velocity=p_v,
-        position_of_reference=p_r,
-        velocity_of_position=v_p,
-        velocity_stays=v_v,
-        velocity_of_reference=v_r,
+        position_of_position=next_position[0],
+        position_of_velocity=next_position[1],
+        position_of_reference=next_position[2],
+        velocity_of_position=next_velocity[0],
+        velocity_of_velocity=next_velocity[1],
+        velocity_of_reference=next_velocity[2],
         position_gain=settings.position * scale,
         rate_gain=settings.rate * scale,
         velocity_gain=settings.velocity * scale,
@@ -130,12 +125,12 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
     )
     adaptation = settings.adaptation
     if adaptation is None or adaptation.rate == 0.0:
-        return fixed
-    return fixed._replace(
-        adapting=True,
+        return model
+    return model._replace(
+        is_adapting=True,
         adaptation_gain=frame * adaptation.rate * settings.velocity * scale,
         slope=adaptation.slope,
-        stays=float(np.exp(-2.0 * np.pi * adaptation.corner * frame)),
+        filter_pole=float(np.exp(-2.0 * np.pi * adaptation.corner * frame)),
         level=adaptation.level * units.PERCENT,
         dead_zone=adaptation.dead_zone * units.INCH,
         leak=frame * adaptation.leak,
@@ -144,32 +139,39 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
     )
 
 
+def moves_alike(first: CompiledModel, second: CompiledModel) -> bool:
+    """Whether two laws have a model of the same motion, whatever their gains."""
+    gains = CompiledModel._fields.index("position_gain")
+    return first[:gains] == second[:gains]
+
+
 @compiled
 def adapt(model, state, leg, feed_forward, error, rate):  # type: ignore[no-untyped-def]
     """Adapt the factor of one leg, one frame.
 
     `feed_forward` is f, fraction; `error` e [m]; `rate` v_m - v [m/s].
     """
-    stays, passes = model.stays, 1.0 - model.stays
-    combined = stays * state.error[leg] + passes * (rate + model.slope * error)
-    filtered = stays * state.feed_forward[leg] + passes * feed_forward
-    power = stays * state.power[leg] + passes * feed_forward * feed_forward
-    learned = combined - min(max(combined, -model.dead_zone), model.dead_zone)
-    moved = (1.0 - model.leak) * state.factor[leg]
-    moved += model.adaptation_gain * learned * filtered / (model.level * model.level + power)
-    state.factor[leg] = min(max(moved, model.lowest), model.highest)
-    state.error[leg] = combined
-    state.feed_forward[leg] = filtered
+    pole, passes = model.filter_pole, 1.0 - model.filter_pole
+    filtered_error = pole * state.error[leg] + passes * (rate + model.slope * error)
+    regressor = pole * state.feed_forward[leg] + passes * feed_forward
+    power = pole * state.power[leg] + passes * feed_forward * feed_forward
+    learned_error = filtered_error - min(max(filtered_error, -model.dead_zone), model.dead_zone)
+    factor = (1.0 - model.leak) * state.factor[leg]
+    normalisation = model.level * model.level + power
+    factor += model.adaptation_gain * learned_error * regressor / normalisation
+    state.factor[leg] = min(max(factor, model.lowest), model.highest)
+    state.error[leg] = filtered_error
+    state.feed_forward[leg] = regressor
     state.power[leg] = power
 
 
 @compiled
-def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-untyped-def]
+def follow_model(model, state, leg, reference, feedback, output):  # type: ignore[no-untyped-def]
     """The compensator's output of one leg, fraction, with the model's part added, one frame."""
     position, velocity = state.position[leg], state.velocity[leg]
     next_velocity = (
         model.velocity_of_position * position
-        + model.velocity_stays * velocity
+        + model.velocity_of_velocity * velocity
         + model.velocity_of_reference * reference
     )
     acceleration = (next_velocity - velocity) / model.frame
@@ -178,10 +180,10 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
     rate = velocity - feedback.velocity[leg]
     total = output + (1.0 + state.adaptation.factor[leg]) * feed_forward
     total += model.position_gain * error + model.rate_gain * rate
-    if model.adapting and abs(total) < 1.0:
+    if model.is_adapting and abs(total) < 1.0:
         adapt(model, state.adaptation, leg, feed_forward, error, rate)
     state.position[leg] = (
-        model.position_stays * position
+        model.position_of_position * position
         + model.position_of_velocity * velocity
         + model.position_of_reference * reference
     )

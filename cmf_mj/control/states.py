@@ -1,4 +1,4 @@
-"""Operating states: where the leg reference comes from, and how it changes hands.
+"""Operating states: which motion is the leg reference, and how it passes from one to another.
 
     settled, return                the settled position, the bottom of the working stroke
     off, fault                     likewise; with valves closed, where the legs lie
@@ -6,8 +6,8 @@
     hold                           where the reference came to rest
     engaged                        the host's demand, to the bit
 
-Every change of state hands over position, velocity and acceleration of the reference, r0, v0 and
-a0. With t the time since, the reference's own motion p comes to rest with the pole k = 4 / S,
+A change of state hands over position r0, velocity v0 and acceleration a0 of the reference. With t
+the time since, the reference's own motion p comes to rest with the pole k = 4 / S,
 
     dp/dt = (v0 + (a0 + k v0) t) e^(-k t),    p(inf) = r0 + 2 v0 / k + a0 / k^2
 
@@ -22,12 +22,11 @@ stays between its source and its own stop, whatever the source does, and
     |r''| <= max(|p''|, |h''|) + 3.75 |p' - h'| / D + 5.7735 |p - h| / D^2
 
 The stop is v0 S / 2 + a0 S^2 / 16 long. It obeys p''' + 2 k p'' + k^2 p' = 0, so that to start it
-again in its course changes nothing: requests in turns, however fast, lead no further than that
-beyond the hull of where the legs were and the source is.
+again in its course changes nothing: however fast requests change, legs go no further than that
+beyond the hull of where they were and the source is.
 
-S and D are the settings' least times, stretched where the terms that they divide would exceed the
-speed and acceleration of the settings. With d = |p(inf) - h| and w = |h'| at the change, those of
-the leg with the largest, so that all legs fade together:
+S and D are the least times of the settings, longer where the speed and acceleration of the settings
+ask for it. With d = |p(inf) - h| and w = |h'| the largest of all legs, which fade together:
 
     S >= 4 |v0| / (e acceleration),    D >= 1.875 d / speed,
     D >= (3.75 w + sqrt((3.75 w)^2 + 23.094 d acceleration)) / (2 acceleration)
@@ -36,10 +35,9 @@ A host that moves away in the fade widens |p - h|, and with it what the fade add
 
 A request names a state; it is kept up until reached. `Request.ENGAGE` from off leads through
 settled and raise. `Request.TRIP` leads from every state to fault: the reference stops, goes down to
-the settled position, then the valve command fades to nothing. Fault is left to off by
-`Request.RESET`, once the valves are closed and the legs lie still. Off leads to settled from where
-a return may end or below, from further up to return. Raise and return that do not arrive in time
-become faults, as does leaving off while a leg has no reading.
+the settled position, then the valve command fades to nothing. `Request.RESET` leads from fault to
+off, once the valves are closed and the legs lie still. Off leads to settled from where a return may
+end or below, else to return. A late raise or return is a fault, as is a leg unread when off ends.
 """
 
 from enum import IntEnum
@@ -66,19 +64,16 @@ class StateSettings(Settings):
 
     raise_time: Time  #: Least fade from the stops to neutral.
     engage_time: Time  #: Least fade to the host's demand.
-    hold_time: Time
-    """Least fade to hold; it moves the legs where they would come to rest beyond the stroke."""
+    hold_time: Time  #: Least fade to hold, which moves legs that would rest beyond the stroke.
     return_time: Time  #: Least fade to the stops.
     fault_time: Time  #: Least fade to the stops after a fault.
     stop_time: Time  #: Least S of a stop, which is S / 2 times its first velocity long.
     valve_time: Time  #: Time in which the valve command is faded in or out.
     speed: Speed  #: Largest leg speed of a fade.
     acceleration: Acceleration  #: Largest leg acceleration of a fade, and of a stop.
-    settled_tolerance: Length
-    """Distance that a leg with closed valves may move and still lies where it lay."""
+    settled_tolerance: Length  #: Distance that a leg with closed valves may move and lies still.
     arrival_tolerance: Length
-    """Distance from neutral, or above the settled position, within which a leg has followed there;
-    below are the mechanical stops."""
+    """Distance from neutral, or above the settled position, within which a leg is there."""
     arrival_timeout: Time  #: Time after the end of raise or return in which the legs must arrive.
 
 
@@ -131,19 +126,21 @@ class Phase(NamedTuple):
 
     code: int = 0  #: The `State`.
     time: float = 0.0  #: Time t since the last change [s].
-    fade: float = 0.0  #: D of the fade [s].
-    stop: float = 0.0  #: S of the stop [s].
-    valve: float = 0.0  #: Phase of the valve fade, 0 to 1.
-    gain: float = 0.0  #: Gain on the valve command, s of it.
+    fade_time: float = 0.0  #: D of the fade [s].
+    stop_time: float = 0.0  #: S of the stop [s].
+    valve_phase: float = 0.0  #: Phase of the valve fade, 0 to 1.
+    gain: float = 0.0  #: Gain on the valve command, s of that phase.
 
 
 class OperatingState(NamedTuple):
     """State of the state machine."""
 
     phase: np.recarray[Any, Any]  #: `Phase`, (1,).
-    stop: NDArray[np.float64]  #: p(inf) [m], v0 [m/s] and a0 [m/s^2] of the fade, (3, n).
-    hold: NDArray[np.float64]  #: Where hold, off and fault keep the reference [m], (n,).
-    host: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
+    stop_end: NDArray[np.float64]  #: p(inf) of the stop [m], (n,).
+    stop_velocity: NDArray[np.float64]  #: v0 of the stop [m/s], (n,).
+    stop_acceleration: NDArray[np.float64]  #: a0 of the stop [m/s^2], (n,).
+    hold_position: NDArray[np.float64]  #: Where hold, off and fault keep the reference [m], (n,).
+    host_position: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
 
 
 def make_states(
@@ -174,16 +171,19 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     """
     if code not in (State.OFF, State.SETTLED, State.HOLD, State.ENGAGED):
         raise InputError(f"code: {code!r} is no state to start in")
-    at = np.clip(np.array(position, dtype=float), -states.travel, states.travel)
+    extension = np.clip(np.array(position, dtype=float), -states.travel, states.travel)
     if code == State.OFF:
-        at[:] = -states.travel
+        extension[:] = -states.travel
     gain = 0.0 if code == State.OFF else 1.0
-    phase = record_array(Phase, [Phase(int(code), valve=gain, gain=gain)])
-    return OperatingState(phase, np.zeros((3, at.size)), hold=at, host=at.copy())
+    phase = record_array(Phase, [Phase(int(code), valve_phase=gain, gain=gain)])
+    stop_end, stop_velocity, stop_acceleration = np.zeros((3, extension.size))
+    return OperatingState(
+        phase, stop_end, stop_velocity, stop_acceleration, extension, extension.copy()
+    )
 
 
 @compiled
-def smooth(x):  # type: ignore[no-untyped-def]
+def smooth_step(x):  # type: ignore[no-untyped-def]
     """s, s' and s'' at x, at the nearer end outside 0 to 1."""
     x = min(max(x, 0.0), 1.0)
     y = 1.0 - x
@@ -191,9 +191,9 @@ def smooth(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stopping(velocity, acceleration, time, duration):  # type: ignore[no-untyped-def]
+def _stop_motion(velocity, acceleration, time, stop_time):  # type: ignore[no-untyped-def]
     """p(t) - p(inf) and its first two derivatives."""
-    pole = 4.0 / duration
+    pole = 4.0 / stop_time
     decay = np.exp(-pole * time)
     slope = (acceleration + pole * velocity) * decay
     rate = velocity * decay + slope * time
@@ -201,37 +201,40 @@ def _stopping(velocity, acceleration, time, duration):  # type: ignore[no-untype
 
 
 @compiled
-def _finite(demand, leg):  # type: ignore[no-untyped-def]
-    here = np.isfinite(demand[0, leg]) and np.isfinite(demand[1, leg])
-    return here and np.isfinite(demand[2, leg])
-
-
-@compiled
-def _source(states, state, leg, demand):  # type: ignore[no-untyped-def]
-    """Position, velocity and acceleration of the present source."""
-    code = state.phase[0].code
-    if code == State.ENGAGED:
-        if _finite(demand, leg):
-            return demand[0, leg], demand[1, leg], demand[2, leg]
-        return state.host[leg], 0.0, 0.0
-    if code == State.RAISE:
-        return 0.0, 0.0, 0.0
-    if code == State.SETTLED or code == State.RETURN:
-        return -states.travel, 0.0, 0.0
-    return state.hold[leg], 0.0, 0.0
-
-
-@compiled
-def _near(measured, target, tolerance):  # type: ignore[no-untyped-def]
-    """Whether all legs are; a position that is no number is nowhere near."""
-    for leg in range(measured.shape[0]):
-        if not abs(measured[leg] - target) <= tolerance:
+def _demand_is_finite(demand, leg):  # type: ignore[no-untyped-def]
+    """Whether position, velocity and acceleration that the host demands of a leg are numbers."""
+    for row in range(3):
+        if not np.isfinite(demand[row, leg]):
             return False
     return True
 
 
 @compiled
-def _low(states, measured):  # type: ignore[no-untyped-def]
+def _source_motion(states, state, leg, demand):  # type: ignore[no-untyped-def]
+    """Position, velocity and acceleration of the present state's source h."""
+    code = state.phase[0].code
+    if code == State.ENGAGED:
+        if _demand_is_finite(demand, leg):
+            return demand[0, leg], demand[1, leg], demand[2, leg]
+        return state.host_position[leg], 0.0, 0.0
+    if code == State.RAISE:
+        return 0.0, 0.0, 0.0
+    if code == State.SETTLED or code == State.RETURN:
+        return -states.travel, 0.0, 0.0
+    return state.hold_position[leg], 0.0, 0.0
+
+
+@compiled
+def _all_near_neutral(measured, tolerance):  # type: ignore[no-untyped-def]
+    """Whether all legs are near neutral; a position that is no number is nowhere near."""
+    for leg in range(measured.shape[0]):
+        if not abs(measured[leg]) <= tolerance:
+            return False
+    return True
+
+
+@compiled
+def _all_down(states, measured):  # type: ignore[no-untyped-def]
     """Whether all legs lie where a return may end, or below."""
     for leg in range(measured.shape[0]):
         if not measured[leg] <= states.arrival_tolerance - states.travel:
@@ -240,116 +243,116 @@ def _low(states, measured):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lies(states, state, measured, leg):  # type: ignore[no-untyped-def]
-    """Where off and fault keep the reference: settled while valves close and where legs are low."""
-    if state.phase[0].valve > 0.0 or _low(states, measured):
+def _lying_position(states, state, measured, leg):  # type: ignore[no-untyped-def]
+    """Where off and fault keep a leg: settled while valves close and where all legs are down."""
+    if state.phase[0].valve_phase > 0.0 or _all_down(states, measured):
         return -states.travel
     if np.isnan(measured[leg]):
-        return state.hold[leg]
+        return state.hold_position[leg]
     return min(max(measured[leg], -states.travel), states.travel)
 
 
 @compiled
-def _moved(states, state, measured):  # type: ignore[no-untyped-def]
+def _has_moved(states, state, measured):  # type: ignore[no-untyped-def]
     """Whether a leg in off or fault no longer lies where the reference is kept."""
     if state.phase[0].code == State.OFF or state.phase[0].code == State.FAULT:
         for leg in range(measured.shape[0]):
-            apart = _lies(states, state, measured, leg) - state.hold[leg]
-            if abs(apart) > states.settled_tolerance:
+            distance = _lying_position(states, state, measured, leg) - state.hold_position[leg]
+            if abs(distance) > states.settled_tolerance:
                 return True
     return False
 
 
 @compiled
-def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
-    """The state of the next frame."""
+def _all_lie_still(states, state, measured):  # type: ignore[no-untyped-def]
+    """Whether in off or fault the valves are closed and all legs lie where they lay."""
     phase = state.phase[0]
-    code, done = phase.code, phase.time >= phase.fade
-    late = phase.time >= phase.fade + states.arrival_timeout
-    upwards = request == Request.RAISE or request == Request.ENGAGE
-    downwards = request == Request.SETTLE or request == Request.OFF
-    read = _near(measured, 0.0, np.inf)
-    lies = done and read and phase.valve == 0.0 and not _moved(states, state, measured)
-    if request == Request.TRIP:
-        return State.FAULT.value
-    if code == State.OFF:
-        if upwards or request == Request.SETTLE:
-            if _low(states, measured):
-                return State.SETTLED.value
-            if lies:
-                return State.RETURN.value
-            if not read:
-                return State.FAULT.value
-    elif code == State.SETTLED:
-        if request == Request.OFF:
-            return State.OFF.value
-        if upwards and phase.valve == 1.0:
-            return State.RAISE.value
-    elif code == State.FAULT:
-        if request == Request.RESET and lies:
-            return State.OFF.value
-    elif downwards and code != State.RETURN:
-        return State.RETURN.value
-    elif request == Request.HOLD and code != State.HOLD:
-        return State.HOLD.value
-    elif code == State.RAISE:
-        if done and _near(measured, 0.0, states.arrival_tolerance):
-            return State.ENGAGED.value if request == Request.ENGAGE else State.HOLD.value
-        if late:
-            return State.FAULT.value
-    elif code == State.RETURN:
-        if upwards:
-            return State.RAISE.value
-        if done and _low(states, measured):
-            return State.SETTLED.value
-        if late:
-            return State.FAULT.value
-    elif request == Request.ENGAGE:
-        return State.ENGAGED.value
-    elif request == Request.RAISE and not (code == State.HOLD and not np.any(state.hold)):
-        return State.RAISE.value
-    return code
+    is_closed = phase.time >= phase.fade_time and phase.valve_phase == 0.0
+    is_read = _all_near_neutral(measured, np.inf)
+    return is_closed and is_read and not _has_moved(states, state, measured)
 
 
 @compiled
-def _enter(states, state, following, demand, measured, reference):  # type: ignore[no-untyped-def]
-    """Change the state and set up the fade from the reference (3, n)."""
+def _next_state(states, state, request, measured):  # type: ignore[no-untyped-def]
+    """The state of the next frame."""
+    phase = state.phase[0]
+    code, has_faded = phase.code, phase.time >= phase.fade_time
+    is_late = phase.time >= phase.fade_time + states.arrival_timeout
+    leads_up = request == Request.RAISE or request == Request.ENGAGE
+    leads_down = request == Request.SETTLE or request == Request.OFF
+    if request == Request.TRIP:
+        return State.FAULT.value
+    if code == State.OFF:
+        if not (leads_up or request == Request.SETTLE):
+            return code
+        if _all_down(states, measured):
+            return State.SETTLED.value
+        if _all_lie_still(states, state, measured):
+            return State.RETURN.value
+        return code if _all_near_neutral(measured, np.inf) else State.FAULT.value
+    if code == State.SETTLED:
+        if request == Request.OFF:
+            return State.OFF.value
+        return State.RAISE.value if leads_up and phase.valve_phase == 1.0 else code
+    if code == State.FAULT:
+        is_reset = request == Request.RESET and _all_lie_still(states, state, measured)
+        return State.OFF.value if is_reset else code
+    if leads_down and code != State.RETURN:
+        return State.RETURN.value
+    if request == Request.HOLD and code != State.HOLD:
+        return State.HOLD.value
+    if code == State.RAISE:
+        if has_faded and _all_near_neutral(measured, states.arrival_tolerance):
+            return State.ENGAGED.value if request == Request.ENGAGE else State.HOLD.value
+        return State.FAULT.value if is_late else code
+    if code == State.RETURN:
+        if leads_up:
+            return State.RAISE.value
+        if has_faded and _all_down(states, measured):
+            return State.SETTLED.value
+        return State.FAULT.value if is_late else code
+    if request == Request.ENGAGE:
+        return State.ENGAGED.value
+    is_neutral = code == State.HOLD and not np.any(state.hold_position)
+    return State.RAISE.value if request == Request.RAISE and not is_neutral else code
+
+
+@compiled
+def _enter_state(states, state, code, demand, measured, reference):  # type: ignore[no-untyped-def]
+    """Change the state to `code` and set up the fade from the reference (3, n)."""
     legs, limit, phase = reference.shape[1], states.acceleration, state.phase[0]
-    phase.code = following
-    time = states.stop_time
+    phase.code, stop_time = code, states.stop_time
     for leg in range(legs):
-        time = max(time, 4.0 / np.e * abs(reference[1, leg]) / limit)
-    far, swift = 0.0, 0.0
+        stop_time = max(stop_time, 4.0 / np.e * abs(reference[1, leg]) / limit)
+    distance, speed_term = 0.0, 0.0
     for leg in range(legs):
-        left, _, _ = _stopping(reference[1, leg], reference[2, leg], 0.0, time)
-        state.stop[0, leg] = reference[0, leg] - left
-        state.stop[1, leg], state.stop[2, leg] = reference[1, leg], reference[2, leg]
-        if following == State.HOLD:
-            state.hold[leg] = min(max(state.stop[0, leg], -states.travel), states.travel)
-        elif following == State.OFF or following == State.FAULT:
-            state.hold[leg] = _lies(states, state, measured, leg)
-        position, velocity, _ = _source(states, state, leg, demand)
-        far = max(far, abs(state.stop[0, leg] - position))
-        swift = max(swift, 2.0 * _SPEED_PEAK * abs(velocity))
-    both = swift + np.sqrt(swift * swift + 4.0 * _ACCELERATION_PEAK * far * limit)
-    fade = max(states.fade[following], _SPEED_PEAK * far / states.speed)
-    phase.time, phase.fade, phase.stop = 0.0, max(fade, 0.5 * both / limit, time), time
+        velocity, acceleration = reference[1, leg], reference[2, leg]
+        remaining, _, _ = _stop_motion(velocity, acceleration, 0.0, stop_time)
+        state.stop_end[leg] = reference[0, leg] - remaining
+        state.stop_velocity[leg], state.stop_acceleration[leg] = velocity, acceleration
+        if code == State.HOLD:
+            state.hold_position[leg] = min(max(state.stop_end[leg], -states.travel), states.travel)
+        elif code == State.OFF or code == State.FAULT:
+            state.hold_position[leg] = _lying_position(states, state, measured, leg)
+        source_position, source_velocity, _ = _source_motion(states, state, leg, demand)
+        distance = max(distance, abs(state.stop_end[leg] - source_position))
+        speed_term = max(speed_term, 2.0 * _SPEED_PEAK * abs(source_velocity))
+    root = np.sqrt(speed_term * speed_term + 4.0 * _ACCELERATION_PEAK * distance * limit)
+    fade_time = max(states.fade[code], _SPEED_PEAK * distance / states.speed)
+    fade_time = max(fade_time, 0.5 * (speed_term + root) / limit, stop_time)
+    phase.time, phase.fade_time, phase.stop_time = 0.0, fade_time, stop_time
 
 
 @compiled
 def _fade_valve(states, state):  # type: ignore[no-untyped-def]
-    """Renew the gain on the valve command.
-
-    It rises unless off or in fault; it falls when off and at the end of a fault.
-    """
+    """Renew the valve gain: it falls when off or after a fault, stays in a fault, else rises."""
     phase, change = state.phase[0], states.frame / states.valve_time
-    valve, ended = phase.valve, phase.time >= phase.fade
-    if phase.code == State.OFF or (phase.code == State.FAULT and ended):
-        valve -= change
-    elif phase.code != State.FAULT:
-        valve += change
-    phase.valve = min(max(valve, 0.0), 1.0)
-    phase.gain, _, _ = smooth(phase.valve)
+    if phase.code == State.OFF or (phase.code == State.FAULT and phase.time >= phase.fade_time):
+        change = -change
+    elif phase.code == State.FAULT:
+        change = 0.0
+    phase.valve_phase = min(max(phase.valve_phase + change, 0.0), 1.0)
+    phase.gain, _, _ = smooth_step(phase.valve_phase)
 
 
 @compiled
@@ -361,25 +364,26 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
     this frame; the valve command is to be multiplied by `gain` of the phase.
     """
     phase = state.phase[0]
-    time, fade, stop = phase.time, phase.fade, phase.stop
-    s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
+    time, fade = phase.time, phase.fade_time
+    s, ds, dds = smooth_step(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
     for leg in range(reference.shape[1]):
-        position, velocity, acceleration = _source(states, state, leg, demand)
+        position, velocity, acceleration = _source_motion(states, state, leg, demand)
         if time < fade:
-            left, rate, slowing = _stopping(state.stop[1, leg], state.stop[2, leg], time, stop)
-            apart = state.stop[0, leg] + left - position
-            parting = rate - velocity
-            position += (1.0 - s) * apart
-            velocity += (1.0 - s) * parting - ds / fade * apart
-            acceleration += (1.0 - s) * (slowing - acceleration)
-            acceleration -= 2.0 * ds / fade * parting + dds / (fade * fade) * apart
-        reference[0, leg], reference[1, leg] = position, velocity
-        reference[2, leg] = acceleration
-        if _finite(demand, leg):
-            state.host[leg] = demand[0, leg]
-    following = _next(states, state, request, measured)
-    if following != phase.code or _moved(states, state, measured):
-        _enter(states, state, following, demand, measured, reference)
+            remaining, stop_rate, stop_bend = _stop_motion(
+                state.stop_velocity[leg], state.stop_acceleration[leg], time, phase.stop_time
+            )
+            gap = state.stop_end[leg] + remaining - position
+            gap_rate = stop_rate - velocity
+            position += (1.0 - s) * gap
+            velocity += (1.0 - s) * gap_rate - ds / fade * gap
+            acceleration += (1.0 - s) * (stop_bend - acceleration)
+            acceleration -= 2.0 * ds / fade * gap_rate + dds / (fade * fade) * gap
+        reference[0, leg], reference[1, leg], reference[2, leg] = position, velocity, acceleration
+        if _demand_is_finite(demand, leg):
+            state.host_position[leg] = demand[0, leg]
+    code = _next_state(states, state, request, measured)
+    if code != phase.code or _has_moved(states, state, measured):
+        _enter_state(states, state, code, demand, measured, reference)
     _fade_valve(states, state)
     phase.time += states.frame
     return phase.code

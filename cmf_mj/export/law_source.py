@@ -69,13 +69,13 @@ def law_source(law: Law, carrier: str) -> dict[str, str]:
 def _has(law: Law, dcl: Dcl) -> dict[str, bool]:
     """What a law has, by the names in `#if`."""
     has = {
-        "MODAL": dcl.modal,
-        "MODELLED": dcl.model.active,
-        "ADAPTING": dcl.model.adapting,
-        "DAMPED": dcl.damped,
-        "PLANNED": dcl.planned,
-        "FOLLOWS": dcl.planned and dcl.plan.inverse.follows,
-        "STALLS": dcl.planned and bool(np.isfinite(dcl.plan.inverse.stall)),
+        "MODAL": dcl.is_modal,
+        "MODELLED": dcl.model.is_active,
+        "ADAPTING": dcl.model.is_adapting,
+        "DAMPED": dcl.has_load_feedback,
+        "PLANNED": dcl.has_plan,
+        "FOLLOWS": dcl.has_plan and dcl.plan.inverse.follows_pose,
+        "STALLS": dcl.has_plan and bool(np.isfinite(dcl.plan.inverse.stall)),
     }
     has["FOLLOWING"] = has["MODELLED"] or has["PLANNED"]
     return has | {"MATHS": has["ADAPTING"] or has["PLANNED"]}

@@ -30,7 +30,7 @@ from cmf_mj.facility.settings import HostChain
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.hexapod import PLANTS
-from cmf_mj.plant.native import saved
+from cmf_mj.plant.native import saved_model
 from cmf_mj.plant.plant import Plant
 
 _ALIGNED = 64
@@ -196,7 +196,7 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
         controller = controller._replace(source=resting)
     parts = Parts(dynamics, controller, memory, recorder, np.full(3, -1))
     image = make_image(parts, IN_MUJOCO)
-    model = np.frombuffer(saved(plant.model), dtype=np.uint8)
+    model = np.frombuffer(saved_model(plant.model), dtype=np.uint8)
     return Frozen(run, session, parts, image, model, mechanics, first)
 
 

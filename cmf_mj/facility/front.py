@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.dcu import play
-from cmf_mj.control.dcu.acceptance import host_late
-from cmf_mj.control.dcu.play import Arrivals, feed, strayed
+from cmf_mj.control.dcu.acceptance import host_is_late
+from cmf_mj.control.dcu.play import Arrivals, feed, has_strayed
 from cmf_mj.control.dcu.state import Dcu, DcuState, make_dcu, resting
 from cmf_mj.control.protection import FaultCode
 from cmf_mj.control.states import Request, State
@@ -103,7 +103,7 @@ def from_host(
     operating = states.start(blocks.states, begin, position)
     reference = np.zeros((3, 6))
     at_rest = begin in (State.OFF, State.SETTLED)
-    reference[0] = -blocks.states.travel if at_rest else operating.hold
+    reference[0] = -blocks.states.travel if at_rest else operating.hold_position
     return Source(
         hosted=True,
         table=_fixed(reference[:1].copy()),
@@ -164,7 +164,7 @@ def _follow(source, frame, position, fault, tripped, reference):  # type: ignore
     failed = progress.state == State.FAULT.value != before
     late = failed and request != Request.TRIP.value
     progress.found = FaultCode.NOT_ARRIVED.value if late else FaultCode.NONE.value
-    if progress.state == State.ENGAGED.value and strayed(source.dcu_state):
+    if progress.state == State.ENGAGED.value and has_strayed(source.dcu_state):
         progress.found = FaultCode.HOST_RANGE.value
     limiter.step(blocks.leg_limits, source.leg_state, out)
     for leg in range(6):
@@ -193,9 +193,9 @@ def _record(source, row, at):  # type: ignore[no-untyped-def]
         row[at.demand_velocity + i] = source.motion[1, i]
         row[at.demand_acceleration + i] = source.motion[2, i]
     row[at.operating_state] = source.progress[0].state
-    row[at.host_stale] = source.dcu_state.clocks[0].stale
-    row[at.host_late] = host_late(source.blocks.dcu, source.dcu_state)
-    row[at.host_clock] = 1.0 + source.dcu_state.clocks[0].slew
+    row[at.host_stale] = source.dcu_state.stream[0].is_stale
+    row[at.host_late] = host_is_late(source.blocks.dcu, source.dcu_state)
+    row[at.host_clock] = 1.0 + source.dcu_state.clock[0].slew
     row[at.valve_gain] = source.operating.phase[0].gain
 
 
@@ -225,7 +225,7 @@ def host_age(source):  # type: ignore[no-untyped-def]
     """
     engaged = source.hosted and source.progress[0].state == State.ENGAGED.value
     if engaged and source.dcu_state.events[0].accepted > 0:
-        return source.dcu_state.clocks[0].silence
+        return source.dcu_state.stream[0].silence
     return 0.0
 
 

@@ -24,8 +24,8 @@ from cmf_mj.control.protection import (
     FaultCode,
     Protection,
     ProtectionState,
-    latch,
-    protect,
+    check_frame,
+    latch_outside_fault,
     reset,
 )
 from cmf_mj.core.arrays import record_array
@@ -36,8 +36,8 @@ from cmf_mj.facility.front import Source, cleared, follow, found, host_age, reco
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.events import Faults, Timeline, strike
-from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
+from cmf_mj.plant.events import Faults, Timeline, apply_event
+from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, write_loads
 from cmf_mj.plant.native import Stepper, call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
@@ -176,7 +176,7 @@ def _warned(warnings):  # type: ignore[no-untyped-def]
 @compiled
 def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
-    if strike(timeline, progress.event, faults, position):
+    if apply_event(timeline, progress.event, faults, position):
         progress.stopped = 1
     progress.event += 1
     for body in bodies:
@@ -200,7 +200,7 @@ def _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed)
         stopped = memory.progress[0].stopped != 0
         if not advance(hydraulics, state, faults, oldest, before, extension, stopped):
             return False
-    loads(hydraulics.cylinder, state.pressure, state.friction, memory.load)
+    write_loads(hydraulics.cylinder, state.pressure, state.friction, memory.load)
     return True
 
 
@@ -246,7 +246,7 @@ def _decide(controller, memory, frame):  # type: ignore[no-untyped-def]
     progress, position = memory.progress[0], memory.feedback.position
     tripped = progress.tripped != 0 or progress.stopped != 0
     gain = follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
-    latch(guard, found(source), frame)
+    latch_outside_fault(guard, found(source), frame)
     if cleared(source):
         integral = controller.state.error.integral
         _reset(controller.electronics, guard, progress, integral, position)
@@ -272,7 +272,7 @@ def _command(controller, memory, gain):  # type: ignore[no-untyped-def]
 @compiled
 def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
     """Whether this frame's readings call for an emergency stop."""
-    code = protect(protection, guard, frame, reference, feedback, supply, age)
+    code = check_frame(protection, guard, frame, reference, feedback, supply, age)
     return code != FaultCode.NONE.value and (_UNTRUSTED[code] or not closed)
 
 
@@ -284,7 +284,7 @@ def _deliver(controller, memory, supply, frame):  # type: ignore[no-untyped-def]
         progress.tripped = 1
     if controller.guarded and progress.stopped == 0:
         feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
-        target = controller.dcl.workspace.limited if closed else feedback.position
+        target = controller.dcl.workspace.limited_demand if closed else feedback.position
         protection, guard, age = controller.protection, controller.guard, host_age(source)
         pressure = supply[SUPPLY_PRESSURE]
         if _stops(protection, guard, frame, target, feedback, pressure, age, closed):
@@ -305,7 +305,7 @@ def _write(row, at, memory, work, feedback, state, qpos, closed):  # type: ignor
     """Write a row, its first columns given by `at`, but for demand and sensors."""
     for leg in range(memory.extension.shape[0]):
         if closed:
-            row[at.leg_reference + leg] = work.limited[leg]
+            row[at.leg_reference + leg] = work.limited_demand[leg]
             row[at.compensator_output + leg] = work.output[leg]
         row[at.leg_position + leg] = feedback.position[leg]
         row[at.leg_velocity + leg] = feedback.velocity[leg]

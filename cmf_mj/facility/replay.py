@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcl import DclState, make_dcl, step
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.arrays import real, shaped
@@ -96,7 +96,7 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
             raise InputError("law: the recording does not say which law made it; name one")
         law = validated(Law, made["law_parameters"], "law_parameters")
     loaded = bound(load_law(law, carrier), cab.assumed if cab else str(made.get("plant", "")))
-    loaded, ratio = loaded.on(carrier), carrier.rate / record.rate
+    loaded, ratio = loaded.for_machine(carrier), carrier.rate / record.rate
     if not (ratio >= 1.0 and ratio.is_integer()):
         allowed = f"allowed: {carrier.rate} Hz over an integer"
         raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
@@ -109,7 +109,7 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
     frames, legs = reference.shape
     dcl = make_dcl(loaded, legs)
     first = LegFeedback(*(history[0].copy() for history in histories))
-    state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
+    state = _begun(record, loaded, legs) or engaged_state(dcl, reference[0], first)
     output = np.empty((frames, legs))
     factor = np.empty((frames, legs))
     _run(dcl, state, reference, histories, output, factor)

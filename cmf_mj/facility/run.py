@@ -197,7 +197,7 @@ class Run(Arguments):
         """The law at the start, bound to the machine."""
         assert self.law is not None
         law = parts.overlaid_law(load_law(self.law, self._base), self.gains)
-        return bound(law, self._bound_to).on(self._base)
+        return bound(law, self._bound_to).for_machine(self._base)
 
     @property
     def frames(self) -> int | None:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control import protection
 from cmf_mj.control.dcl import make_dcl
-from cmf_mj.control.dcu.acceptance import host_late
-from cmf_mj.control.engage import engaged, handed_over, integral_gain
+from cmf_mj.control.dcu.acceptance import host_is_late
+from cmf_mj.control.engage import engaged_state, handed_over_state, integral_gain
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.arrays import FrozenList, check_memory
@@ -27,7 +27,7 @@ from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Event, make_timeline, no_faults
 from cmf_mj.plant.hydraulics import open_to_hold
-from cmf_mj.plant.native import untimed
+from cmf_mj.plant.native import without_clock
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
 from cmf_mj.record.record import Record
@@ -131,7 +131,7 @@ class Session:
         parts = ideal_electronics(plant.legs)
         if settings.electronics is not None:
             parts = make_electronics(settings.electronics, at_rest, plant.machine)
-        dcl = make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
+        dcl = make_dcl(law or _NO_LAW.for_machine(plant.machine), plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
         off = source.hosted and source.progress[0].state in (State.OFF, State.SETTLED)
@@ -139,7 +139,7 @@ class Session:
         if not off and integral_gain(dcl).all():
             hold[:] = open_to_hold(plant.hydraulics, self.dynamics.state)
         reference = source.table[0].copy() if law else feedback.position
-        state = engaged(dcl, reference, feedback, hold[0])
+        state = engaged_state(dcl, reference, feedback, hold[0])
         if off:
             state.error.integral[:] = 0.0
         guard = settings.protection
@@ -196,7 +196,7 @@ class Session:
     def fault(self) -> protection.Fault | None:
         """The fault detected, also one that was reset, if there is one."""
         earlier = self.memory.progress[0]
-        present = protection.latched(self.controller.guard)
+        present = protection.latched_fault(self.controller.guard)
         return present or protection.fault_of(earlier.code, earlier.leg, earlier.frame)
 
     def run(self, frames: int | None = None) -> None:
@@ -212,7 +212,7 @@ class Session:
         block = self._recorder.out.shape[0] * self.every
         while self.frame < end:
             stop = min(end, (self.frame // block + 1) * block)
-            with self.plant.alone, untimed():
+            with self.plant.alone, without_clock():
                 if self.plant.started != self._started:
                     raise InputError("plant: has been reset since; allowed: one run at a time")
                 frame, cause, leg = loop.run(*self.parts, self.frame, stop)
@@ -246,7 +246,7 @@ class Session:
             loop.SOLUTION: "and its supply have no solution for this step",
         }.get(cause, "")
         with_law = f" with law {self._engaged.name}" if self._engaged else ""
-        said = fit.warned(self.plant.data) or f"{self.plant.actuators[leg]} {what}"
+        said = fit.warnings_of(self.plant.data) or f"{self.plant.actuators[leg]} {what}"
         return f"{self.plant.name}{with_law}: {said} at {frame / self.rate:.4f} s"
 
     def describe(self) -> dict[str, Any]:
@@ -281,7 +281,7 @@ class Session:
         poses, operating, late = source.poses, "", False
         demand = poses[max(self.frame - 1, 0) % len(poses)] if poses.size else np.full(6, np.nan)
         if source.hosted:
-            late = bool(host_late(source.blocks.dcu, source.dcu_state))
+            late = bool(host_is_late(source.blocks.dcu, source.dcu_state))
             demand, operating = source.motion[0], State(source.progress[0].state).name.lower()
         return Live(
             time=self.frame / self.rate,
@@ -311,10 +311,10 @@ class Session:
         self._engaged = bound(law, self.plant)
         controller, memory = self.controller, self.memory
         dcl = make_dcl(self._engaged, self.plant.legs)
-        limited = controller.dcl.workspace.limited
+        limited = controller.dcl.workspace.limited_demand
         reference = limited.copy() if self.frame else memory.feedback.position
         parts = controller.electronics
-        state = handed_over(
+        state = handed_over_state(
             controller.dcl,
             controller.state,
             dcl,

@@ -60,7 +60,7 @@ def attach_hydraulics(
     >>> cmf_mj.attach_hydraulics(press, ["lift"]).legs
     1
     """
-    spec, parameters = opened(model), load_hydraulics(hydraulics)
+    spec, parameters = load_spec(model), load_hydraulics(hydraulics)
     if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
     retracted = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
@@ -69,7 +69,7 @@ def attach_hydraulics(
         raise InputError(
             "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
         )
-    neutral = [_add_motor(spec, name, closed, parameters) for name, closed in retracted.items()]
+    neutral = [_add_motor(spec, name, length, parameters) for name, length in retracted.items()]
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
@@ -89,8 +89,8 @@ def attach_hydraulics(
     return plant
 
 
-def opened(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
-    """A copy of an editable model, or what its file holds."""
+def load_spec(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
+    """A copy of an editable model, or the model of a file."""
     try:
         if not isinstance(model, mujoco.MjSpec):
             return mujoco.MjSpec.from_file(str(model))
@@ -108,7 +108,7 @@ def _add_motor(
         raise InputError(f"cylinders: {name!r} is a joint and a tendon; rename one")
     element = joint if tendon is None else tendon
     if element is None:
-        slides = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_SLIDE]
+        slides = [slide for slide in spec.joints if slide.type == mujoco.mjtJoint.mjJNT_SLIDE]
         raise InputError(
             f"cylinders: {name!r} is not one of the slide joints ({_names(slides)}) or tendons "
             f"({_names(spec.tendons)})"
@@ -118,19 +118,17 @@ def _add_motor(
         raise InputError(
             f"cylinders: {name!r} is a {kind} joint; a cylinder needs a slide joint or a tendon"
         )
-    kinds = (
-        (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        if tendon is None
-        else (mujoco.mjtTrn.mjTRN_TENDON,)
-    )
+    transmissions = [mujoco.mjtTrn.mjTRN_TENDON]
+    if tendon is None:
+        transmissions = [mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT]
     for actuator in spec.actuators:
-        if actuator.target == name and actuator.trntype in kinds:
+        if actuator.target == name and actuator.trntype in transmissions:
             raise InputError(
                 f"cylinders: {name!r} has the actuator {actuator.name!r} already; remove it"
             )
         if actuator.name == name:
             raise InputError(f"cylinders: an actuator is already named {name!r}; rename it")
-    motor = spec.add_actuator(name=name, target=name, trntype=kinds[0])
+    motor = spec.add_actuator(name=name, target=name, trntype=transmissions[0])
     motor.set_to_motor()
     # The model's defaults for actuators may say otherwise.
     motor.gear = np.eye(6)[0]
@@ -147,9 +145,9 @@ def _set_stops(
 ) -> float:
     """Check a range against the stroke, or make it the stroke; the length at half stroke [m]."""
     low, high = (float(end) for end in element.range)
-    limited = low < high and element.limited != mujoco.mjtLimited.mjLIMITED_FALSE
+    has_range = low < high and element.limited != mujoco.mjtLimited.mjLIMITED_FALSE
     if retracted is None:
-        if not limited:
+        if not has_range:
             raise InputError(
                 f"cylinders: {name!r} has no range; give the cylinder's retracted length, "
                 f"{{{name!r}: length in m}}"
@@ -159,18 +157,19 @@ def _set_stops(
         middle = retracted + half
     if not np.isfinite(middle):
         raise InputError(f"cylinders: {name!r}: {retracted} m must be a finite retracted length")
-    least, most = middle - half, middle + half
-    if not limited:
-        element.range = np.array([least, most])
+    shortest, longest = middle - half, middle + half
+    if not has_range:
+        element.range = np.array([shortest, longest])
         element.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         element.solref_limit[:] = (_STOP_TIME, 1.0)
-    elif low < least - _TOLERANCE or high > most + _TOLERANCE:
+    elif low < shortest - _TOLERANCE or high > longest + _TOLERANCE:
         raise InputError(
             f"cylinders: {name!r} ranges from {low:.4f} to {high:.4f} m, its cylinder with half a "
-            f"stroke of {half:.4f} m from {least:.4f} to {most:.4f} m only"
+            f"stroke of {half:.4f} m from {shortest:.4f} to {longest:.4f} m only"
         )
     return middle
 
 
 def _names(elements: Sequence[object]) -> str:
-    return ", ".join(sorted(str(e.name) for e in elements if e.name)) or "none"  # type: ignore[attr-defined]
+    names = [str(element.name) for element in elements if element.name]  # type: ignore[attr-defined]
+    return ", ".join(sorted(names)) or "none"

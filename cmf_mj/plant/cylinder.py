@@ -9,9 +9,8 @@ so the oil is a spring of stiffness K(x) = beta (A_cap^2 / V_cap + A_rod^2 / V_r
 7200 lbm is (71.00 rad/s)^2 without dead volumes, the leg mode of Eq 4.1.
 
 Near a stop a chamber keeps the minimum gap g of oil, so that no volume vanishes. With s the travel
-left, it is s + g (1 - s / e)^2 long over the last e = 20 g: it goes on displacing nine tenths of
-its oil to the stop, and a leg does not drop onto it. Beyond the stop this fades over another g, to
-a length of 0.55 g: a sudden end would let a leg pressed on its stop chatter.
+left, it is s + g (1 - s / e)^2 long over the last e = 20 g: it displaces nine tenths of its oil up
+to the stop. Beyond the stop this fades over another g, to a length of 0.55 g, without chatter.
 
 A cushion throttles what leaves a chamber over the last length c before the stop: an orifice of
 gain G_stop / e in series with the valve, e = (c - gap) / c from 0 at the cushion's edge to 1 at the
@@ -27,10 +26,9 @@ mean deflection z. With v the sliding speed,
     F = (Fc / d) (z + t exp(-(v / vs)^2) dz/dt) + b v
 
 Fc is the Coulomb force, Fb the breakaway force, vs the Stribeck speed, d the presliding travel, t
-a damping time, which keeps a sticking contact from ringing and counts less the faster it slides. A
-load below Fb stops at a deflection of about d and stays; above it the contact slips. z follows its
-equation exactly for a constant speed over a step, so that no step is too long. Source: Canudas de
-Wit, Olsson, Astrom, Lischinsky (1995).
+a damping time, which counts less the faster the contact slides. A load below Fb stops at a
+deflection of about d; above it the contact slips. z is exact for a constant speed over a step.
+Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995).
 
 A contact has no slope at rest, but two about motions that are stated. Legs that move much less than
 d stick: F = (Fc / d) (x + t v). Legs that slide through many d, at the speed V sin(w t), feel on
@@ -57,9 +55,9 @@ from cmf_mj.plant.parameters import HydraulicParameters, cap_area, piston_leakag
 
 CAP, ROD = 0, 1  #: Columns of pressures, contents and volumes.
 
-_WIDE_OPEN = 10.0  #: Settle valve: flow gain of the rod's side over that of the cap's, per area.
+_SETTLE_RATIO = 10.0  #: Settle valve: flow gain of the rod's side over the cap's, per area.
 
-_END = 20.0  #: Travel before the stop over which a chamber approaches the minimum gap, in gaps.
+_APPROACH = 20.0  #: Travel e before the stop over which a chamber nears its gap g, in gaps.
 
 _DAMPING_TIME = 0.005  #: t of friction [s].
 
@@ -93,12 +91,12 @@ class Cylinder(NamedTuple):
 
 def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
     """Derive the cylinders of all actuators from a parameter set, (n,) of `Cylinder`."""
-    network = parameters.supply == "network"
+    is_network = parameters.supply == "network"
     # Flows count content; leak_rate is what a volume at mid pressure loses.
-    middle = 0.5 * (parameters.supply_pressure.si + parameters.return_pressure.si)
-    content = density(make_oil(parameters), middle)[0]
+    mid_pressure = 0.5 * (parameters.supply_pressure.si + parameters.return_pressure.si)
+    mid_density = density(make_oil(parameters), mid_pressure)[0]
 
-    def one(numbers: dict[str, Quantity]) -> Cylinder:
+    def cylinder_of(numbers: dict[str, Quantity]) -> Cylinder:
         cap, rod = cap_area(numbers), rod_area(numbers)
         load = numbers["settle_load"].si
         settle = numbers["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
@@ -107,14 +105,14 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
             numbers,
             cap_area=cap,
             rod_area=rod,
-            leakage=piston_leakage(numbers) * content,
-            supply_hose=numbers["supply_hose"].si * network,
-            return_hose=numbers["return_hose"].si * network,
+            leakage=piston_leakage(numbers) * mid_density,
+            supply_hose=numbers["supply_hose"].si * is_network,
+            return_hose=numbers["return_hose"].si * is_network,
             settle_gain=settle,
-            settle_rod_gain=_WIDE_OPEN * settle * rod / cap,
+            settle_rod_gain=_SETTLE_RATIO * settle * rod / cap,
         )
 
-    return record_array(Cylinder, [one(parameters.actuator(name)) for name in actuators])
+    return record_array(Cylinder, [cylinder_of(parameters.actuator(name)) for name in actuators])
 
 
 @compiled
@@ -124,24 +122,24 @@ def force(cylinder, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _length(cylinder, travel):  # type: ignore[no-untyped-def]
+def _chamber_length(cylinder, travel):  # type: ignore[no-untyped-def]
     """Length of a chamber with this travel left before its stop [m]."""
-    end = _END * cylinder.minimum_gap
-    if travel >= end:
+    approach = _APPROACH * cylinder.minimum_gap
+    if travel >= approach:
         return travel
     gap = cylinder.minimum_gap
     if travel < 0.0:
-        beyond = min(-travel, gap)
-        return gap - (1.0 - 2.0 / _END) * (beyond - 0.5 * beyond * beyond / gap)
-    share = 1.0 - travel / end
+        overtravel = min(-travel, gap)
+        return gap - (1.0 - 2.0 / _APPROACH) * (overtravel - 0.5 * overtravel * overtravel / gap)
+    share = 1.0 - travel / approach
     return travel + gap * share * share
 
 
 @compiled
 def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
     """Chamber volumes (V_cap, V_rod) [m^3] at an extension from neutral [m]."""
-    cap = _length(cylinder, cylinder.half_stroke + extension)
-    rod = _length(cylinder, cylinder.half_stroke - extension)
+    cap = _chamber_length(cylinder, cylinder.half_stroke + extension)
+    rod = _chamber_length(cylinder, cylinder.half_stroke - extension)
     return (
         cylinder.cap_area * cap + cylinder.cap_dead_volume,
         cylinder.rod_area * rod + cylinder.rod_dead_volume,
@@ -149,21 +147,23 @@ def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
+def throttled_gain(cylinder, travel, gain, valve_gain):  # type: ignore[no-untyped-def]
     """Outflow gain of a chamber behind its cushion.
 
-    `gap` is the travel left before the stop [m], `gain` that of the paths out of the chamber
-    [m^3/s/sqrt(Pa)], `full` that of both valves fully open.
+    `travel` is what is left before the stop [m], `gain` that of the paths out of the chamber
+    [m^3/s/sqrt(Pa)], `valve_gain` that of both valves fully open.
     """
-    length = cylinder.cushion_length
-    if gap >= length or gain == 0.0:
+    cushion = cylinder.cushion_length
+    if travel >= cushion or gain == 0.0:
         return gain
-    depth = min((length - gap) / length, 1.0)
-    ratio = gain * depth / (cylinder.cushion_opening * full)
+    closing = min((cushion - travel) / cushion, 1.0)
+    ratio = gain * closing / (cylinder.cushion_opening * valve_gain)
     return gain / np.sqrt(1.0 + ratio * ratio)
 
 
-def _of_each(name: str, values: ArrayLike, cylinder: Cylinder | np.recarray) -> NDArray[np.float64]:
+def _for_each(
+    name: str, values: ArrayLike, cylinder: Cylinder | np.recarray
+) -> NDArray[np.float64]:
     """Real numbers, of several cylinders one for each or one for all."""
     array, count = real(name, values), np.shape(cylinder.cap_area)
     if count and array.shape not in ((), count):
@@ -177,30 +177,30 @@ def stiffness(
     """K(x), stiffness -dF/dx of the enclosed oil [N/m], at extensions [m].
 
     Those of one cylinder have any shape; of cylinders (n,) there is one for each, (n,), or for all.
-    Chambers have the length of `_length` near their stops.
     """
-    x = _of_each("extension", extension, cylinder)
+    x = _for_each("extension", extension, cylinder)
     gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
-    end = _END * gap
+    approach = _APPROACH * gap
 
-    def column(travel: NDArray[np.float64], dead: ArrayLike) -> NDArray[np.float64]:
-        """Relative fall of a chamber's volume per travel [1/m]; `dead` is D over the area [m]."""
-        share = 1.0 - np.clip(travel, 0.0, end) / end
-        beyond = np.clip(-travel, 0.0, gap)
-        last = 1.0 - 2.0 * gap / end
+    def compliance(travel: NDArray[np.float64], dead_length: ArrayLike) -> NDArray[np.float64]:
+        """Fall of a chamber's volume per travel, relative [1/m]; `dead_length` is D / A [m]."""
+        share = 1.0 - np.clip(travel, 0.0, approach) / approach
+        overtravel = np.clip(-travel, 0.0, gap)
+        end_slope = 1.0 - 2.0 * gap / approach
         length = np.maximum(travel, 0.0) + gap * share * share
-        length = length - last * (beyond - 0.5 * beyond * beyond / gap)
-        return (1.0 - 2.0 * gap / end * share) * (1.0 - beyond / gap) / (length + dead)
+        length = length - end_slope * (overtravel - 0.5 * overtravel * overtravel / gap)
+        slope = (1.0 - 2.0 * gap / approach * share) * (1.0 - overtravel / gap)
+        return slope / (length + dead_length)
 
     cap, rod = cylinder.cap_area, cylinder.rod_area
     return bulk_modulus * (
-        cap * column(half + x, cylinder.cap_dead_volume / cap)
-        + rod * column(half - x, cylinder.rod_dead_volume / rod)
+        cap * compliance(half + x, cylinder.cap_dead_volume / cap)
+        + rod * compliance(half - x, cylinder.rod_dead_volume / rod)
     )
 
 
 def holding_pressures(
-    cylinder: Cylinder | np.recarray, load: ArrayLike, supply: float, tank: float
+    cylinder: Cylinder | np.recarray, load: ArrayLike, supply: float, return_pressure: float
 ) -> NDArray[np.float64]:
     """Pressures (n, 2) of cap and rod that hold static loads [N] with the valve closed.
 
@@ -210,30 +210,29 @@ def holding_pressures(
     where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and
     supply pressure as far as the load allows; loads beyond the stall forces are refused.
     """
-    loads = np.atleast_1d(_of_each("load", load, cylinder))
+    loads = np.atleast_1d(_for_each("load", load, cylinder))
     if loads.ndim != 1:
         raise InputError(f"load: shape is {loads.shape}; allowed: (n,)")
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
-    low = cap_area * tank - rod_area * supply
-    high = cap_area * supply - rod_area * tank
-    low, high = np.broadcast_to(low, loads.shape), np.broadcast_to(high, loads.shape)
-    for leg in np.flatnonzero(~((low <= loads) & (loads <= high))):
+    lowest = np.broadcast_to(cap_area * return_pressure - rod_area * supply, loads.shape)
+    highest = np.broadcast_to(cap_area * supply - rod_area * return_pressure, loads.shape)
+    for leg in np.flatnonzero(~((lowest <= loads) & (loads <= highest))):
         raise InputError(
             f"static load of leg {leg + 1}: {loads[leg]:.0f} N cannot be held by a supply of "
-            f"{supply:.0f} Pa; allowed: {low[leg]:.0f} to {high[leg]:.0f} N"
+            f"{supply:.0f} Pa; allowed: {lowest[leg]:.0f} to {highest[leg]:.0f} N"
         )
-    apart = cap_area - rod_area
-    null = (cap_area * (supply + tank) - loads) / (cap_area + rod_area)
-    rod = np.where(
-        (cylinder.leakage > 0.0) & (apart > 0.0),
-        loads / np.where(apart > 0.0, apart, 1.0),
-        np.where(cylinder.rest_pressure > 0.0, cylinder.rest_pressure, null),
+    area_difference = cap_area - rod_area
+    null_pressure = (cap_area * (supply + return_pressure) - loads) / (cap_area + rod_area)
+    rod_pressure = np.where(
+        (cylinder.leakage > 0.0) & (area_difference > 0.0),
+        loads / np.where(area_difference > 0.0, area_difference, 1.0),
+        np.where(cylinder.rest_pressure > 0.0, cylinder.rest_pressure, null_pressure),
     )
-    # p_rod must lie in [tank, supply] and so must p_cap = (F + A_rod p_rod) / A_cap.
-    least = np.maximum(tank, (cap_area * tank - loads) / rod_area)
-    most = np.minimum(supply, (cap_area * supply - loads) / rod_area)
-    rod = np.clip(rod, least, most)
-    return np.column_stack([(loads + rod_area * rod) / cap_area, rod])
+    # p_rod must lie in [Pt, Ps] and so must p_cap = (F + A_rod p_rod) / A_cap.
+    lowest_rod = np.maximum(return_pressure, (cap_area * return_pressure - loads) / rod_area)
+    highest_rod = np.minimum(supply, (cap_area * supply - loads) / rod_area)
+    rod_pressure = np.clip(rod_pressure, lowest_rod, highest_rod)
+    return np.column_stack([(loads + rod_area * rod_pressure) / cap_area, rod_pressure])
 
 
 class Friction(NamedTuple):
@@ -249,13 +248,13 @@ class Friction(NamedTuple):
 def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
     """Derive the contacts of all actuators from a parameter set, (n,) of `Friction`."""
 
-    def one(actuator: str) -> Friction:
+    def friction_of(actuator: str) -> Friction:
         numbers = parameters.actuator(actuator)
         coulomb, breakaway = numbers["coulomb_friction"].si, numbers["breakaway_friction"].si
         excess = breakaway / coulomb - 1.0 if coulomb > 0.0 else 0.0
         return compiled_params(Friction, numbers, excess=excess)
 
-    return record_array(Friction, map(one, actuators))
+    return record_array(Friction, map(friction_of, actuators))
 
 
 @compiled
@@ -269,8 +268,8 @@ def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
     fade = np.exp(-min(ratio * ratio, 700.0))
     largest = friction.presliding * (1.0 + friction.excess * fade)
     if speed != 0.0:
-        ends = largest if speed > 0.0 else -largest
-        bristle = ends + (bristle - ends) * np.exp(-abs(speed) * step / largest)
+        limit = largest if speed > 0.0 else -largest
+        bristle = limit + (bristle - limit) * np.exp(-abs(speed) * step / largest)
     rate = speed - abs(speed) * bristle / largest
     stiffness = coulomb / friction.presliding
     return bristle, stiffness * (bristle + _DAMPING_TIME * fade * rate) + viscous
@@ -281,27 +280,27 @@ def contact_text(contact: Contact | None) -> str:
     return contact or "none" if isinstance(contact, str | None) else f"{contact:g} m/s"
 
 
-class Slope(NamedTuple):
+class FrictionSlope(NamedTuple):
     """Dry friction of n actuators about a motion."""
 
     stiffness: NDArray[np.float64]  #: [N/m], (n,).
     damping: NDArray[np.float64]  #: Without the viscous part [N s/m], (n,).
 
 
-def friction_slope(friction: np.recarray, contact: Contact) -> Slope:
+def friction_slope(friction: np.recarray, contact: Contact) -> FrictionSlope:
     """Slope of the dry friction of contacts (n,) of `Friction` that are in a state.
 
     Raises `InputError` for a contact that is none of `CONTACTS`.
     """
-    still = np.zeros(len(friction))
+    zeros = np.zeros(len(friction))
     force = friction.coulomb_friction
     if contact == "none":
-        return Slope(still, still)
+        return FrictionSlope(zeros, zeros)
     if contact == "stuck":
-        stiffness = np.divide(force, friction.presliding, out=still, where=force > 0.0)
-        return Slope(stiffness, _DAMPING_TIME * stiffness)
+        stiffness = np.divide(force, friction.presliding, out=zeros, where=force > 0.0)
+        return FrictionSlope(stiffness, _DAMPING_TIME * stiffness)
     if isinstance(contact, str) or not 0.0 < contact < np.inf:
         raise InputError(f"friction: {contact!r} is refused; allowed: {CONTACTS}")
-    ratio = np.divide(contact, friction.stribeck_speed, out=still + 1.0, where=force > 0.0)
-    slides = 1.0 + friction.excess * dawsn(ratio) / ratio
-    return Slope(still, 4.0 * force / (np.pi * contact) * slides)
+    ratio = np.divide(contact, friction.stribeck_speed, out=zeros + 1.0, where=force > 0.0)
+    stribeck_factor = 1.0 + friction.excess * dawsn(ratio) / ratio
+    return FrictionSlope(zeros, 4.0 * force / (np.pi * contact) * stribeck_factor)

@@ -26,16 +26,16 @@ MOST_FORCE = 1e7  #: Largest external force [N]: some eighty times the weight of
 class _Kind(NamedTuple):
     """Where something fails, and what its size means."""
 
-    part: Literal["", "valve", "sensor"] = ""  #: Of a leg, if it is one's.
-    size: float = 0.0  #: In SI where none is given; NaN for the lower end of the leg's stroke.
-    units: tuple[str, ...] = ()  #: In which it may be given; none for what has no size.
-    most: float = 0.0  #: Largest size in SI.
-    whole: bool = False  #: Whether it is a whole number.
+    part: Literal["", "valve", "sensor"] = ""  #: Part of a leg that fails, if it is one's.
+    size: float = 0.0  #: Default in SI; NaN for the lower end of the leg's stroke.
+    units: tuple[str, ...] = ()  #: Units of a size; none for a kind that has no size.
+    largest_size: float = 0.0  #: Largest size in SI.
+    is_whole: bool = False  #: Whether the size is a whole number.
 
 
 _KINDS = {
     "pump_lost": _Kind(),  # the pump stops; a check valve keeps the manifold's oil
-    "accumulator_lost": _Kind("", 1.0, ("1",), 100.0, whole=True),  # accumulators shut off
+    "accumulator_lost": _Kind("", 1.0, ("1",), 100.0, is_whole=True),  # accumulators shut off
     "supply_hose_burst": _Kind("", INCH**2, ("in^2", "m^2"), 1.0),  # hole to the tank
     "valve_hard_over": _Kind("valve", 1.0, ("%", "1"), 1.0),  # spool driven to an end
     "valve_jammed": _Kind("valve"),  # spool stays where it is
@@ -60,14 +60,13 @@ class Failure(Settings):
 
     kind: KindName  #: What fails.
     leg: Count | None = None  #: Leg of a valve or sensor, from 1.
-    valve: Annotated[int, Field(ge=1, le=2)] | None = None
-    """Valve of the leg, 1 or 2; both if left out."""
+    valve: Annotated[int, Field(ge=1, le=2)] | None = None  #: Valve of the leg; both if left out.
     size: tuple[float, str] | None = None  #: How much, with its unit, e.g. `(1.0, "in^2")`.
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _check_fields(self) -> Self:
         kind = _KINDS[self.kind]
-        part, allowed = kind.part, kind.units
+        part, allowed_units = kind.part, kind.units
         if part and self.leg is None:
             raise InputError(f"leg: is missing; {self.kind} needs the leg it happens to")
         if not part and self.leg is not None:
@@ -75,27 +74,29 @@ class Failure(Settings):
         if self.valve is not None and part != "valve":
             raise InputError(f"valve: {self.valve} is not allowed; {self.kind} has no valve")
         if self.size is not None:
-            if not allowed:
+            if not allowed_units:
                 raise InputError(f"size: {self.size} is not allowed; {self.kind} has none")
             value, unit = self.size
-            if unit not in allowed:
-                raise InputError(f"size: unit {unit!r} is not one of {', '.join(allowed)}")
+            if unit not in allowed_units:
+                raise InputError(f"size: unit {unit!r} is not one of {', '.join(allowed_units)}")
             if value <= 0.0 and not part:
                 raise InputError(f"size: {value:g} {unit} must be greater than 0 {unit}")
-            if kind.whole and not value.is_integer():
+            if kind.is_whole and not value.is_integer():
                 raise InputError(f"size: {value:g} {unit} must be a whole number")
-            most = from_si(unit, kind.most)
-            if abs(value) > most:
+            largest_size = from_si(unit, kind.largest_size)
+            if abs(value) > largest_size:
                 ways = " either way" if part else ""
-                raise InputError(f"size: {value:g} {unit} must be at most {most:g} {unit}{ways}")
+                raise InputError(
+                    f"size: {value:g} {unit} must be at most {largest_size:g} {unit}{ways}"
+                )
         return self
 
     def magnitude(self, half_stroke: float) -> float:
         """The size in SI, on a leg of that half stroke [m]; 0 for kinds without one."""
         if self.size is not None:
             return to_si(self.size[1], self.size[0])
-        usual = _KINDS[self.kind].size
-        return -half_stroke if np.isnan(usual) else usual
+        usual_size = _KINDS[self.kind].size
+        return -half_stroke if np.isnan(usual_size) else usual_size
 
 
 class Event(Failure):
@@ -131,18 +132,17 @@ class Faults(NamedTuple):
     valve: NDArray[np.float64]  #: What each valve obeys, (n, 2), see `valve.NORMAL`.
     spool: NDArray[np.float64]  #: Value put on an overridden spool, (n, 2).
     sensor: NDArray[np.float64]  #: State of each position sensor, (n,).
-    reading: NDArray[np.float64]
-    """Reading of a stuck or open one, error of an offset one [m], (n,)."""
+    reading: NDArray[np.float64]  #: Reading of a stuck or open one, error of an offset one [m].
 
 
 def no_faults(actuators: int) -> Faults:
     """Everything works."""
     return Faults(
-        record_array(PlantFaults, [PlantFaults()]),
-        np.zeros((actuators, 2)),
-        np.zeros((actuators, 2)),
-        np.zeros(actuators),
-        np.zeros(actuators),
+        plant=record_array(PlantFaults, [PlantFaults()]),
+        valve=np.zeros((actuators, 2)),
+        spool=np.zeros((actuators, 2)),
+        sensor=np.zeros(actuators),
+        reading=np.zeros(actuators),
     )
 
 
@@ -168,13 +168,14 @@ def make_timeline(
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
     ordered = sorted(events, key=lambda event: event.at)
-    rows = [
-        (round(e.at * rate), KINDS.index(e.kind), (e.leg or 0) - 1, (e.valve or 0) - 1)
-        for e in ordered
-    ]
-    frame, kind, leg, valve = np.array(rows, dtype=np.int64).reshape(-1, 4).T.copy()
     sizes = [event.magnitude(half_stroke[(event.leg or 1) - 1]) for event in ordered]
-    return Timeline(frame, kind, leg, valve, np.array(sizes, dtype=float))
+    return Timeline(
+        frame=np.array([round(event.at * rate) for event in ordered], dtype=np.int64),
+        kind=np.array([KINDS.index(event.kind) for event in ordered], dtype=np.int64),
+        leg=np.array([(event.leg or 0) - 1 for event in ordered], dtype=np.int64),
+        valve=np.array([(event.valve or 0) - 1 for event in ordered], dtype=np.int64),
+        size=np.array(sizes, dtype=float),
+    )
 
 
 _KindNumbers = namedtuple("_KindNumbers", KINDS)  # type: ignore[misc]
@@ -183,12 +184,12 @@ _KIND: Any = _KindNumbers(*range(len(KINDS)))
 
 
 @compiled
-def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
+def apply_event(timeline, event, faults, position):  # type: ignore[no-untyped-def]
     """Write one event into the faults; whether it is an emergency stop, which the controller makes.
 
     `position` (n,) is what the sensors read now [m].
     """
-    kind, leg, size = timeline.kind[number], timeline.leg[number], timeline.size[number]
+    kind, leg, size = timeline.kind[event], timeline.leg[event], timeline.size[event]
     plant = faults.plant[0]
     if kind == _KIND.pump_lost:
         plant.pump_lost = 1.0
@@ -200,7 +201,7 @@ def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
         plant.overload += size
     elif kind == _KIND.valve_hard_over or kind == _KIND.valve_jammed or kind == _KIND.valve_dead:
         for index in range(2):
-            if timeline.valve[number] < 0 or timeline.valve[number] == index:
+            if timeline.valve[event] < 0 or timeline.valve[event] == index:
                 faults.valve[leg, index] = JAMMED if kind == _KIND.valve_jammed else OVERRIDE
                 faults.spool[leg, index] = size
     elif kind == _KIND.sensor_stuck:

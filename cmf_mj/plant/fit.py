@@ -1,4 +1,4 @@
-"""Whether a MuJoCo model fits its hydraulics, the kinematics and the cab it is said to carry.
+"""Checks that a MuJoCo model fits its hydraulics, the kinematics and the cab that it carries.
 
 Control law and kinematics count with gimbals, neutral lengths and strokes of their own copy, and a
 record states the masses of a cab. A model that differs would run, and the numbers would be of
@@ -18,8 +18,7 @@ from cmf_mj.machine.models import Payload
 
 SAME = 1e-9  #: Values this close are the same [m, kg, kg m^2], in proportion where above 1.
 
-CLOSED = 1e-6
-"""Largest gap of a closed loop at the start of a run [m]; the shipped models close to 1e-12 m."""
+CLOSED = 1e-6  #: Largest gap of a closed loop at the start [m]; shipped models close to 1e-12 m.
 
 _LEGS = range(1, 7)
 
@@ -35,18 +34,19 @@ _PARTS = {
 def check_motor(model: mujoco.MjModel, name: str) -> None:
     """Refuse an actuator whose force is not its control, or that turns."""
     actuator = model.actuator(name)
-    drives, target = actuator.trntype[0], actuator.trnid[0]
-    tendon, joint = drives == mujoco.mjtTrn.mjTRN_TENDON, drives == mujoco.mjtTrn.mjTRN_JOINT
-    if not tendon and not (joint and model.jnt_type[target] == mujoco.mjtJoint.mjJNT_SLIDE):
+    transmission, target = actuator.trntype[0], actuator.trnid[0]
+    on_tendon = transmission == mujoco.mjtTrn.mjTRN_TENDON
+    on_joint = transmission == mujoco.mjtTrn.mjTRN_JOINT
+    if not on_tendon and not (on_joint and model.jnt_type[target] == mujoco.mjtJoint.mjJNT_SLIDE):
         raise InputError(f"motors: {name!r} must drive a slide joint or a tendon")
-    fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
-    plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
-    if not plain or actuator.gainprm[0] != 1.0 or actuator.dyntype[0] != mujoco.mjtDyn.mjDYN_NONE:
+    is_static = actuator.dyntype[0] == mujoco.mjtDyn.mjDYN_NONE
+    has_gain = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED and actuator.gainprm[0] == 1.0
+    if not (is_static and has_gain and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE):
         raise InputError(f"motors: {name!r} must be a plain motor, force = ctrl")
     if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
         raise InputError(f"motors: {name!r} must have gear 1 and no ctrlrange")
-    limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
-    if actuator.forcelimited[0] or limited[target]:
+    limits = model.tendon_actfrclimited if on_tendon else model.jnt_actfrclimited
+    if actuator.forcelimited[0] or limits[target]:
         raise InputError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")
 
 
@@ -54,7 +54,7 @@ def check_stops(
     model: mujoco.MjModel,
     motors: Sequence[str],
     neutral: NDArray[np.float64],
-    half: NDArray[np.float64],
+    half_stroke: NDArray[np.float64],
     hydraulics: str,
     *,
     equal: bool,
@@ -64,18 +64,18 @@ def check_stops(
     They must lie within neutral +- half stroke [m], (n,), or be its ends where `equal`. A joint or
     tendon without range has no stops: a run ends where it leaves the stroke.
     """
-    for name, middle, most in zip(motors, neutral, half, strict=True):
+    for name, middle, half in zip(motors, neutral, half_stroke, strict=True):
         actuator = model.actuator(name)
         target = actuator.trnid[0]
         if actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON:
-            limited, ends = model.tendon_limited[target], model.tendon_range[target]
+            has_stops, ends = model.tendon_limited[target], model.tendon_range[target]
         else:
-            limited, ends = model.jnt_limited[target], model.jnt_range[target]
+            has_stops, ends = model.jnt_limited[target], model.jnt_range[target]
         low, high = ends - middle
-        beyond = (abs(low + most), abs(high - most)) if equal else (-most - low, high - most)
-        if limited and not np.max(beyond) <= SAME:
+        excess = (abs(low + half), abs(high - half)) if equal else (-half - low, high - half)
+        if has_stops and not np.max(excess) <= SAME:
             raise InputError(
-                f"half_stroke: set {hydraulics!r} gives {name} +-{most:.6g} m, the model stops it "
+                f"half_stroke: set {hydraulics!r} gives {name} +-{half:.6g} m, the model stops it "
                 f"at {low:.6g} and {high:.6g} m from neutral; allowed: "
                 f"{'both the same' if equal else 'stops within the stroke'}"
             )
@@ -94,8 +94,8 @@ def check_closed(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         )
 
 
-def warned(data: mujoco.MjData) -> str:
-    """What MuJoCo has warned of since the state was reset, by name; empty if nothing."""
+def warnings_of(data: mujoco.MjData) -> str:
+    """MuJoCo's warnings since the state was reset, by name; empty for none."""
     kinds = [mujoco.mjtWarning(i) for i in np.flatnonzero(data.warning.number)]
     texts = (mujoco.mju_warningText(kind, data.warning[kind].lastinfo) for kind in kinds)
     return ", ".join(
@@ -107,13 +107,13 @@ def warned(data: mujoco.MjData) -> str:
 def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, cab: Cab) -> None:
     """Compare gimbals, pins, leg axes and masses, all at `qpos0`, with kinematics and cab."""
     ids = {
-        kind: [_id(model, element, kind.replace("#", str(i))) for i in _LEGS]
-        for element, kinds in _PARTS.items()
-        for kind in kinds
+        part: [_id(model, element, part.replace("#", str(leg))) for leg in _LEGS]
+        for element, parts in _PARTS.items()
+        for part in parts
     }
     upper, lower = geometry.upper * FLIP, geometry.lower * FLIP
     axes = (upper - lower) / geometry.neutral[:, None]
-    for what, values, expected, unit in (
+    for part, values, expected, unit in (
         ("upper gimbal # on the platform", model.site_pos[ids["upper_#"]], upper, " m"),
         ("lower gimbal #", data.xpos[ids["cylinder_#"]], lower, " m"),
         ("joint gimbal_#_x", data.xanchor[ids["gimbal_#_x"]], lower, " m"),
@@ -122,46 +122,46 @@ def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry
         ("rod end # at neutral", data.site_xpos[ids["rod_end_#"]], upper, " m"),
         ("axis of leg # at neutral", data.xaxis[ids["leg_#"]], axes, ""),
     ):
-        for leg in np.flatnonzero(~(np.abs(values - expected).max(axis=1) <= SAME)):
+        for leg in np.flatnonzero(~(np.abs(values - expected).max(axis=1) <= SAME)).tolist():
             raise InputError(
-                f"spec: {what.replace('#', str(leg + 1))} is {_text(values[leg])}{unit} in the "
+                f"spec: {part.replace('#', str(leg + 1))} is {_text(values[leg])}{unit} in the "
                 f"model, {_text(expected[leg])}{unit} in the kinematics; allowed: both the same"
             )
-    off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY
-    for i, pin in zip(_LEGS, ids["gimbal_#"], strict=True):
+    pins_are_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    for leg in _LEGS:
+        pin, sites = ids["gimbal_#"][leg - 1], {ids["upper_#"][leg - 1], ids["rod_end_#"][leg - 1]}
         ends = {int(model.eq_obj1id[pin]), int(model.eq_obj2id[pin])}
-        pinned = {ids[site][i - 1] for site in ("upper_#", "rod_end_#")}
-        if off or not model.eq_active0[pin] or ends != pinned:
+        if pins_are_off or not model.eq_active0[pin] or ends != sites:
             raise InputError(
-                f"spec: gimbal_{i} does not pin the rod to the platform; allowed: an active "
-                f"connect constraint of the sites rod_end_{i} and upper_{i}"
+                f"spec: gimbal_{leg} does not pin the rod to the platform; allowed: an active "
+                f"connect constraint of the sites rod_end_{leg} and upper_{leg}"
             )
-    carried = model.body_rootid == _id(model, "body", "platform")
-    turns = data.ximat[carried].reshape(-1, 3, 3)
-    tensors = (turns * model.body_inertia[carried, None]) @ turns.transpose(0, 2, 1)
-    whole = Payload.of(model.body_mass[carried], data.xipos[carried], tensors)
-    _same_mass("mass of platform and cab", whole.mass, cab.payload.mass, "kg", cab)
-    _same_mass("centre of mass of platform and cab", whole.centre, cab.payload.centre, "m", cab)
-    _same_mass("inertia of platform and cab", whole.inertia, cab.payload.inertia, "kg m^2", cab)
+    is_carried = model.body_rootid == _id(model, "body", "platform")
+    turns = data.ximat[is_carried].reshape(-1, 3, 3)
+    tensors = (turns * model.body_inertia[is_carried, None]) @ turns.transpose(0, 2, 1)
+    payload = Payload.of(model.body_mass[is_carried], data.xipos[is_carried], tensors)
+    _check_mass("mass of platform and cab", payload.mass, cab.payload.mass, "kg", cab)
+    _check_mass("centre of mass of platform and cab", payload.centre, cab.payload.centre, "m", cab)
+    _check_mass("inertia of platform and cab", payload.inertia, cab.payload.inertia, "kg m^2", cab)
     for part, mass in (("cylinder", cab.legs.cylinder_mass.si), ("rod", cab.legs.rod_mass.si)):
-        for i, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
-            _same_mass(f"mass of {part}_{i}", model.body_mass[body], mass, "kg", cab)
+        for leg, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
+            _check_mass(f"mass of {part}_{leg}", model.body_mass[body], mass, "kg", cab)
 
 
-def _id(model: mujoco.MjModel, kind: str, name: str) -> int:
+def _id(model: mujoco.MjModel, element: str, name: str) -> int:
     try:
-        return int(getattr(model, kind)(name).id)
+        return int(getattr(model, element)(name).id)
     except KeyError:
         raise InputError(
-            f"spec: has no {kind} {name!r}; allowed: the names of the shipped model"
+            f"spec: has no {element} {name!r}; allowed: the names of the shipped model"
         ) from None
 
 
-def _same_mass(what: str, has: ArrayLike, stated: ArrayLike, unit: str, cab: Cab) -> None:
-    difference = np.max(np.abs(np.subtract(has, stated)))
+def _check_mass(part: str, actual: ArrayLike, stated: ArrayLike, unit: str, cab: Cab) -> None:
+    difference = np.max(np.abs(np.subtract(actual, stated)))
     if not difference <= SAME * max(1.0, np.max(np.abs(stated))):
         raise InputError(
-            f"cab: {what} is {_text(has)} {unit} in the model, {_text(stated)} {unit} in "
+            f"cab: {part} is {_text(actual)} {unit} in the model, {_text(stated)} {unit} in "
             f"{cab.name!r}; allowed: both the same; other masses are a cab of their own"
         )
 

@@ -4,10 +4,10 @@ Reflected mass (section 2.4.2) and static leg forces are those of `Plant`, leg m
 """
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -44,8 +44,7 @@ class HydraulicModes(NamedTuple):
     pose: NDArray[np.float64]  #: (6,) [m, rad], z down.
     reflected_mass: NDArray[np.float64]  #: M_leg [kg], (6, 6).
     frequency: NDArray[np.float64]  #: Natural frequencies [rad/s], (6,).
-    leg_shape: NDArray[np.float64]
-    """Leg motion of each mode, (6, 6), a column a mode, unit reflected mass."""
+    leg_shape: NDArray[np.float64]  #: Leg motion of the modes, a column each, of unit mass, (6, 6).
     pose_shape: NDArray[np.float64]
     """Platform motion of each mode, (6, 6), a column a mode: m and rad per unit of the mode."""
     share: NDArray[np.float64]
@@ -107,17 +106,17 @@ class Hexapod(Plant):
                 default as shipped.
             timestep: mechanical step [s]; default that of the `spec`, else as `set_timestep`.
         """
-        self.cab_parameters = chosen = load_cab(cab, machine)
-        self.cab = chosen.name
+        self.cab_parameters = loaded = load_cab(cab, machine)
+        self.cab = loaded.name
         try:
             self._drawn = None if spec is None else spec.compile()
-            model = hexapod_model(chosen, drawn=False) if spec is None else headless(spec)
+            model = hexapod_model(loaded, drawn=False) if spec is None else headless(spec)
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
         if spec is None or timestep is not None:
-            set_timestep(model.opt, timestep, chosen.machine.frame)
-        parameters = hydraulics_of(chosen.machine, hydraulics)
-        super().__init__(model, parameters, payload=["platform"], machine=chosen.machine)
+            set_timestep(model.opt, timestep, loaded.machine.frame)
+        parameters = hydraulics_of(loaded.machine, hydraulics)
+        super().__init__(model, parameters, payload=["platform"], machine=loaded.machine)
 
     def check(self) -> None:
         """Refuse a model that is not the machine of kinematics, hydraulics and cab.
@@ -167,24 +166,25 @@ class Hexapod(Plant):
 
     def place(self, pose: ArrayLike) -> None:
         """Set platform, gimbals and rods to a pose (6,) [m, rad], z down, all gimbals closed."""
-        target = shaped("pose", pose, 6)
+        target, geometry = shaped("pose", pose, 6), self.machine.geometry
         legs = kinematics.pose_to_legs(target, self.machine)
         stroke = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(np.abs(legs) >= stroke):
             raise InputError(
                 f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke[leg]:.4f} m"
             )
-        turn = FLIP[:, None] * kinematics.rotation(*target[3:]) * FLIP
+        rotation = kinematics.rotation(*target[3:])
+        world_rotation = Rotation.from_matrix(FLIP[:, None] * rotation * FLIP)
         qpos = self.data.qpos
-        free = self.model.joint("platform").qposadr[0]
-        qpos[free : free + 3] = target[:3] * FLIP
-        qpos[free + 3 : free + 7] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-        upper = target[:3] + self.machine.geometry.upper @ kinematics.rotation(*target[3:]).T
+        position, quaternion = self._platform_places()
+        qpos[position] = target[:3] * FLIP
+        qpos[quaternion] = world_rotation.as_quat(scalar_first=True)
+        upper = target[:3] + geometry.upper @ rotation.T
         for i in _LEGS:
             # Leg direction in the frame of its lower gimbal: Rx(a) Ry(b) z = (sin b, -sin a cos b,
             # cos a cos b).
             body = self.model.body(f"cylinder_{i}")
-            line = (upper[i - 1] - self.machine.geometry.lower[i - 1]) * FLIP
+            line = (upper[i - 1] - geometry.lower[i - 1]) * FLIP
             frame = Rotation.from_quat(body.quat, scalar_first=True)
             x, y, z = frame.inv().apply(line / np.linalg.norm(line))
             qpos[self.model.joint(f"gimbal_{i}_x").qposadr[0]] = np.arctan2(-y, z)
@@ -192,14 +192,19 @@ class Hexapod(Plant):
             qpos[self.model.joint(f"leg_{i}").qposadr[0]] = legs[i - 1]
         mujoco.mj_forward(self.model, self.data)
 
+    def _platform_places(self) -> tuple[slice, slice]:
+        """Where the platform's position and quaternion stand in the generalised positions."""
+        first = self.model.joint("platform").qposadr[0]
+        return slice(first, first + 3), slice(first + 3, first + 7)
+
     def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
         """Platform pose (..., 6), report axes, of generalised positions `qpos`, (..., nq)."""
-        free = self.model.joint("platform").qposadr[0]
-        where = qpos[..., free : free + 3] * FLIP
-        quaternion = qpos[..., free + 3 : free + 7] * np.array([1.0, 1.0, -1.0, -1.0])
-        turn = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)
-        angles = turn.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))[..., ::-1]
-        return np.concatenate([where, angles], axis=-1)
+        position_place, quaternion_place = self._platform_places()
+        position = qpos[..., position_place] * FLIP
+        quaternion = qpos[..., quaternion_place] * np.array([1.0, 1.0, -1.0, -1.0])
+        rotation = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)
+        yaw_pitch_roll = rotation.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))
+        return np.concatenate([position, yaw_pitch_roll[..., ::-1]], axis=-1)
 
     def hydraulic_modes(self, pose: ArrayLike | None = None) -> HydraulicModes:
         """Modes of M_leg d2l/dt2 + K(l) l = 0 at a pose, by default neutral."""
@@ -211,9 +216,9 @@ class Hexapod(Plant):
         )
         frequency, shapes = oil_modes(mass, springs)
         jacobian = kinematics.pose_jacobian(target, self.machine)
-        moved = np.linalg.inv(jacobian) @ shapes
-        momentum = jacobian.T @ mass @ shapes
-        return HydraulicModes(self.cab, target, mass, frequency, shapes, moved, moved * momentum)
+        pose_shapes = np.linalg.inv(jacobian) @ shapes
+        share = pose_shapes * (jacobian.T @ mass @ shapes)
+        return HydraulicModes(self.cab, target, mass, frequency, shapes, pose_shapes, share)
 
 
 def hexapod_spec(
@@ -227,35 +232,26 @@ def hexapod_spec(
     The legs stand on rigid ground or, `sliding`, on a body `floor` that slides in x, y and z and
     has no mass yet; `yielding` gives it one, and springs.
     """
-    chosen = load_cab(cab, machine)
-    scene, files = model_texts(load_cab(chosen.base, chosen.machine))
+    loaded = load_cab(cab, machine)
+    base = load_cab(loaded.base, loaded.machine)
+    scene, files = model_texts(base)
     if sliding:
         files[MACHINE_FILE] = with_floor(files[MACHINE_FILE])
     spec = mujoco.MjSpec.from_string(scene, files)
-    for edit in _edits(chosen):
-        edit.apply(spec.body(edit.body))
+    _change_masses(spec, loaded, base)
     return spec
 
 
 def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) -> mujoco.MjModel:
-    """The compiled machine with a cab: the model that `hexapod_spec` compiles to, in less time.
+    """The compiled machine with a cab; one that is not `drawn` is the `headless` one."""
+    return copy.copy(_compiled_model(load_cab(cab), drawn))
 
-    A model that is not `drawn` is the `headless` one.
-    """
-    chosen = load_cab(cab)
-    model = copy.copy(_compiled(load_cab(chosen.base, chosen.machine), drawn))
-    edits = list(_edits(chosen))
-    for edit in edits:
-        body = model.body(edit.body)
-        edit.apply(body)
-        if edit.part is not None:
-            model.body_sameframe[body.id] = _same_frame(body.ipos, body.iquat)
-    if edits:
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        # Not among what it sets: the means by which the solver scales its tolerance.
-        model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
-        model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
-    return model
+
+@lru_cache(maxsize=8)
+def _compiled_model(cab: Cab, drawn: bool) -> mujoco.MjModel:
+    """The model of a cab, to be copied and never changed."""
+    spec = hexapod_spec(cab)
+    return spec.compile() if drawn else headless(spec)
 
 
 def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -270,47 +266,23 @@ def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
     return moments, Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
-class _Edit(NamedTuple):
-    """What a cab changes in a body of the shipped model."""
-
-    body: str
-    part: RigidBody | None  #: New mass properties; None for a factor on mass and inertia.
-    factor: float = 1.0
-
-    def apply(self, body: Any) -> None:
-        """Write it to a body of an editable or a compiled model."""
-        if self.part is None:
-            body.mass, body.inertia = self.factor * body.mass, self.factor * np.array(body.inertia)
-        else:
-            body.mass, body.ipos = self.part.mass.si, self.part.centre_of_mass.si
-            body.inertia, body.iquat = principal_axes(self.part.tensor)
-
-
-def _edits(cab: Cab) -> Iterator[_Edit]:
-    """What a cab changes in the model of its base."""
-    base = load_cab(cab.base, cab.machine)
-    for name, part, before in (("platform", cab.platform, base.platform), ("cab/cab", cab, base)):
-        if any(getattr(part, field) != getattr(before, field) for field in RigidBody.model_fields):
-            yield _Edit(name, part)
+def _change_masses(spec: mujoco.MjSpec, cab: Cab, base: Cab) -> None:
+    """Give the bodies of a base's model the masses of a cab, where they differ."""
+    for name, part, base_part in (
+        ("platform", cab.platform, base.platform),
+        ("cab/cab", cab, base),
+    ):
+        fields = RigidBody.model_fields
+        if any(getattr(part, field) != getattr(base_part, field) for field in fields):
+            body = spec.body(name)
+            body.mass, body.ipos = part.mass.si, part.centre_of_mass.si
+            body.inertia, body.iquat = principal_axes(part.tensor)
     for name in ("cylinder", "rod"):
-        new, old = (getattr(legs, f"{name}_mass").si for legs in (cab.legs, base.legs))
-        if new != old:
-            yield from (_Edit(f"{name}_{leg}", None, new / old) for leg in _LEGS)
-
-
-@lru_cache
-def _compiled(base: Cab, drawn: bool) -> mujoco.MjModel:
-    """The model of one of a machine's own cabs, to be copied and never changed."""
-    spec = hexapod_spec(base)
-    return spec.compile() if drawn else headless(spec)
-
-
-def _same_frame(place: NDArray[np.float64], turn: NDArray[np.float64]) -> int:
-    """Whether a body's inertial frame is its own, or turned as its own, as the compiler finds."""
-    kinds = mujoco.mjtSameFrame
-    if turn[0] != 1.0:
-        return int(kinds.mjSAMEFRAME_NONE)
-    return int(kinds.mjSAMEFRAME_BODYROT if np.any(place) else kinds.mjSAMEFRAME_BODY)
+        mass, base_mass = (getattr(legs, f"{name}_mass").si for legs in (cab.legs, base.legs))
+        if mass != base_mass:
+            for leg in _LEGS:
+                body, factor = spec.body(f"{name}_{leg}"), mass / base_mass
+                body.mass, body.inertia = factor * body.mass, factor * np.array(body.inertia)
 
 
 PLANTS = ("hexapod", "single_legs")  #: The faithful plant and the report's original one.

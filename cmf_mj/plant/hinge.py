@@ -27,19 +27,18 @@ from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged, validated
-from cmf_mj.plant.attach import attach_hydraulics, opened
+from cmf_mj.plant.attach import attach_hydraulics, load_spec
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 
 SLENDER = 5.0  #: Bores in a stroke, by default.
 
-_SLENDER = 2.0, 12.0
-"""Least and most: below there is no room for piston and glands, above the rod buckles."""
+_LEAST_SLENDER, _MOST_SLENDER = 2.0, 12.0
+"""Bores in a stroke: below there is no room for piston and glands, above the rod buckles."""
 
 _WIDEST = np.deg2rad(150.0)  #: Widest range [rad]; the lever arm is a quarter of its largest there.
 
-_CLOSED = 1.5
-"""L, strokes from A to B at the near end: a stroke of oil, and half as much of metal."""
+_CLOSED = 1.5  #: L, strokes from A to B at the near end: one of oil, half of one of metal.
 
 _SPARE = 0.05
 """Of the stroke beyond either end of the range, which the hinge's own stops keep free."""
@@ -67,8 +66,8 @@ class HingeCylinder(NamedTuple):
     @property
     def base(self) -> float:
         """From the axis to the point on the parent [m]."""
-        across = (1.0 + 2.0 * _CLOSED) * np.sin(self.half_range)
-        return float(self.arm * np.hypot(np.cos(self.half_range), across))
+        opposite = (1.0 + 2.0 * _CLOSED) * np.sin(self.half_range)
+        return float(self.arm * np.hypot(np.cos(self.half_range), opposite))
 
     @property
     def middle(self) -> float:
@@ -118,44 +117,45 @@ def attach_to_hinges(
     >>> plant.actuators
     ('hinge_cylinder',)
     """
-    spec, parameters = opened(model), load_hydraulics(hydraulics)
+    spec, parameters = load_spec(model), load_hydraulics(hydraulics)
     if isinstance(hinges, str) or not hinges:
         raise InputError(f"hinges: {hinges!r} names no hinges; allowed: a list")
     torques = dict(hinges) if isinstance(hinges, Mapping) else dict.fromkeys(hinges)
     arms = arms or {}
     for field, names in (("arms", arms), ("against", against)):
-        if odd := sorted(set(names) - torques.keys()):
-            raise InputError(f"{field}: {odd[0]!r} is not one of {', '.join(torques)}")
+        if unknown := sorted(set(names) - torques.keys()):
+            raise InputError(f"{field}: {unknown[0]!r} is not one of {', '.join(torques)}")
     compiled = spec.compile()
     data = mujoco.MjData(compiled)
     mujoco.mj_forward(compiled, data)
-    changes, cylinders = dict[str, Any](), dict[str, float | None]()
-    for hinge, torque in torques.items():
-        half = _half_range(compiled, hinge)
-        asked = _motor(compiled, hinge) if torque is None else torque
-        chosen, bore = _size(hinge, half, asked, parameters, arms.get(hinge))
+    changes, retracted_lengths = dict[str, Any](), dict[str, float | None]()
+    for hinge, stated_torque in torques.items():
+        half_range = _half_range(compiled, hinge)
+        torque = _motor_torque(compiled, hinge) if stated_torque is None else stated_torque
+        cylinder, bore = _size_cylinder(hinge, half_range, torque, parameters, arms.get(hinge))
         _remove_motors(spec, hinge)
-        _add_tendon(spec, data, hinge, chosen, -1.0 if hinge in against else 1.0)
-        name, scale = f"{hinge}_cylinder", bore / parameters.bore_diameter.si
-        said = {"unit": "m", "status": "derived", "source": f"{asked:g} N m about {hinge}"}
-        changes[name] = {
-            "bore_diameter": {"value": bore, **said},
-            "rod_diameter": {"value": scale * parameters.rod_diameter.si, **said},
-            "half_stroke": {"value": (0.5 + _SPARE) * chosen.stroke, **said},
+        _add_tendon(spec, data, hinge, cylinder, -1.0 if hinge in against else 1.0)
+        name = f"{hinge}_cylinder"
+        lengths = {
+            "bore_diameter": bore,
+            "rod_diameter": bore / parameters.bore_diameter.si * parameters.rod_diameter.si,
+            "half_stroke": (0.5 + _SPARE) * cylinder.stroke,
         }
-        cylinders[name] = (_CLOSED - _SPARE) * chosen.stroke
+        origin = {"unit": "m", "status": "derived", "source": f"{torque:g} N m about {hinge}"}
+        changes[name] = {field: {"value": length} | origin for field, length in lengths.items()}
+        retracted_lengths[name] = (_CLOSED - _SPARE) * cylinder.stroke
     table = parameters.model_dump(exclude_none=True)
     table["actuators"] = merged(table["actuators"], changes, 1)
-    fitted = validated(HydraulicParameters, table, f"{parameters.name} on hinges")
-    return attach_hydraulics(spec, cylinders, fitted, **options)
+    changed = validated(HydraulicParameters, table, f"{parameters.name} on hinges")
+    return attach_hydraulics(spec, retracted_lengths, changed, **options)
 
 
 def _half_range(model: mujoco.MjModel, hinge: str) -> float:
     """Half of a hinge's range [rad]."""
     kind = mujoco.mjtJoint.mjJNT_HINGE
-    known = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == kind]
-    if hinge not in known:
-        raise InputError(f"hinges: {hinge!r} is not one of the hinges {', '.join(known) or 'none'}")
+    names = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == kind]
+    if hinge not in names:
+        raise InputError(f"hinges: {hinge!r} is not one of the hinges {', '.join(names) or 'none'}")
     joint = model.joint(hinge)
     width = float(np.ptp(joint.range)) if model.jnt_limited[joint.id] else np.inf
     if not 0.0 < width <= _WIDEST:
@@ -170,25 +170,26 @@ def _half_range(model: mujoco.MjModel, hinge: str) -> float:
     return 0.5 * width
 
 
-def _motor(model: mujoco.MjModel, hinge: str) -> float:
+def _motor_torque(model: mujoco.MjModel, hinge: str) -> float:
     """Largest torque of a hinge's motors, or what the hinge lets through [N m]."""
-    joint, most = model.joint(hinge), 0.0
-    at = np.isin(model.actuator_trntype, _AT_JOINT) & (model.actuator_trnid[:, 0] == joint.id)
-    for index in np.flatnonzero(at).tolist():
+    joint, torque = model.joint(hinge), 0.0
+    is_driven = model.actuator_trnid[:, 0] == joint.id
+    is_driven &= np.isin(model.actuator_trntype, _AT_JOINT)
+    for index in np.flatnonzero(is_driven).tolist():
         motor, force = model.actuator(index), np.inf
         if model.actuator_ctrllimited[index] and not motor.biastype[0]:
             force = float(abs(motor.gainprm[0]) * np.abs(motor.ctrlrange).max())
         if model.actuator_forcelimited[index]:
             force = min(force, float(np.abs(motor.forcerange).max()))
-        most += force * float(abs(motor.gear[0]))
+        torque += force * float(abs(motor.gear[0]))
     if model.jnt_actfrclimited[joint.id]:
-        most = min(most or np.inf, float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
-    if not 0.0 < most < np.inf:
+        torque = min(torque or np.inf, float(np.abs(model.jnt_actfrcrange[joint.id]).max()))
+    if not 0.0 < torque < np.inf:
         raise InputError(f"{hinge}: has no motor of limited torque; allowed: a torque, in N m")
-    return most
+    return torque
 
 
-def _size(
+def _size_cylinder(
     hinge: str, half: float, torque: float, oil: HydraulicParameters, arm: float | None
 ) -> tuple[HingeCylinder, float]:
     """A cylinder for a torque [N m] over a range, and its bore [m]."""
@@ -200,24 +201,24 @@ def _size(
     # The bore with an arm of 1 m; at another its square goes with 1 / arm.
     area = torque / (np.cos(half) * pressure)
     bore = oil.bore_diameter.si * float(np.sqrt(area / oil.rod_area))
-    slender = np.array([_SLENDER[0], SLENDER, _SLENDER[1]])
-    least, usual, most = map(float, (slender * bore / (2.0 * np.sin(half))) ** (2 / 3))
-    chosen = usual if arm is None else arm
-    if not least <= chosen <= most:
+    slenderness = np.array([_LEAST_SLENDER, SLENDER, _MOST_SLENDER])
+    shortest, default, longest = map(float, (slenderness * bore / (2.0 * np.sin(half))) ** (2 / 3))
+    arm = default if arm is None else arm
+    if not shortest <= arm <= longest:
         raise InputError(
-            f"arms: {hinge} {chosen} m is refused: its cylinder would not have {_SLENDER[0]:g} to "
-            f"{_SLENDER[1]:g} bores in a stroke; allowed: {least:.4g} to {most:.4g} m"
+            f"arms: {hinge} {arm} m is refused: its cylinder would not have {_LEAST_SLENDER:g} to "
+            f"{_MOST_SLENDER:g} bores in a stroke; allowed: {shortest:.4g} to {longest:.4g} m"
         )
-    return HingeCylinder(half, chosen), bore / float(np.sqrt(chosen))
+    return HingeCylinder(half, arm), bore / float(np.sqrt(arm))
 
 
 def _remove_motors(spec: mujoco.MjSpec, hinge: str) -> None:
     """Take a hinge's motors away, and their controls out of the key frames."""
-    goes = [one.target == hinge and one.trntype in _AT_JOINT for one in spec.actuators]
+    is_removed = [motor.target == hinge and motor.trntype in _AT_JOINT for motor in spec.actuators]
     for key in spec.keys:
         if len(key.ctrl):
-            key.ctrl = np.array(key.ctrl)[np.logical_not(goes)]
-    for index in np.flatnonzero(goes)[::-1].tolist():
+            key.ctrl = np.array(key.ctrl)[np.logical_not(is_removed)]
+    for index in np.flatnonzero(is_removed)[::-1].tolist():
         spec.delete(spec.actuators[index])
     spec.joint(hinge).actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
@@ -233,16 +234,19 @@ def _add_tendon(
     if np.linalg.norm(limb) < 1e-9:
         limb = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     limb = limb / np.linalg.norm(limb)
-    off = float(np.mean(joint.range)) - float(data.qpos[joint.qposadr[0]])
-    back = Rotation.from_rotvec(axis * (off - sense * cylinder.middle)).apply(limb)
-    names = [f"{hinge}_{part}" for part in ("cylinder", "parent", "child")]
-    for taken in (spec.tendon(names[0]), spec.site(names[1]), spec.site(names[2])):
-        if taken is not None:
-            raise InputError(f"{hinge}: the name {taken.name!r} is taken already; rename it")
-    tendon = spec.add_tendon(name=names[0])
-    for name, element, owner, arm in (
-        (names[1], child.parent, int(data.model.body_parentid[body]), cylinder.base * back),
-        (names[2], child, body, cylinder.arm * limb),
-    ):
-        place = data.xmat[owner].reshape(3, 3).T @ (anchor + arm - data.xpos[owner])
-        tendon.wrap_site(element.add_site(name=name, pos=place).name)
+    to_middle = float(np.mean(joint.range)) - float(data.qpos[joint.qposadr[0]])
+    turn = Rotation.from_rotvec(axis * (to_middle - sense * cylinder.middle))
+    tendon_name, parent_name, child_name = f"{hinge}_cylinder", f"{hinge}_parent", f"{hinge}_child"
+    for element in (spec.tendon(tendon_name), spec.site(parent_name), spec.site(child_name)):
+        if element is not None:
+            raise InputError(f"{hinge}: the name {element.name!r} is taken already; rename it")
+    tendon = spec.add_tendon(name=tendon_name)
+
+    def add_point(name: str, owner: mujoco.MjsBody, number: int, arm: NDArray[np.float64]) -> None:
+        axes = data.xmat[number].reshape(3, 3)
+        place = axes.T @ (anchor + arm - data.xpos[number])
+        tendon.wrap_site(owner.add_site(name=name, pos=place).name)
+
+    parent = int(data.model.body_parentid[body])
+    add_point(parent_name, child.parent, parent, cylinder.base * turn.apply(limb))
+    add_point(child_name, child, body, cylinder.arm * limb)

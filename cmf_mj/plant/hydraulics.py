@@ -1,19 +1,18 @@
-"""Composes valves, cylinders and supply into n actuators and advances them one mechanical step.
+"""Valves, cylinders and supply of n actuators, advanced by one mechanical step.
 
-The mechanics hands over where the legs were at the two ends of the step. The content of a volume
+The mechanics gives the extensions of the legs at both ends of the step. The content of a volume
 changes by the flows into it alone, dC/dt = Q(p), and gives its pressure through C = V r(p); so the
 displacement enters exactly, and only the flows are integrated: by the two-stage singly diagonally
 implicit Runge-Kutta method of Alexander (1977),
 
     gamma = 1 - 1/sqrt(2),  stages at gamma t and t,
 
-second order and L-stable, so that a chamber near its stop or with no pressure across its port,
-whose rates reach 1e5 1/s, is as harmless as one in mid-stroke. See `solver` for the stages. The
-method conserves what is linear in the state: oil, to rounding.
+second order and L-stable, as chambers near a stop need, whose rates reach 1e5 1/s. See `solver` for
+the stages. The method conserves what is linear in the state: oil, to rounding.
 
-The method is not contractive where flows are not linear: a chamber torn to vacuum, which takes oil
-back at one atmosphere only, would swing between vacuum and pressure for ever. A step in which a
-chamber is below half an atmosphere is taken by the implicit Euler method, which is.
+The method is not contractive where flows are not linear: a chamber torn to vacuum would swing
+between vacuum and pressure for ever. A step in which a chamber is below half an atmosphere is taken
+by the implicit Euler method, which is contractive.
 """
 
 from collections.abc import Sequence
@@ -32,7 +31,7 @@ from cmf_mj.plant.cylinder import (
     make_cylinders,
     make_frictions,
     slide,
-    throttled,
+    throttled_gain,
     volumes,
 )
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
@@ -46,7 +45,7 @@ from cmf_mj.plant.supply import (
     RETURN_PRESSURE,
     SUPPLY_PRESSURE,
     Supply,
-    charged,
+    charge_supply,
     gas_pressure,
     make_supply,
 )
@@ -54,7 +53,7 @@ from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, open
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 
-_TORN = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn [Pa].
+_TORN = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn to vacuum [Pa].
 
 ENERGIES = (*POWERS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
@@ -131,7 +130,7 @@ def rest(
         pressure=pressure,
         bristle=np.zeros(legs),
         friction=np.zeros(legs),
-        supply=charged(supply, hydraulics.oil),
+        supply=charge_supply(supply, hydraulics.oil),
         energy=np.zeros(len(ENERGIES)),
         stage=make_stage(legs),
     )
@@ -146,175 +145,182 @@ def open_to_hold(hydraulics: Hydraulics, state: HydraulicState) -> NDArray[np.fl
     command = np.zeros(state.pressure.shape[0])
     for leg, (cap, rod) in enumerate(state.pressure):
         cylinder, valve = hydraulics.cylinder[leg], hydraulics.valve[leg]
-        lost = cylinder.leakage * (cap - rod)
-        if cylinder.cap_area == cylinder.rod_area and lost != 0.0:
-            gain = (valve.cap_gain if lost > 0.0 else valve.rod_gain).sum()
-            flow = orifice(hydraulics.supply.pressure - max(cap, rod), hydraulics.laminar)[0]
-            command[leg] = lost / (gain * flow) + np.sign(lost) * valve.overlap[0]
-    for spools in (state.drive, state.spool):
-        spools += command[:, None]
+        leakage = cylinder.leakage * (cap - rod)
+        if cylinder.cap_area == cylinder.rod_area and leakage != 0.0:
+            gain = (valve.cap_gain if leakage > 0.0 else valve.rod_gain).sum()
+            flow, _ = orifice(hydraulics.supply.pressure - max(cap, rod), hydraulics.laminar)
+            command[leg] = leakage / (gain * flow) + np.sign(leakage) * valve.overlap[0]
+    state.drive[:] += command[:, None]
+    state.spool[:] += command[:, None]
     return command
 
 
 @inlined
-def _open(hydraulics, state, faults, last, command, before, after):  # type: ignore[no-untyped-def]
+def _set_ports(hydraulics, state, faults, is_last, command, before, after):  # type: ignore[no-untyped-def]
     """Volumes and flow gains of all actuators at the end of a stage; the last moves the spools."""
     head = state.supply[SUPPLY_PRESSURE] - state.supply[RETURN_PRESSURE]
-    closed = state.supply[ISOLATION]
-    part = 1.0 if last else _GAMMA
+    isolation = state.supply[ISOLATION]
+    motion_share = 1.0 if is_last else _GAMMA
     for leg in range(before.shape[0]):
         pair, cylinder = state.stage.chambers[leg], hydraulics.cylinder[leg]
-        extension = before[leg] + part * (after[leg] - before[leg])
+        extension = before[leg] + motion_share * (after[leg] - before[leg])
         pair.cap_volume, pair.rod_volume = volumes(cylinder, extension)
         cap_in, cap_out, rod_in, rod_out = 0.0, 0.0, 0.0, 0.0
         for index in range(2):
             valve = hydraulics.valve[leg, index]
-            position = state.spool[leg, index]
-            mode = faults.valve[leg, index]
+            position, mode = state.spool[leg, index], faults.valve[leg, index]
             if mode != JAMMED:
-                drive, play, asked = state.drive[leg, index], state.play[leg, index], command[leg]
-                if mode == OVERRIDE:
-                    asked = faults.spool[leg, index]
-                    drive, play = asked, 0.0
-                drive, play, position = spool(valve, last, asked, drive, play, position)
-                if last:
+                fraction = faults.spool[leg, index] if mode == OVERRIDE else command[leg]
+                drive = fraction if mode == OVERRIDE else state.drive[leg, index]
+                play = 0.0 if mode == OVERRIDE else state.play[leg, index]
+                drive, play, position = spool(valve, is_last, fraction, drive, play, position)
+                if is_last:
                     state.drive[leg, index] = drive
                     state.play[leg, index] = play
                     state.spool[leg, index] = position
             if head >= valve.threshold_pressure:
-                size = (1.0 - closed) * opening(valve, position)
-                if size >= 0.0:
-                    cap_in += size * valve.cap_gain
-                    rod_out += size * valve.rod_gain
+                port = (1.0 - isolation) * opening(valve, position)
+                if port >= 0.0:
+                    cap_in += port * valve.cap_gain
+                    rod_out += port * valve.rod_gain
                 else:
-                    cap_out -= size * valve.cap_gain
-                    rod_in -= size * valve.rod_gain
-        if closed > 0.0:
-            cap_out += closed * cylinder.settle_gain
-            rod_out += closed * cylinder.settle_rod_gain
+                    cap_out -= port * valve.cap_gain
+                    rod_in -= port * valve.rod_gain
+        if isolation > 0.0:
+            cap_out += isolation * cylinder.settle_gain
+            rod_out += isolation * cylinder.settle_rod_gain
         if cylinder.cushion_length > 0.0:
             half = cylinder.half_stroke
-            both = hydraulics.valve[leg, 0], hydraulics.valve[leg, 1]
-            full_cap = both[0].cap_gain + both[1].cap_gain
-            full_rod = both[0].rod_gain + both[1].rod_gain
-            cap_out = throttled(cylinder, half + extension, cap_out, full_cap)
-            rod_out = throttled(cylinder, half - extension, rod_out, full_rod)
+            first, second = hydraulics.valve[leg, 0], hydraulics.valve[leg, 1]
+            cap_gain = first.cap_gain + second.cap_gain
+            rod_gain = first.rod_gain + second.rod_gain
+            cap_out = throttled_gain(cylinder, half + extension, cap_out, cap_gain)
+            rod_out = throttled_gain(cylinder, half - extension, rod_out, rod_gain)
         pair.cap_in, pair.cap_out, pair.rod_in, pair.rod_out = cap_in, cap_out, rod_in, rod_out
 
 
 @inlined
-def _set_out(state, last, share, least):  # type: ignore[no-untyped-def]
-    """Known contents of a stage, and guesses: pressures go on as over the last step or stage."""
+def _guess_stage(state, is_last, weight_ratio, least_pressure):  # type: ignore[no-untyped-def]
+    """Write known contents of a stage, and guesses: pressures go on as in the last one."""
     stage, network = state.stage, state.supply
     for leg in range(state.pressure.shape[0]):
         pair = stage.chambers[leg]
         cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
-        if last:
-            pair.cap_known += share * (pair.cap_content - pair.cap_known)
-            pair.rod_known += share * (pair.rod_content - pair.rod_known)
-            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
-            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
+        if is_last:
+            pair.cap_known += weight_ratio * (pair.cap_content - pair.cap_known)
+            pair.rod_known += weight_ratio * (pair.rod_content - pair.rod_known)
+            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least_pressure)
+            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least_pressure)
         else:
             pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-            pair.cap = max(cap + _GAMMA * pair.cap_change, least)
-            pair.rod = max(rod + _GAMMA * pair.rod_change, least)
+            pair.cap = max(cap + _GAMMA * pair.cap_change, least_pressure)
+            pair.rod = max(rod + _GAMMA * pair.rod_change, least_pressure)
     for node in range(CONTENTS + 1):
-        if last:
-            stage.known[node] += share * (stage.node[node] - stage.known[node])
+        if is_last:
+            stage.known[node] += weight_ratio * (stage.node[node] - stage.known[node])
         else:
             stage.known[node] = network[node]
             stage.node[node] = network[node]
 
 
 @inlined
-def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignore[no-untyped-def]
-    """Add to the energies what a stage passes in its time, over its part of the motion."""
+def _add_energies(hydraulics, energy, stage, time, motion_share, before, after):  # type: ignore[no-untyped-def]
+    """Add to the energies what a stage passes in its time, over its share of the motion."""
     for i in range(len(POWERS)):
         energy[i] += time * stage.power[i]
     for leg in range(before.shape[0]):
         pair = stage.chambers[leg]
         load = force(hydraulics.cylinder[leg], pair.cap, pair.rod)
-        energy[_MECHANICAL] += part * load * (after[leg] - before[leg])
+        energy[_MECHANICAL] += motion_share * load * (after[leg] - before[leg])
 
 
 @inlined
-def advance(hydraulics, state, faults, command, before, after, stopped=False):  # type: ignore[no-untyped-def]
-    """Advance all actuators and the supply by one mechanical step; whether both stages converged.
-
-    Command fractions (n,) are held over the step, from the extensions (n,) [m] before to those
-    after. If `stopped`, in an emergency stop, the supply closes and the settle valves open.
-    """
-    step, supply, stage = hydraulics.step, hydraulics.supply, state.stage
-    network, energy = state.supply, state.energy
-    chambers, manifolds = stage.chambers, stage.manifolds[0]
-    legs = before.shape[0]
-    weight, least = _GAMMA * step, least_pressure(hydraulics.oil)
-    gas, rise = gas_pressure(supply, network[ACCUMULATOR])
-    manifolds.gas, manifolds.gas_rise, manifolds.gas_oil = gas, rise, network[ACCUMULATOR]
-    failed = faults.plant[0]
-    manifolds.running = 0.0 if failed.pump_lost > 0.0 else 1.0
-    manifolds.bank = max(supply.accumulators - failed.accumulators_lost, 0.0)
-    manifolds.burst = supply.jet * failed.burst_area
-    travel = supply.isolation_rate * step
-    closing = travel if stopped else -travel
-    network[ISOLATION] = min(max(network[ISOLATION] + closing, 0.0), 1.0)
-    manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
-
+def _solve_in_one_stage(hydraulics, state, before, after):  # type: ignore[no-untyped-def]
+    """Take the step again by the implicit Euler method; whether it converged."""
+    step, stage, energy = hydraulics.step, state.stage, state.energy
     for i in range(energy.shape[0]):
-        stage.energy[i] = energy[i]
-    torn = False
-    for leg in range(legs):
-        torn |= state.pressure[leg, CAP] < _TORN or state.pressure[leg, ROD] < _TORN
-    converged = True
-    for last in (False, True):
-        _open(hydraulics, state, faults, last, command, before, after)
-        _set_out(state, last, (step - weight) / weight, least)
-        solved = solve(
-            hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, weight
-        )
-        converged &= solved >= 0
-        share = weight if last else step - weight
-        _count(hydraulics, energy, stage, share, share / step, before, after)
-        for leg in range(legs):
-            torn |= chambers[leg].cap < _TORN or chambers[leg].rod < _TORN
-    if torn:
-        for i in range(energy.shape[0]):
-            energy[i] = stage.energy[i]
-        for leg in range(legs):
-            pair = chambers[leg]
-            pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-        for node in range(CONTENTS + 1):
-            stage.known[node] = network[node]
-        solved = solve(hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, step)
-        converged = solved >= 0
-        # Work by the mean of both ends, as the mechanics does it.
-        _count(hydraulics, energy, stage, step, 0.5, before, after)
-        for leg in range(legs):
-            pressure = state.pressure[leg]
-            load = force(hydraulics.cylinder[leg], pressure[CAP], pressure[ROD])
-            energy[_MECHANICAL] += 0.5 * load * (after[leg] - before[leg])
+        energy[i] = stage.energy[i]
+    for leg in range(before.shape[0]):
+        pair = stage.chambers[leg]
+        pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+    for node in range(CONTENTS + 1):
+        stage.known[node] = state.supply[node]
+    cylinders, laminar = hydraulics.cylinder, hydraulics.laminar
+    iterations = solve(cylinders, hydraulics.oil, hydraulics.supply, laminar, stage, step)
+    # Work by the mean of both ends, as the mechanics does it.
+    _add_energies(hydraulics, energy, stage, step, 0.5, before, after)
+    for leg in range(before.shape[0]):
+        pressure = state.pressure[leg]
+        load = force(cylinders[leg], pressure[CAP], pressure[ROD])
+        energy[_MECHANICAL] += 0.5 * load * (after[leg] - before[leg])
+    return iterations >= 0
 
-    for leg in range(legs):
-        pair = chambers[leg]
+
+@inlined
+def _keep_step(hydraulics, state, before, after):  # type: ignore[no-untyped-def]
+    """Make the results of the last stage the state, and slide the friction contacts."""
+    step, stage, network, energy = hydraulics.step, state.stage, state.supply, state.energy
+    for leg in range(before.shape[0]):
+        pair = stage.chambers[leg]
         pair.cap_change = pair.cap - state.pressure[leg, CAP]
         pair.rod_change = pair.rod - state.pressure[leg, ROD]
         state.pressure[leg, CAP], state.pressure[leg, ROD] = pair.cap, pair.rod
         state.content[leg, CAP], state.content[leg, ROD] = pair.cap_content, pair.rod_content
-        moved = after[leg] - before[leg]
+        travel = after[leg] - before[leg]
         state.bristle[leg], state.friction[leg] = slide(
-            hydraulics.friction[leg], state.bristle[leg], moved / step, step
+            hydraulics.friction[leg], state.bristle[leg], travel / step, step
         )
-        energy[_FRICTION] += state.friction[leg] * moved
+        energy[_FRICTION] += state.friction[leg] * travel
     for node in range(CONTENTS + 1):
         network[node] = stage.node[node]
+    manifolds = stage.manifolds[0]
     network[SUPPLY_PRESSURE], network[RETURN_PRESSURE] = manifolds.high, manifolds.low
-    network[GAS] = gas
-    return converged
+    network[GAS] = manifolds.gas
 
 
 @inlined
-def loads(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
+def advance(hydraulics, state, faults, command, before, after, is_stopped=False):  # type: ignore[no-untyped-def]
+    """Advance all actuators and the supply by one mechanical step; whether both stages converged.
+
+    Command fractions (n,) are held over the step, from the extensions (n,) [m] before to those
+    after. If `is_stopped`, in an emergency stop, the supply closes and the settle valves open.
+    """
+    step, stage, energy = hydraulics.step, state.stage, state.energy
+    cylinders, oil = hydraulics.cylinder, hydraulics.oil
+    weight, least = _GAMMA * step, least_pressure(oil)
+    supply, network, failed = hydraulics.supply, state.supply, faults.plant[0]
+    manifolds = stage.manifolds[0]
+    manifolds.gas, manifolds.gas_rise = gas_pressure(supply, network[ACCUMULATOR])
+    manifolds.gas_oil = network[ACCUMULATOR]
+    manifolds.running = 0.0 if failed.pump_lost > 0.0 else 1.0
+    manifolds.bank = max(supply.accumulators - failed.accumulators_lost, 0.0)
+    manifolds.burst = supply.jet * failed.burst_area
+    manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
+    travel = supply.isolation_rate * (step if is_stopped else -step)
+    network[ISOLATION] = min(max(network[ISOLATION] + travel, 0.0), 1.0)
+    for i in range(energy.shape[0]):
+        stage.energy[i] = energy[i]
+    is_torn, has_converged = False, True
+    for leg in range(before.shape[0]):
+        is_torn |= state.pressure[leg, CAP] < _TORN or state.pressure[leg, ROD] < _TORN
+    for is_last in (False, True):
+        _set_ports(hydraulics, state, faults, is_last, command, before, after)
+        _guess_stage(state, is_last, (step - weight) / weight, least)
+        iterations = solve(cylinders, oil, supply, hydraulics.laminar, stage, weight)
+        has_converged &= iterations >= 0
+        time = weight if is_last else step - weight
+        _add_energies(hydraulics, energy, stage, time, time / step, before, after)
+        for leg in range(before.shape[0]):
+            is_torn |= stage.chambers[leg].cap < _TORN or stage.chambers[leg].rod < _TORN
+    if is_torn:
+        has_converged = _solve_in_one_stage(hydraulics, state, before, after)
+    _keep_step(hydraulics, state, before, after)
+    return has_converged
+
+
+@inlined
+def write_loads(cylinders, pressure, friction, load):  # type: ignore[no-untyped-def]
     """Write the axial forces [N], (n,), of all actuators on their rods, friction taken off."""
-    for leg in range(out.shape[0]):
-        load = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
-        out[leg] = load - friction[leg]
+    for leg in range(load.shape[0]):
+        axial_force = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
+        load[leg] = axial_force - friction[leg]

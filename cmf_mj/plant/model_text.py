@@ -44,11 +44,11 @@ def model_texts(cab: Cab) -> tuple[str, dict[str, bytes]]:
     """The scene of a machine with one of its own cabs, z up, and the files that it includes."""
     machine, drawn = cab.machine, cab.machine.cabs[cab.name].mjcf
     files = {
-        MACHINE_FILE: Path(machine.mjcf).read_bytes() if machine.mjcf else _machine(machine, cab),
-        _CAB_FILE: Path(drawn).read_bytes() if drawn else _cab(cab),
+        MACHINE_FILE: Path(machine.mjcf).read_bytes() if machine.mjcf else _write_machine(cab),
+        _CAB_FILE: Path(drawn).read_bytes() if drawn else _write_cab(cab),
         _NO_CAB: models.model_path(_NO_CAB).read_bytes(),
     }
-    return _scene(machine), files
+    return _write_scene(machine), files
 
 
 def with_floor(text: bytes) -> bytes:
@@ -71,7 +71,7 @@ def _scale(machine: Machine) -> float:
     return float(machine.geometry.neutral.mean() / load_machine().geometry.neutral.mean())
 
 
-def _scene(machine: Machine) -> str:
+def _write_scene(machine: Machine) -> str:
     """The hall, of a generated machine with floor, cameras and lights at its size."""
     text = models.model_path("scene.xml").read_text("utf-8")
     if machine.mjcf:
@@ -93,13 +93,15 @@ def _scene(machine: Machine) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _machine(machine: Machine, cab: Cab) -> bytes:
-    """The shipped hexapod with a machine's geometry, masses and drawing."""
-    root, scale = ElementTree.parse(models.model_path(MACHINE_FILE)).getroot(), _scale(machine)
+def _write_machine(cab: Cab) -> bytes:
+    """The shipped hexapod with geometry, masses and drawing of the machine of a cab."""
+    machine, scale = cab.machine, _scale(cab.machine)
+    root = ElementTree.parse(models.model_path(MACHINE_FILE)).getroot()
     root.set("model", machine.name)
     for parent in list(root.iter()):
-        for child in [c for c in parent if parent.tag in ("worldbody", "body") and c.tag in _DRAWN]:
-            parent.remove(child)
+        for child in list(parent):
+            if parent.tag in ("worldbody", "body") and child.tag in _DRAWN:
+                parent.remove(child)
     half = machine.half_stroke
     for joint in root.iter("joint"):
         if joint.get("type") == "slide":
@@ -110,51 +112,52 @@ def _machine(machine: Machine, cab: Cab) -> bytes:
         _make_leg(root, machine, leg, scale)
     platform = element_of(root, "body", "platform")
     for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
-        _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
-        _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
+        _add_geom(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
+        _add_geom(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
     world = next(root.iter("worldbody"))
     for leg in range(6):
         foot = lower[leg] * [1.0, 1.0, 0.0] + [0.0, 0.0, machine.floor_height]
-        _add(world, "base", type="capsule", size=[0.16 * scale], fromto=[*foot, *lower[leg]])
+        _add_geom(world, "base", type="capsule", size=[0.16 * scale], fromto=[*foot, *lower[leg]])
     inertial = platform.find("inertial")
     assert inertial is not None
     inertial.attrib.clear()
-    _weigh(inertial, cab.platform)
+    _set_inertia(inertial, cab.platform)
     return ElementTree.tostring(root)
 
 
 def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
     """Place, weigh and draw a cylinder and its rod."""
-    geometry, design, bar = machine.geometry, machine.legs, machine.retracted
+    geometry, design, tube = machine.geometry, machine.legs, machine.retracted
     length = float(geometry.neutral[leg])
     lower, axis = geometry.lower[leg] * FLIP, (geometry.upper - geometry.lower)[leg] * FLIP
     cylinder = element_of(root, "body", f"cylinder_{leg + 1}")
     rod = element_of(root, "body", f"rod_{leg + 1}")
     _set(cylinder, pos=lower, zaxis=axis)
     centres = [
-        0.5 * bar if design.cylinder_centre is None else design.cylinder_centre.si,
-        length - (0.5 * bar if design.rod_centre is None else design.rod_centre.si),
+        0.5 * tube if design.cylinder_centre is None else design.cylinder_centre.si,
+        length - (0.5 * tube if design.rod_centre is None else design.rod_centre.si),
     ]
-    radius = bar / 40.0
+    radius = tube / 40.0
     for body, centre, mass in zip(
         (cylinder, rod), centres, (design.cylinder_mass.si, design.rod_mass.si), strict=True
     ):
-        across = mass * (3.0 * radius**2 + bar**2) / 12.0
+        across = mass * (3.0 * radius**2 + tube**2) / 12.0
         inertial = body.find("inertial")
         assert inertial is not None
         moments = [across, across, 0.5 * mass * radius**2]
         _set(inertial, pos=[0.0, 0.0, centre], mass=[mass], diaginertia=moments)
     _set(element_of(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
-    felt = length - machine.accelerometer_distance
-    _set(element_of(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
-    thick, thin, top = 0.105 * scale, 0.05 * scale, length - machine.half_stroke - 0.1 * scale
-    _add(cylinder, "barrel", size=[thick], fromto=[0, 0, 0, 0, 0, top])
-    _add(cylinder, "barrel", size=[1.3 * thick], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
-    _add(rod, "rod", size=[thin], fromto=[0, 0, 0.4 * length, 0, 0, length])
-    _add(rod, "visual", type="sphere", size=[2.0 * thin], pos=[0, 0, length])
+    accelerometer = length - machine.accelerometer_distance
+    _set(element_of(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, accelerometer])
+    barrel, bar_radius = 0.105 * scale, 0.05 * scale
+    top = length - machine.half_stroke - 0.1 * scale
+    _add_geom(cylinder, "barrel", size=[barrel], fromto=[0, 0, 0, 0, 0, top])
+    _add_geom(cylinder, "barrel", size=[1.3 * barrel], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
+    _add_geom(rod, "rod", size=[bar_radius], fromto=[0, 0, 0.4 * length, 0, 0, length])
+    _add_geom(rod, "visual", type="sphere", size=[2.0 * bar_radius], pos=[0, 0, length])
 
 
-def _cab(cab: Cab) -> bytes:
+def _write_cab(cab: Cab) -> bytes:
     """A cab drawn as the homogeneous box of its inertia, cut to platform and upper gimbals."""
     moments = np.diag(cab.tensor)
     square = 6.0 * (moments.sum() - 2.0 * moments) / cab.mass.si
@@ -163,7 +166,7 @@ def _cab(cab: Cab) -> bytes:
     if cab.centre_of_mass.si[2] > 0.0:
         half[2] = min(half[2], cab.centre_of_mass.si[2])
     inertial = Element("inertial")
-    _weigh(inertial, cab)
+    _set_inertia(inertial, cab)
     text = _CAB.format(
         inertial=" ".join(f'{name}="{value}"' for name, value in inertial.attrib.items()),
         station=_text(cab.station * FLIP),
@@ -173,7 +176,7 @@ def _cab(cab: Cab) -> bytes:
     return text.encode()
 
 
-def _weigh(inertial: Element, part: RigidBody) -> None:
+def _set_inertia(inertial: Element, part: RigidBody) -> None:
     tensor = part.tensor
     moments = np.diag(tensor)
     products = tensor[[0, 0, 1], [1, 2, 2]]
@@ -184,7 +187,9 @@ def _weigh(inertial: Element, part: RigidBody) -> None:
         _set(inertial, diaginertia=moments)
 
 
-def _add(parent: Element, looks: str, type: str | None = None, **values: Iterable[float]) -> None:  # noqa: A002
+def _add_geom(
+    parent: Element, looks: str, type: str | None = None, **values: Iterable[float]
+) -> None:  # noqa: A002
     """Add a geom of a class of the shipped model."""
     geom = ElementTree.SubElement(parent, "geom", {"class": looks})
     if type is not None:

@@ -1,11 +1,9 @@
 """Calls MuJoCo's C functions from compiled code.
 
 The frame loop is compiled by Numba and releases the interpreter lock, so it cannot go through
-MuJoCo's Python bindings: two transitions a frame would cost as much as the step itself. MuJoCo's
-C interface takes two plain pointers, which the bindings expose as `MjModel._address` and
-`MjData._address`; the function's own address comes from the library the bindings have loaded.
-`call(address, model, data)` is then one indirect call. Addresses are arguments, never constants
-of the compiled code, so the compilation caches across processes.
+MuJoCo's Python bindings. MuJoCo's C interface takes two pointers, which the bindings expose as
+`MjModel._address` and `MjData._address`; a function's address comes from the library that the
+bindings have loaded. Addresses are arguments, so that compiled code is cached across processes.
 """
 
 import copy
@@ -46,14 +44,12 @@ class Stepper(NamedTuple):
     model: int  #: Address of the mjModel.
     quiet: int  #: Address of the same without sensors, for steps whose sensors nobody reads.
     data: int  #: Address of the mjData.
-    position_stage: int
-    """Address of mj_step1: kinematics and position sensors at the present state."""
+    position_stage: int  #: Address of mj_step1: kinematics and position sensors at this state.
     force_stage: int  #: Address of mj_step2: forces, acceleration and integration.
     motors: NDArray[np.int64]  #: Indices of the hydraulic motors, (n,).
     length: NDArray[np.float64]  #: Lengths of all motors, fresh after the position stage, (nu,).
     ctrl: NDArray[np.float64]  #: Forces of all motors [N], (nu,).
-    payload: NDArray[np.float64]
-    """External force and torque on each body in the world's axes, (nbody, 6)."""
+    payload: NDArray[np.float64]  #: External force and torque on bodies, world's axes, (nbody, 6).
     payload_bodies: NDArray[np.int64]  #: Bodies an overload rests on, in equal parts.
     sensordata: NDArray[np.float64]  #: All sensors.
     site: NDArray[np.float64]  #: Places of all sites in the world [m], (nsite, 3).
@@ -73,12 +69,12 @@ class _Clock:
     """MuJoCo's clock `mjcb_time`, which its bindings set, and how many runs do without it."""
 
     lock = threading.Lock()
-    runs = 0
-    kept: int | None = None
+    runs = 0  #: Runs that do without it now.
+    address: int | None = None  #: Address of the clock meanwhile.
 
 
 @contextmanager
-def untimed() -> Iterator[None]:
+def without_clock() -> Iterator[None]:
     """Let MuJoCo step without timing its parts, which takes a fifteenth of a step.
 
     `MjData.timer` counts in no thread meanwhile; the last to leave sets the clock again.
@@ -86,7 +82,7 @@ def untimed() -> Iterator[None]:
     clock = ctypes.c_void_p.in_dll(_library(), "mjcb_time")
     with _Clock.lock:
         if _Clock.runs == 0:
-            _Clock.kept, clock.value = clock.value, None
+            _Clock.address, clock.value = clock.value, None
         _Clock.runs += 1
     try:
         yield
@@ -94,7 +90,7 @@ def untimed() -> Iterator[None]:
         with _Clock.lock:
             _Clock.runs -= 1
             if _Clock.runs == 0:
-                clock.value = _Clock.kept
+                clock.value = _Clock.address
 
 
 _SIGNATURE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
@@ -131,28 +127,27 @@ def headless(spec: mujoco.MjSpec) -> mujoco.MjModel:
     no inertia of its own, so that it weighs what its geoms do. With the last geom go meshes,
     materials and textures.
     """
-    bare = spec.copy()
-    for geom in list(bare.geoms):
-        weighs = geom.parent.name != "world" and not geom.parent.explicitinertial
-        if not (geom.contype or geom.conaffinity or weighs):
-            bare.delete(geom)
-    seen = [bare.cameras, bare.lights]
-    if not bare.geoms:
-        seen += [bare.meshes, bare.materials, bare.textures]
-    for kind in seen:
-        for thing in list(kind):
-            bare.delete(thing)
-    return bare.compile()
+    headless_spec = spec.copy()
+    for geom in list(headless_spec.geoms):
+        gives_weight = geom.parent.name != "world" and not geom.parent.explicitinertial
+        if not (geom.contype or geom.conaffinity or gives_weight):
+            headless_spec.delete(geom)
+    visuals = [*headless_spec.cameras, *headless_spec.lights]
+    if not headless_spec.geoms:
+        visuals += [*headless_spec.meshes, *headless_spec.materials, *headless_spec.textures]
+    for element in visuals:
+        headless_spec.delete(element)
+    return headless_spec.compile()
 
 
-def quiet(model: mujoco.MjModel) -> mujoco.MjModel:
+def without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy of a model whose steps compute no sensor."""
-    without = copy.copy(model)
-    without.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    return without
+    copied = copy.copy(model)
+    copied.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+    return copied
 
 
-def saved(model: mujoco.MjModel) -> bytes:
+def saved_model(model: mujoco.MjModel) -> bytes:
     """A compiled model as MuJoCo saves it."""
     buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, buffer)

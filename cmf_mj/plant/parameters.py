@@ -23,11 +23,10 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Fitting, Loader, Name, Settings, merged, validated
 from cmf_mj.machine.machine import Machine, load_machine
 
-VALVES = ("valve_1", "valve_2")
-"""The servo-valves of an actuator; the second passes nothing where there is one."""
+VALVES = ("valve_1", "valve_2")  #: Servo-valves of an actuator; it may have the first alone.
 
 OF_THE_SUPPLY = ("precharge_pressure", "relief_pressure", "proof_pressure")
-"""What is sized by the supply pressure and keeps its proportion to it."""
+"""Pressures in proportion to the supply pressure."""
 
 
 class _Valve(Settings):
@@ -39,8 +38,7 @@ class _Valve(Settings):
     null_bias: kind.Bias  #: Spool position at no command, in full strokes of the spool.
     overlap: kind.Share  #: Spool travel either side of centre that opens nothing, in full strokes.
     hysteresis: kind.Share  #: Full width of the play between drive and spool, in full strokes.
-    threshold_pressure: kind.Gauge
-    """Supply over return pressure that holds the spool open; below it the valve passes nothing."""
+    threshold_pressure: kind.Gauge  #: Supply over return pressure below which the valve is shut.
 
 
 class _Actuator(_Valve):
@@ -48,48 +46,36 @@ class _Actuator(_Valve):
 
     bore_diameter: kind.Length  #: Diameter of the cylinder bore.
     rod_diameter: kind.Length  #: Diameter of the rod; smaller than the bore.
-    rods: kind.OneOrTwo
-    """1 for a rod on one side, 2 for one that passes through: a symmetric cylinder, Ac = Ar."""
+    rods: kind.OneOrTwo  #: Rod ends: 1, or 2 of a rod that passes through: symmetric, Ac = Ar.
     valves: kind.OneOrTwo  #: Servo-valves: 1, or 2 in tandem that share the flow.
     half_stroke: kind.Length  #: Half of the mechanical stroke, the chamber lengths at neutral.
-    minimum_gap: kind.Length
-    """Length of a chamber at its stop; approached over the last twenty times of it."""
+    minimum_gap: kind.Length  #: Length of a chamber at its stop, neared over twenty times as much.
     cap_dead_volume: kind.DeadVolume
     """Oil between piston and valve beside the cap chamber's, with the bulk modulus of all oil: a
     volume V in hoses of modulus Bh counts as V (1/Bo + 1/Bh) times the bulk modulus."""
     rod_dead_volume: kind.DeadVolume  #: The same on the rod's side.
-    cap_throttle: (
-        kind.Line
-    )  #: Laminar resistance between the valves and the cap chamber, both ways.
-    rod_port: kind.Ratio
-    """Flow gain of the rod's ports over that of matched ones: Ac / Ar where all ports are equal."""
-    rest_pressure: kind.Gauge
-    """Rod pressure of a run's start, where no leakage sets it; 0 for the null of the valve."""
-    leg_speed: kind.LegSpeed
-    """Steady leg speed per command with half the supply pressure across each port."""
+    cap_throttle: kind.Line  #: Laminar resistance between valves and cap chamber, both ways.
+    rod_port: kind.Ratio  #: Flow gain of rod ports over matched ones; Ac / Ar where all are equal.
+    rest_pressure: kind.Gauge  #: Rod pressure at the start without leakage; 0: null of the valve.
+    leg_speed: kind.LegSpeed  #: Steady leg speed per command at half the supply pressure a port.
     leak_rate: kind.Rate
     """Rate lambda at which piston leakage relaxes a force built up by displacing the leg at
     neutral; the leg mode of frequency w has the damping ratio lambda / (2 w)."""
-    bearing_leakage: kind.Conductance
-    """Laminar leakage of the hydrostatic rod bearing, from the rod chamber to the return."""
+    bearing_leakage: kind.Conductance  #: Leakage of the rod bearing, from rod chamber to return.
     coulomb_friction: kind.Force  #: Friction of steady sliding.
-    breakaway_friction: kind.Force
-    """Friction at the onset of sliding; at least `coulomb_friction`."""
+    breakaway_friction: kind.Force  #: Friction that begins to slide, at least `coulomb_friction`.
     stribeck_speed: kind.Speed  #: Speed over which friction falls from breakaway to Coulomb.
     presliding: kind.Length  #: Elastic travel of a sticking contact at the Coulomb force.
     viscous_friction: kind.Viscous  #: Friction per speed.
-    cushion_length: kind.Travel
-    """Travel before each stop in which outflow is throttled; 0 for none."""
-    cushion_opening: kind.Opening
-    """What the throttle leaves at the stop, in full openings of both valves."""
+    cushion_length: kind.Travel  #: Travel before each stop in which outflow is throttled, or 0.
+    cushion_opening: kind.Opening  #: Opening of the throttle at the stop, over that of both valves.
     supply_hose: kind.Line  #: Laminar resistance from the supply manifold to the actuator's valves.
     return_hose: kind.Line  #: Laminar resistance from the actuator's valves to the return manifold.
     settle_speed: kind.Speed  #: Speed at which the settle valve lowers the leg under `settle_load`.
     settle_load: kind.Force  #: Load `settle_speed` refers to.
 
 
-VALVE_FIELDS = tuple(_Valve.model_fields)
-"""Quantities that may differ between the valves of an actuator."""
+VALVE_FIELDS = tuple(_Valve.model_fields)  #: Quantities that may differ from valve to valve.
 
 ACTUATOR_FIELDS = tuple(_Actuator.model_fields)  #: Quantities that may differ between actuators.
 
@@ -113,44 +99,34 @@ class HydraulicParameters(_Actuator):
     """Parameters of the actuators with their valves, the oil and the supply."""
 
     name: Name  #: Name of the set.
-    supply: Literal["constant", "network"]
-    """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
+    supply: Literal["constant", "network"]  #: Constant pressure, or pump with accumulators.
     actuators: Mapping[str, ActuatorChanges] = {}
     """What single actuators, by the names of their motors, have different from the set."""
-    bulk_modulus: kind.Pressure
-    """Effective bulk modulus: the lumped compliance of oil, hoses and barrel."""
+    bulk_modulus: kind.Pressure  #: Effective bulk modulus, with hoses and barrel.
     oil_density: kind.Density  #: Density of the oil; only a burst hose needs it.
-    cavitation_gas: kind.Share
-    """Gas released below atmospheric pressure, volume share there; 0 for no cavitation floor."""
-    entrained_gas: kind.Share
-    """Undissolved gas at atmospheric pressure, volume share; softens the oil at low pressure."""
+    cavitation_gas: kind.Share  #: Gas released below the atmosphere, volume share; 0: no floor.
+    entrained_gas: kind.Share  #: Undissolved gas at atmospheric pressure, volume share.
     gas_exponent: kind.Exponent  #: Polytropic exponent of entrained gas; at least 1.
-    transition_pressure: kind.Pressure
-    """Pressure difference at which the laminar share of an orifice's drop equals the turbulent."""
+    transition_pressure: kind.Pressure  #: Drop of an orifice, half laminar and half turbulent.
     proof_pressure: kind.Pressure  #: Chamber pressure beyond which a run is stopped with an error.
-    supply_pressure: kind.Pressure
-    """Set pressure of the pump's compensator, gauge; the pressure of a constant supply."""
+    supply_pressure: kind.Pressure  #: Set pressure of the pump, or of a constant supply, gauge.
     return_pressure: kind.Gauge  #: Tank pressure, gauge.
     pump_flow: kind.Flow  #: Largest flow of the pumping unit.
-    pump_droop: kind.Pressure
-    """Fall of pressure over which the compensator goes from no flow to full flow."""
+    pump_droop: kind.Pressure  #: Fall of pressure from no flow to full flow of the compensator.
     pump_lag: kind.Time  #: Time constant of the compensator.
     pump_line: kind.Line  #: Laminar resistance from the pump to the supply manifold.
     relief_pressure: kind.Pressure  #: Supply manifold pressure at which the relief valve opens.
     relief_conductance: kind.Conductance  #: Flow of the relief valve per excess of pressure.
-    accumulator_count: kind.Count
-    """Accumulators on the supply manifold, a whole number; 0 for none."""
+    accumulator_count: kind.Count  #: Accumulators on the supply manifold, a whole number or 0.
     accumulator_volume: kind.Volume  #: Gas volume of one accumulator at precharge.
     precharge_pressure: kind.Pressure  #: Gas pressure of an accumulator without oil, gauge.
     accumulator_exponent: kind.Exponent  #: Polytropic exponent of the accumulators' gas.
-    accumulator_line: kind.Resistance
-    """Laminar resistance from one accumulator to the supply manifold."""
+    accumulator_line: kind.Resistance  #: Laminar resistance from one to the supply manifold.
     supply_volume: kind.Volume  #: Oil volume of the supply manifold and its lines.
     return_volume: kind.Volume  #: Oil volume of the return manifold and its lines.
     tank_line: kind.Resistance  #: Laminar resistance from the return manifold to the tank.
     isolation_time: kind.Time
-    """Time in which an emergency stop closes the supply to the valves and opens the settle
-    valves."""
+    """Time in which an emergency stop shuts the valves off and opens the settle valves."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "HydraulicParameters":

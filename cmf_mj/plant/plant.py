@@ -35,7 +35,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant import fit, native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
-from cmf_mj.plant.native import Stepper, quiet, saved
+from cmf_mj.plant.native import Stepper, saved_model, without_sensors
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 
 
@@ -84,9 +84,10 @@ class Plant:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
-        self._quiet = quiet(model)  # for steps that nobody records
-        # Of the last start: what was asked, generalised positions, hydraulic state.
-        self._rest: tuple[tuple[object, ...], NDArray[np.float64], HydraulicState] | None = None
+        self._quiet = without_sensors(model)  # for steps that nobody records
+        # Of the last start: model and conditions, generalised positions, hydraulic state.
+        self._last_start: tuple[tuple[object, ...], NDArray[np.float64], HydraulicState] | None
+        self._last_start = None
         self.started = 0
         """How often the state has been reset: a run goes on only while nobody does."""
         self.alone = OneAtATime("plant: another thread runs it; allowed: a plant for each thread")
@@ -152,10 +153,7 @@ class Plant:
         return {}
 
     def check(self) -> None:
-        """Refuse a model that does not fit its hydraulics; on construction and before every run.
-
-        Called with `data` in the configuration `qpos0`.
-        """
+        """Refuse a model that does not fit its hydraulics, with `data` in `qpos0`, before a run."""
         fit.check_stops(
             self.model,
             self.actuators,
@@ -185,8 +183,8 @@ class Plant:
 
     def _free_motions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """N (nv, m), the motions closed loops allow, and A N (n, m), what the cylinders see."""
-        closed, _, moment = self._jacobians()
-        null = linalg.null_space(closed, rcond=1e-9) if closed.size else np.eye(self.model.nv)
+        loops, _, moment = self._jacobians()
+        null = linalg.null_space(loops, rcond=1e-9) if loops.size else np.eye(self.model.nv)
         return null, moment @ null
 
     def _jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -231,24 +229,23 @@ class Plant:
             self._reset()
         for _ in range(200):
             mujoco.mj_forward(self.model, self.data)
-            closed, gap, moment = self._jacobians()
-            missing = target - self.extensions()
-            wrong = float(np.abs(np.concatenate([gap, missing])).max())
-            if wrong < 1e-12:
+            loops, gap, moment = self._jacobians()
+            change = target - self.extensions()
+            error = float(np.abs(np.concatenate([gap, change])).max())
+            if error < 1e-12:
                 return self.data.qpos.copy()
-            missing *= min(1.0, 0.1 / max(float(np.abs(missing).max()), 1e-12))
-            move = np.linalg.lstsq(
-                np.vstack([closed, moment]), np.concatenate([-gap, missing]), rcond=1e-9
-            )[0]
-            mujoco.mj_integratePos(self.model, self.data.qpos, move, 1.0)
+            change *= min(1.0, 0.1 / max(float(np.abs(change).max()), 1e-12))
+            rows, changes = np.vstack([loops, moment]), np.concatenate([-gap, change])
+            motion, *_ = np.linalg.lstsq(rows, changes, rcond=1e-9)
+            mujoco.mj_integratePos(self.model, self.data.qpos, motion, 1.0)
         raise InputError(f"extensions: the machine cannot be closed at {target.tolist()} m")
 
     def static_load(self) -> NDArray[np.float64]:
         """Axial forces (n,) [N] that hold the present configuration, positive extending.
 
         N' A' F = N' c, the T'c of the module where the cylinders determine all motions. A motion
-        no cylinder holds, a hanging load, does not count; cylinders that share a motion share its
-        load with the least sum of squares. Other actuators hold what they hold without control.
+        that no cylinder holds does not count; cylinders that share one share its load with the
+        least sum of squares. Other actuators hold what they hold without control.
         """
         self.data.qvel[:] = 0.0
         self.data.ctrl[self._motors] = 0.0
@@ -256,19 +253,19 @@ class Plant:
         null, arms = self._free_motions()
         data = self.data
         load = null.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
-        return np.linalg.lstsq(arms.T, load, rcond=1e-9)[0]
+        forces, *_ = np.linalg.lstsq(arms.T, load, rcond=1e-9)
+        return forces
 
     def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
         """Reflected mass of the actuators, (n, n) [kg], in a pose as `place` takes it.
 
-        M_leg = T' M T; row i, column j is the force on leg i per acceleration of leg j, all
-        velocities zero (section 2.4.2: force over acceleration of an actuator).
+        Row i, column j is the force on leg i per acceleration of leg j at rest (section 2.4.2).
         """
         self.start(pose)
-        full = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, self.data, full)
+        inertia = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, inertia)
         motion = self.leg_motion()
-        return motion.T @ full @ motion
+        return motion.T @ inertia @ motion
 
     def start(self, pose: ArrayLike | None = None) -> HydraulicState:
         """Reset to rest in a pose as `place` takes it; the hydraulic state that holds it.
@@ -280,13 +277,14 @@ class Plant:
             self._reset()
             tables = b"".join(part.tobytes() for part in (*self.hydraulics[:3], self.neutral))
             numbers = None if pose is None else real("pose", pose).tobytes()
-            asked = saved(self.model), numbers, tables, self.hydraulics[3:]
-            if self._rest is None or self._rest[0][0] != asked[0]:
-                self._quiet = quiet(self.model)
-            if self._rest is not None and self._rest[0] == asked:  # all of what follows holds
-                self.data.qpos[:] = self._rest[1]
-                mujoco.mj_forward(self.model, self.data)
-                return copied(self._rest[2])
+            conditions = saved_model(self.model), numbers, tables, self.hydraulics[3:]
+            if self._last_start is not None:
+                last_conditions, qpos, state = self._last_start
+                if conditions == last_conditions:
+                    self.data.qpos[:] = qpos
+                    mujoco.mj_forward(self.model, self.data)
+                    return copied(state)
+            self._quiet = without_sensors(self.model)
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
             if pose is not None:
@@ -294,10 +292,10 @@ class Plant:
             mujoco.mj_forward(self.model, self.data)
             fit.check_closed(self.model, self.data)
             load = self.static_load()
-            if warned := fit.warned(self.data):
-                raise InputError(f"start: {warned}; allowed: a state without warnings")
+            if warnings := fit.warnings_of(self.data):
+                raise InputError(f"start: {warnings}; allowed: a state without warnings")
             state = rest(self.hydraulics, load, self.extensions())
-            self._rest = asked, self.data.qpos.copy(), copied(state)
+            self._last_start = conditions, self.data.qpos.copy(), copied(state)
             return state
 
     def _reset(self) -> None:
@@ -308,15 +306,15 @@ class Plant:
         self, hydraulics: HydraulicParameters, edit: Callable[[mujoco.MjModel], None]
     ) -> Self:
         """The same plant with another set of `hydraulics`, its MuJoCo model changed by `edit`."""
-        made = copy.deepcopy(self)
-        for taken in ("digest", "_described"):
-            made.__dict__.pop(taken, None)
-        made.parameters = hydraulics
-        step = float(made.model.opt.timestep)
-        made.hydraulics = make_hydraulics(hydraulics, made.actuators, step)
-        edit(made.model)
-        mujoco.mj_setConst(made.model, made.data)
-        return made
+        plant = copy.deepcopy(self)
+        for cached_name in ("digest", "_description"):
+            plant.__dict__.pop(cached_name, None)
+        plant.parameters = hydraulics
+        step = float(plant.model.opt.timestep)
+        plant.hydraulics = make_hydraulics(hydraulics, plant.actuators, step)
+        edit(plant.model)
+        mujoco.mj_setConst(plant.model, plant.data)
+        return plant
 
     def mechanics(self) -> Stepper:
         """Views and addresses for the compiled loop; valid from a `start` to the next."""
@@ -341,10 +339,10 @@ class Plant:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the compiled MuJoCo model, taken once: the model is not to be edited."""
-        return hashlib.sha256(saved(self.model)).hexdigest()
+        return hashlib.sha256(saved_model(self.model)).hexdigest()
 
     @cached_property
-    def _described(self) -> Mapping[str, object]:
+    def _description(self) -> Mapping[str, object]:
         cab = self.cab_parameters
         return frozen_json(
             {
@@ -361,7 +359,7 @@ class Plant:
 
     def describe(self) -> Mapping[str, object]:
         """What a record keeps of the plant, taken once but for the step."""
-        return {**self._described, "mechanical_step": self.model.opt.timestep}
+        return {**self._description, "mechanical_step": self.model.opt.timestep}
 
 
 def set_timestep(option: Any, timestep: float | None, frame: float = FRAME) -> None:

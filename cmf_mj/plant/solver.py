@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.arrays import record_array
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.plant.oil import density, enthalpy, least_pressure
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, accumulator_flow, pump_flow
 from cmf_mj.plant.valve import orifice
@@ -32,7 +32,7 @@ POWERS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst
 """Powers of a stage [W]: delivered by pump and accumulators, lost in the others."""
 
 _Columns = namedtuple("_Columns", POWERS)  # type: ignore[misc]
-_POWER: Any = _Columns(*range(len(POWERS)))
+_POWER: Any = _Columns(*range(len(POWERS)))  #: Columns of the powers by name.
 
 _TOLERANCE = 20.0
 """Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In
@@ -87,6 +87,15 @@ class Manifolds(NamedTuple):
     running: float  #: Whether the pump runs.
     bank: float  #: Accumulators in service.
     burst: float  #: Gain of the burst hose [m^3/s/sqrt(Pa)].
+    inflow: float  #: Flow from the supply manifold into all actuators [m^3/s].
+    outflow: float  #: Flow from all actuators into the return manifold [m^3/s].
+    high_high: float  #: Jacobian of the supply manifold with the actuators eliminated.
+    low_low: float  #: The same of the return manifold.
+    high_low: float  #: Coupling of the two by the actuators.
+    high_shift: float  #: What the Newton changes of the actuators alone take from the supply [m^3].
+    low_shift: float  #: What they bring to the return [m^3].
+    rise: float  #: Newton change of the supply manifold [Pa].
+    fall: float  #: Newton change of the return manifold [Pa].
 
 
 class Stage(NamedTuple):
@@ -137,6 +146,158 @@ def _bounded(pressure, change, inward, high, outward, low, least, narrow):  # ty
     return max(moved, least)
 
 
+@inlined
+def _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-untyped-def]
+    """Solve every actuator's block for fixed manifolds; write what all bring to the manifolds."""
+    manifolds, power = stage.manifolds[0], stage.power
+    high, low = manifolds.high, manifolds.low
+    for leg in range(stage.chambers.shape[0]):
+        # In a loop of its own, the roots of all actuators are taken side by side.
+        pair, cylinder = stage.chambers[leg], cylinders[leg]
+        cap, rod = pair.cap, pair.rod
+        inward, outward = cylinder.supply_hose, cylinder.return_hose
+        into, out = inward + cylinder.cap_throttle, outward + cylinder.cap_throttle
+        pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, into, laminar, high - cap)
+        pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, out, laminar, cap - low)
+        pair.rod_enters, pair.rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
+        pair.rod_leaves, pair.rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
+    h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
+    inflow, outflow, high_shift, low_shift = 0.0, 0.0, 0.0, 0.0
+    high_high, low_low, high_low = 0.0, 0.0, 0.0
+    lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
+    for leg in range(stage.chambers.shape[0]):
+        pair, cylinder = stage.chambers[leg], cylinders[leg]
+        cap, rod = pair.cap, pair.rod
+        leak, bearing = cylinder.leakage, cylinder.bearing_leakage
+        cap_in, cap_out = pair.cap_enters, pair.cap_leaves
+        rod_in, rod_out = pair.rod_enters, pair.rod_leaves
+        piston = leak * (cap - rod)
+        seep = bearing * (rod - low)
+        cap_density, cap_slope = density(oil, cap)
+        rod_density, rod_slope = density(oil, rod)
+        pair.cap_content = pair.cap_volume * cap_density
+        pair.cap_yield = pair.cap_volume * cap_slope
+        pair.rod_content = pair.rod_volume * rod_density
+        pair.rod_yield = pair.rod_volume * rod_slope
+        cap_flow, rod_flow = cap_in - cap_out - piston, rod_in - rod_out - seep + piston
+        cap_residual = pair.cap_content - pair.cap_known - weight * cap_flow
+        rod_residual = pair.rod_content - pair.rod_known - weight * rod_flow
+        # The actuator's block and what ties it to the manifolds.
+        high_cap, high_rod = weight * pair.cap_in_slope, weight * pair.rod_in_slope
+        low_cap, low_rod = weight * pair.cap_out_slope, weight * (pair.rod_out_slope + bearing)
+        tie = weight * leak
+        a = pair.cap_yield + high_cap + low_cap + tie
+        d = pair.rod_yield + high_rod + low_rod + tie
+        inverse = 1.0 / (a * d - tie * tie)
+        pair.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
+        pair.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
+        if not supply.constant:
+            pair.cap_high = inverse * (d * high_cap + tie * high_rod)
+            pair.rod_high = inverse * (tie * high_cap + a * high_rod)
+            pair.cap_low = inverse * (d * low_cap + tie * low_rod)
+            pair.rod_low = inverse * (tie * low_cap + a * low_rod)
+            high_high += high_cap * (1.0 - pair.cap_high) + high_rod * (1.0 - pair.rod_high)
+            low_low += low_cap * (1.0 - pair.cap_low) + low_rod * (1.0 - pair.rod_low)
+            high_low += high_cap * pair.cap_low + high_rod * pair.rod_low
+        high_shift += high_cap * pair.cap_alone + high_rod * pair.rod_alone
+        low_shift += low_cap * pair.cap_alone + low_rod * pair.rod_alone
+        inflow += cap_in + rod_in
+        outflow += cap_out + rod_out + seep
+        h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
+        into = cap_in * (h_high - h_cap) + rod_in * (h_high - h_rod)
+        lost += into + cap_out * (h_cap - h_low) + rod_out * (h_rod - h_low)
+        lost_hose += cylinder.supply_hose * (cap_in * cap_in + rod_in * rod_in)
+        lost_hose += cylinder.return_hose * (cap_out * cap_out + rod_out * rod_out)
+        lost_hose += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
+        lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
+    manifolds.inflow, manifolds.outflow = inflow, outflow
+    manifolds.high_high, manifolds.low_low, manifolds.high_low = high_high, low_low, high_low
+    manifolds.high_shift, manifolds.low_shift = high_shift, low_shift
+    power[_POWER.valves], power[_POWER.lines] = lost - lost_hose, lost_hose
+    power[_POWER.leakage] = lost_leak
+
+
+@inlined
+def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-untyped-def]
+    """Change the pressures of both manifolds; the largest change, as compression of oil [Pa]."""
+    node, known, power, manifolds = stage.node, stage.known, stage.power, stage.manifolds[0]
+    high, low, tank = manifolds.high, manifolds.low, supply.return_pressure
+    least = least_pressure(oil)
+    pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
+    flow, flow_slope = accumulator_flow(supply, manifolds, known[ACCUMULATOR], high, weight)
+    bank = manifolds.bank
+    excess = high - supply.relief_pressure
+    relief = supply.relief_conductance * max(excess, 0.0)
+    relief_slope = supply.relief_conductance if excess > 0.0 else 0.0
+    burst, burst_slope = _path(manifolds.burst, 0.0, laminar, high - tank)
+    drain = (low - tank) / supply.tank_line
+    high_density, high_slope = density(oil, high)
+    low_density, low_slope = density(oil, low)
+    net_flow = pump + bank * flow - relief - burst - manifolds.inflow
+    high_residual = supply.supply_volume * high_density - known[SUPPLY] - weight * net_flow
+    net_flow = manifolds.outflow - drain
+    low_residual = supply.return_volume * low_density - known[RETURN] - weight * net_flow
+    slopes = relief_slope + burst_slope - pump_slope - bank * flow_slope
+    high_high = manifolds.high_high + (supply.supply_volume * high_slope + weight * slopes)
+    low_slope_sum = supply.return_volume * low_slope + weight / supply.tank_line
+    low_low, high_low = manifolds.low_low + low_slope_sum, manifolds.high_low
+    high_residual -= manifolds.high_shift
+    low_residual -= manifolds.low_shift
+    inverse = 1.0 / (high_high * low_low - high_low * high_low)
+    rise = -inverse * (low_low * high_residual + high_low * low_residual)
+    fall = -inverse * (high_low * high_residual + high_high * low_residual)
+    node[SUPPLY] = supply.supply_volume * (high_density + high_slope * rise)
+    node[RETURN] = supply.return_volume * (low_density + low_slope * fall)
+    flow += flow_slope * rise
+    pump += pump_slope * rise
+    relief += relief_slope * rise
+    burst += burst_slope * rise
+    drain += fall / supply.tank_line
+    node[ACCUMULATOR] = known[ACCUMULATOR] - weight * flow
+    node[PUMP] = pump
+    node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
+    manifolds.rise, manifolds.fall = rise, fall
+    manifolds.high = max(high + rise, least)
+    manifolds.low = max(low + fall, least)
+    h_high, h_low, h_tank = enthalpy(oil, high), enthalpy(oil, low), enthalpy(oil, tank)
+    h_pump = enthalpy(oil, high + supply.pump_line * pump)
+    h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
+    power[_POWER.pump] = pump * (h_pump - h_tank)
+    power[_POWER.accumulators] = bank * flow * h_gas
+    power[_POWER.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
+    power[_POWER.lines] += drain * (h_low - h_tank)
+    power[_POWER.relief] = relief * (h_high - h_tank)
+    power[_POWER.burst] = burst * (h_high - h_tank)
+    high_stretch = max(1.0, high_slope * oil.bulk_modulus)
+    return max(abs(rise) * high_stretch, abs(fall) * max(1.0, low_slope * oil.bulk_modulus))
+
+
+@inlined
+def _change_chambers(oil, laminar, stage, high, low):  # type: ignore[no-untyped-def]
+    """Change the pressures of all chambers; the largest change, as compression of oil [Pa].
+
+    `high` and `low` are the pressures of the manifolds before their change.
+    """
+    least, narrow, largest = least_pressure(oil), laminar * laminar, 0.0
+    rise, fall = stage.manifolds[0].rise, stage.manifolds[0].fall
+    for leg in range(stage.chambers.shape[0]):
+        pair = stage.chambers[leg]
+        cap_change = pair.cap_alone + rise * pair.cap_high + fall * pair.cap_low
+        rod_change = pair.rod_alone + rise * pair.rod_high + fall * pair.rod_low
+        pair.cap_content += pair.cap_yield * cap_change
+        pair.rod_content += pair.rod_yield * rod_change
+        cap_stretch = max(1.0, pair.cap_yield * oil.bulk_modulus / pair.cap_volume)
+        rod_stretch = max(1.0, pair.rod_yield * oil.bulk_modulus / pair.rod_volume)
+        largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
+        pair.cap = _bounded(
+            pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, least, narrow
+        )
+        pair.rod = _bounded(
+            pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, least, narrow
+        )
+    return largest
+
+
 @compiled
 def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-untyped-def]
     """Solve a stage of weight w [s] in place; the number of iterations, -1 if not converged.
@@ -144,167 +305,22 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
     Gains, volumes, known contents and guesses go in; pressures, contents and powers come out.
     `laminar` is s of the orifices [sqrt(Pa)].
     """
-    least = least_pressure(oil)
-    narrow = laminar * laminar
-    node, known, power = stage.node, stage.known, stage.power
-    chambers, manifolds = stage.chambers, stage.manifolds[0]
-    tank = supply.return_pressure
-    legs = chambers.shape[0]
-    for leg in range(legs):
+    chambers, manifolds, least = stage.chambers, stage.manifolds[0], least_pressure(oil)
+    for leg in range(chambers.shape[0]):
         chambers[leg].cap = max(chambers[leg].cap, least)
         chambers[leg].rod = max(chambers[leg].rod, least)
     for iteration in range(_ITERATIONS):
-        high, low = manifolds.high, manifolds.low
-        h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
-        drawn, returned = 0.0, 0.0
-        sum_high, sum_low, cross = 0.0, 0.0, 0.0
-        pull_high, pull_low = 0.0, 0.0
-        lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
-        for leg in range(legs):
-            # In a loop of its own, the roots of all actuators are taken side by side.
-            pair, cylinder = chambers[leg], cylinders[leg]
-            cap, rod = pair.cap, pair.rod
-            inward, outward = cylinder.supply_hose, cylinder.return_hose
-            into, out = inward + cylinder.cap_throttle, outward + cylinder.cap_throttle
-            pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, into, laminar, high - cap)
-            pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, out, laminar, cap - low)
-            pair.rod_enters, pair.rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
-            pair.rod_leaves, pair.rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
-        for leg in range(legs):
-            pair, cylinder = chambers[leg], cylinders[leg]
-            cap, rod = pair.cap, pair.rod
-            inward, outward = cylinder.supply_hose, cylinder.return_hose
-            leak, bearing = cylinder.leakage, cylinder.bearing_leakage
-            cap_in, cap_out = pair.cap_enters, pair.cap_leaves
-            rod_in, rod_out = pair.rod_enters, pair.rod_leaves
-            piston = leak * (cap - rod)
-            seep = bearing * (rod - low)
-            cap_density, cap_slope = density(oil, cap)
-            rod_density, rod_slope = density(oil, rod)
-            pair.cap_content = pair.cap_volume * cap_density
-            pair.cap_yield = pair.cap_volume * cap_slope
-            pair.rod_content = pair.rod_volume * rod_density
-            pair.rod_yield = pair.rod_volume * rod_slope
-            cap_residual = pair.cap_content - pair.cap_known - weight * (cap_in - cap_out - piston)
-            rod_residual = (
-                pair.rod_content - pair.rod_known - weight * (rod_in - rod_out - seep + piston)
-            )
-            # The actuator's block and what ties it to the manifolds.
-            high_cap, high_rod = weight * pair.cap_in_slope, weight * pair.rod_in_slope
-            low_cap, low_rod = weight * pair.cap_out_slope, weight * (pair.rod_out_slope + bearing)
-            tie = weight * leak
-            a = pair.cap_yield + high_cap + low_cap + tie
-            d = pair.rod_yield + high_rod + low_rod + tie
-            inverse = 1.0 / (a * d - tie * tie)
-            pair.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
-            pair.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
-            if not supply.constant:
-                pair.cap_high = inverse * (d * high_cap + tie * high_rod)
-                pair.rod_high = inverse * (tie * high_cap + a * high_rod)
-                pair.cap_low = inverse * (d * low_cap + tie * low_rod)
-                pair.rod_low = inverse * (tie * low_cap + a * low_rod)
-                sum_high += high_cap * (1.0 - pair.cap_high) + high_rod * (1.0 - pair.rod_high)
-                sum_low += low_cap * (1.0 - pair.cap_low) + low_rod * (1.0 - pair.rod_low)
-                cross += high_cap * pair.cap_low + high_rod * pair.rod_low
-            pull_high += high_cap * pair.cap_alone + high_rod * pair.rod_alone
-            pull_low += low_cap * pair.cap_alone + low_rod * pair.rod_alone
-            drawn += cap_in + rod_in
-            returned += cap_out + rod_out + seep
-            h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
-            lost += (
-                cap_in * (h_high - h_cap)
-                + rod_in * (h_high - h_rod)
-                + cap_out * (h_cap - h_low)
-                + rod_out * (h_rod - h_low)
-            )
-            lost_hose += inward * (cap_in * cap_in + rod_in * rod_in)
-            lost_hose += outward * (cap_out * cap_out + rod_out * rod_out)
-            lost_hose += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
-            lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
-
-        rise, fall, largest = 0.0, 0.0, 0.0
-        power[_POWER.valves], power[_POWER.lines] = lost - lost_hose, lost_hose
-        power[_POWER.leakage] = lost_leak
+        high, low, manifold_change = manifolds.high, manifolds.low, 0.0
+        _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight)
         if supply.constant:
-            power[_POWER.pump] = drawn * (h_high - h_low)
-            node[TANK] = known[TANK] + weight * (returned - drawn) + pull_low + pull_high
+            drop = enthalpy(oil, high) - enthalpy(oil, low)
+            stage.power[_POWER.pump] = manifolds.inflow * drop
+            tank = stage.known[TANK] + weight * (manifolds.outflow - manifolds.inflow)
+            stage.node[TANK] = tank + manifolds.low_shift + manifolds.high_shift
+            manifolds.rise, manifolds.fall = 0.0, 0.0
         else:
-            pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
-            flow, flow_slope = accumulator_flow(
-                supply,
-                manifolds.gas,
-                manifolds.gas_rise,
-                known[ACCUMULATOR],
-                manifolds.gas_oil,
-                high,
-                weight,
-            )
-            bank = manifolds.bank
-            over = high - supply.relief_pressure
-            relief = supply.relief_conductance * max(over, 0.0)
-            relief_slope = supply.relief_conductance if over > 0.0 else 0.0
-            burst, burst_slope = _path(manifolds.burst, 0.0, laminar, high - tank)
-            drain = (low - tank) / supply.tank_line
-            high_density, high_slope = density(oil, high)
-            low_density, low_slope = density(oil, low)
-            high_residual = (
-                supply.supply_volume * high_density
-                - known[SUPPLY]
-                - weight * (pump + bank * flow - relief - burst - drawn)
-            )
-            low_residual = (
-                supply.return_volume * low_density - known[RETURN] - weight * (returned - drain)
-            )
-            sum_high += supply.supply_volume * high_slope + weight * (
-                relief_slope + burst_slope - pump_slope - bank * flow_slope
-            )
-            sum_low += supply.return_volume * low_slope + weight / supply.tank_line
-            high_residual -= pull_high
-            low_residual -= pull_low
-            inverse = 1.0 / (sum_high * sum_low - cross * cross)
-            rise = -inverse * (sum_low * high_residual + cross * low_residual)
-            fall = -inverse * (cross * high_residual + sum_high * low_residual)
-            node[SUPPLY] = supply.supply_volume * (high_density + high_slope * rise)
-            node[RETURN] = supply.return_volume * (low_density + low_slope * fall)
-            flow += flow_slope * rise
-            pump += pump_slope * rise
-            relief += relief_slope * rise
-            burst += burst_slope * rise
-            drain += fall / supply.tank_line
-            node[ACCUMULATOR] = known[ACCUMULATOR] - weight * flow
-            node[PUMP] = pump
-            node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
-            manifolds.high = max(high + rise, least)
-            manifolds.low = max(low + fall, least)
-            largest = max(
-                abs(rise) * max(1.0, high_slope * oil.bulk_modulus),
-                abs(fall) * max(1.0, low_slope * oil.bulk_modulus),
-            )
-            h_tank = enthalpy(oil, tank)
-            h_pump = enthalpy(oil, high + supply.pump_line * pump)
-            h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
-            power[_POWER.pump] = pump * (h_pump - h_tank)
-            power[_POWER.accumulators] = bank * flow * h_gas
-            power[_POWER.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
-            power[_POWER.lines] += drain * (h_low - h_tank)
-            power[_POWER.relief] = relief * (h_high - h_tank)
-            power[_POWER.burst] = burst * (h_high - h_tank)
-
-        for leg in range(legs):
-            pair = chambers[leg]
-            cap_change = pair.cap_alone + rise * pair.cap_high + fall * pair.cap_low
-            rod_change = pair.rod_alone + rise * pair.rod_high + fall * pair.rod_low
-            pair.cap_content += pair.cap_yield * cap_change
-            pair.rod_content += pair.rod_yield * rod_change
-            cap_stretch = max(1.0, pair.cap_yield * oil.bulk_modulus / pair.cap_volume)
-            rod_stretch = max(1.0, pair.rod_yield * oil.bulk_modulus / pair.rod_volume)
-            largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
-            pair.cap = _bounded(
-                pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, least, narrow
-            )
-            pair.rod = _bounded(
-                pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, least, narrow
-            )
-        if largest < _TOLERANCE:
+            manifold_change = _solve_manifolds(oil, supply, laminar, stage, weight)
+        chamber_change = _change_chambers(oil, laminar, stage, high, low)
+        if max(manifold_change, chamber_change) < _TOLERANCE:
             return iteration + 1
     return -1

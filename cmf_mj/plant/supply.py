@@ -77,7 +77,7 @@ def make_supply(parameters: HydraulicParameters) -> Supply:
     )
 
 
-def charged(supply: Supply, oil: Oil) -> NDArray[np.float64]:
+def charge_supply(supply: Supply, oil: Oil) -> NDArray[np.float64]:
     """State (9,) at rest: accumulators charged to the set pressure, no flow."""
     state = np.zeros(9)
     ratio = (supply.precharge + ATMOSPHERE) / (supply.pressure + ATMOSPHERE)
@@ -93,39 +93,40 @@ def charged(supply: Supply, oil: Oil) -> NDArray[np.float64]:
 @compiled
 def gas_pressure(supply, oil_volume):  # type: ignore[no-untyped-def]
     """Gauge pressure of an accumulator's gas [Pa] and its rise per oil volume [Pa/m^3]."""
-    left = supply.gas_volume - oil_volume
-    absolute = (supply.precharge + ATMOSPHERE) * (supply.gas_volume / left) ** supply.exponent
-    return absolute - ATMOSPHERE, supply.exponent * absolute / left
+    gas_volume = supply.gas_volume - oil_volume
+    ratio = supply.gas_volume / gas_volume
+    absolute = (supply.precharge + ATMOSPHERE) * ratio**supply.exponent
+    return absolute - ATMOSPHERE, supply.exponent * absolute / gas_volume
 
 
 @compiled
-def accumulator_flow(supply, gas, rise, known, start, pressure, weight):  # type: ignore[no-untyped-def]
+def accumulator_flow(supply, manifolds, known_oil, pressure, weight):  # type: ignore[no-untyped-def]
     """Flow out of one accumulator [m^3/s] over an implicit stage, and its slope with the pressure.
 
-    At the oil volume `start` of the step [m^3] the gas has the pressure `gas` [Pa] and the slope
-    `rise` [Pa/m^3]; the stage of weight [s] sets out from the oil volume `known`. `pressure` is
-    that of the supply manifold [Pa].
+    `manifolds` has the gas at the start of the step; the stage of weight [s] sets out from the oil
+    volume `known_oil` [m^3]. `pressure` is that of the supply manifold [Pa].
     """
-    resistance = supply.accumulator_line + weight * rise
-    flow = (gas + rise * (known - start) - pressure) / resistance
-    if known - weight * flow <= 0.0:
-        return known / weight, 0.0
+    resistance = supply.accumulator_line + weight * manifolds.gas_rise
+    gas = manifolds.gas + manifolds.gas_rise * (known_oil - manifolds.gas_oil)
+    flow = (gas - pressure) / resistance
+    if known_oil - weight * flow <= 0.0:
+        return known_oil / weight, 0.0
     return flow, -1.0 / resistance
 
 
 @compiled
-def pump_flow(supply, running, known, pressure, weight):  # type: ignore[no-untyped-def]
-    """Flow of the pump [m^3/s] at the end of an implicit stage that sets out from `known`.
+def pump_flow(supply, is_running, known_flow, pressure, weight):  # type: ignore[no-untyped-def]
+    """Flow of the pump [m^3/s] at the end of an implicit stage from `known_flow`.
 
     With its slope with the manifold's pressure; never negative, there is a check valve.
     """
-    ratio = weight / supply.pump_lag
+    lag_ratio = weight / supply.pump_lag
     gain = supply.pump_flow / supply.pump_droop
-    flow = (known + ratio * gain * (supply.pressure - pressure)) / (
-        1.0 + ratio * (1.0 + gain * supply.pump_line)
+    flow = (known_flow + lag_ratio * gain * (supply.pressure - pressure)) / (
+        1.0 + lag_ratio * (1.0 + gain * supply.pump_line)
     )
     demand = (supply.pressure - pressure - supply.pump_line * flow) / supply.pump_droop
-    if running and 0.0 < demand < 1.0:
-        return flow, -ratio * gain / (1.0 + ratio * (1.0 + gain * supply.pump_line))
-    target = supply.pump_flow if running and demand >= 1.0 else 0.0
-    return max((known + ratio * target) / (1.0 + ratio), 0.0), 0.0
+    if is_running and 0.0 < demand < 1.0:
+        return flow, -lag_ratio * gain / (1.0 + lag_ratio * (1.0 + gain * supply.pump_line))
+    target = supply.pump_flow if is_running and demand >= 1.0 else 0.0
+    return max((known_flow + lag_ratio * target) / (1.0 + lag_ratio), 0.0), 0.0

@@ -38,12 +38,12 @@ NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
 class Valve(NamedTuple):
     """Compiled parameters of one valve."""
 
-    inner_fade: float  #: Weight of the drive's offset in itself after the first stage of a step.
-    inner_mixed: float  #: Weight of the drive's offset in the spool after the first stage.
-    inner_spool: float  #: Weight of the spool's offset in itself after the first stage.
-    fade: float  #: The same after a whole step.
-    mixed: float  #: The same after a whole step.
-    spool: float  #: The same after a whole step.
+    stage_drive: float  #: Weight of the drive's offset in itself after the first stage of a step.
+    stage_mixed: float  #: Weight of the drive's offset in the spool after the first stage.
+    stage_spool: float  #: Weight of the spool's offset in itself after the first stage.
+    step_drive: float  #: Weight of the drive's offset in itself after the whole step.
+    step_mixed: float  #: Weight of the drive's offset in the spool after the whole step.
+    step_spool: float  #: Weight of the spool's offset in itself after the whole step.
     cap_gain: float  #: k A_cap, cap port flow at full opening [m^3/s/sqrt(Pa)].
     rod_gain: float  #: k A_rod times `rod_port`, rod port flow at full opening [m^3/s/sqrt(Pa)].
     null_bias: float  #: n, fraction.
@@ -53,38 +53,39 @@ class Valve(NamedTuple):
 
 
 def make_valves(
-    parameters: HydraulicParameters, actuators: Sequence[str], inner: float, outer: float
+    parameters: HydraulicParameters, actuators: Sequence[str], first_stage: float, step: float
 ) -> np.recarray:
     """Derive the valves of all actuators from a parameter set, (n, 2) of `Valve`.
 
-    `inner` and `outer` are the lengths of the first stage and of the whole of a step [s].
+    `first_stage` and `step` are the lengths of the first stage and of the whole step [s].
     """
     half_drop = 0.5 * (parameters.supply_pressure.si - parameters.return_pressure.si)
     # Flows count content: what fills the chamber at mid pressure, where leg_speed is defined.
-    middle = density(make_oil(parameters), parameters.return_pressure.si + half_drop)[0]
-    unit_flow = orifice(half_drop, laminar_root(parameters))[0] / middle
+    mid_density = density(make_oil(parameters), parameters.return_pressure.si + half_drop)[0]
+    unit_flow = orifice(half_drop, laminar_root(parameters))[0] / mid_density
 
-    def one(actuator: str, index: int) -> Valve:
+    def make(actuator: str, index: int) -> Valve:
         numbers = parameters.actuator(actuator, index)
-        share = 1.0 / numbers["valves"].si if index < numbers["valves"].si else 0.0
-        speed = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si * share
+        valve_share = 1.0 / numbers["valves"].si if index < numbers["valves"].si else 0.0
+        flow_gain = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si * valve_share
         corners = numbers["drive_lag"].si, numbers["valve_lag"].si
-        inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
+        stage_drive, stage_mixed, stage_spool = lag_weights(*corners, first_stage)
+        step_drive, step_mixed, step_spool = lag_weights(*corners, step)
         return compiled_params(
             Valve,
             numbers,
-            inner_fade=inner_weights[0],
-            inner_mixed=inner_weights[1],
-            inner_spool=inner_weights[2],
-            fade=weights[0],
-            mixed=weights[1],
-            spool=weights[2],
-            cap_gain=speed * cap_area(numbers),
-            rod_gain=speed * rod_area(numbers) * numbers["rod_port"].si,
+            stage_drive=stage_drive,
+            stage_mixed=stage_mixed,
+            stage_spool=stage_spool,
+            step_drive=step_drive,
+            step_mixed=step_mixed,
+            step_spool=step_spool,
+            cap_gain=flow_gain * cap_area(numbers),
+            rod_gain=flow_gain * rod_area(numbers) * numbers["rod_port"].si,
             play=0.5 * numbers["hysteresis"].si,
         )
 
-    return record_array(Valve, [[one(name, i) for i in range(len(VALVES))] for name in actuators])
+    return record_array(Valve, [[make(name, i) for i in range(len(VALVES))] for name in actuators])
 
 
 def laminar_root(parameters: HydraulicParameters) -> float:
@@ -103,20 +104,21 @@ def lag_weights(drive_rate, spool_rate, time):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def spool(valve, last, command, drive, play, position):  # type: ignore[no-untyped-def]
+def spool(valve, is_last, command, drive, play, position):  # type: ignore[no-untyped-def]
     """Drive output, play and spool position of one valve after a held command, all fractions.
 
-    Play is drive less spool command. The time is the whole step if `last`, else its first stage.
+    Play is drive less spool command. The time is the whole step if `is_last`, else its first stage.
     """
-    fade = valve.fade if last else valve.inner_fade
-    mixed = valve.mixed if last else valve.inner_mixed
-    keep = valve.spool if last else valve.inner_spool
-    offset = drive - command
-    following = command + offset * fade
+    drive_weight = valve.step_drive if is_last else valve.stage_drive
+    mixed_weight = valve.step_mixed if is_last else valve.stage_mixed
+    spool_weight = valve.step_spool if is_last else valve.stage_spool
+    drive_offset = drive - command
+    following_drive = command + drive_offset * drive_weight
     if valve.play > 0.0:
-        play = min(max(play + following - drive, -valve.play), valve.play)
+        play = min(max(play + following_drive - drive, -valve.play), valve.play)
     target = command + valve.null_bias - play
-    return following, play, target + offset * mixed + (position - target) * keep
+    position = target + drive_offset * mixed_weight + (position - target) * spool_weight
+    return following_drive, play, position
 
 
 @compiled

@@ -41,8 +41,7 @@ def on_mounts(plant: Plant, stiffness: float) -> Plant:
 
     A soft pin of MuJoCo of impedance d, with the inverse mass w of its ends that the compiler found
     in the pose it began in, is a spring k and a damper c for K = k (1 - d) w and B = c (1 - d) w as
-    its direct settings, beside a mass d / (1 - d) / w, here a thousandth. It yields across the leg
-    as much, where nothing pushes.
+    its direct settings, beside a mass d / (1 - d) / w, here a thousandth.
     """
 
     def soften(model: mujoco.MjModel) -> None:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cmf_mj import law_names, load_cab, load_law
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.dcl import DclState, make_dcl
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.export.law_source import LEGS, law_source
@@ -168,7 +168,7 @@ def random_motion(rng: np.random.Generator, law: Law, frames: int) -> Motion:
     feedback = [wandering(size) + more for size, more in zip(sizes, noise, strict=True)]
     reference = wandering(0.5 * stroke)
     first = LegFeedback(*(channel[0].copy() for channel in feedback))
-    begun = engaged(make_dcl(law, LEGS), reference[0].copy(), first)
+    begun = engaged_state(make_dcl(law, LEGS), reference[0].copy(), first)
     begun.offset[:] = rng.choice([0.0, 0.3], LEGS)
     return Motion(reference, LegFeedback(*feedback), begun)
 
@@ -176,7 +176,7 @@ def random_motion(rng: np.random.Generator, law: Law, frames: int) -> Motion:
 def states_in_c(law: Law, state: DclState) -> list[Array]:
     """States in the order of the C structure, which has those of the law's blocks alone."""
     model = law.reference_model
-    adapts = model is not None and make_dcl(law, LEGS).model.adapting
+    adapts = model is not None and make_dcl(law, LEGS).model.is_adapting
     has = {
         "model.adaptation": adapts,
         "model": model is not None,

@@ -125,7 +125,7 @@ def test_the_clock_of_a_host_that_slows_is_off_as_far_as_dcu_md_says() -> None:
     for now in range(frame[-1]):
         cursor = feed(search.DCU, state, given, cursor, now)
         step(search.DCU, state, demand)
-        turn = state.clocks[0].play + play_delay(search.DCU, state)
+        turn = state.clock[0].time + play_delay(search.DCU, state)
         off.append(turn - np.interp(now / 2048.0, when, sent))
     page = (SCRIPTS.parent / "docs" / "reference" / "dcu.md").read_text(encoding="utf-8")
     assert f"is off by {1e3 * max(off[2048:]):.0f} ms at most" in page

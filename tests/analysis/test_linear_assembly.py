@@ -29,7 +29,7 @@ from cmf_mj.facility.simulate import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.events import no_faults
-from cmf_mj.plant.hydraulics import advance, loads
+from cmf_mj.plant.hydraulics import advance, write_loads
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
@@ -182,7 +182,7 @@ def step_matrices(plant: Plant, pose: np.ndarray | None) -> control.StateSpace:
         state.stage.chambers.cap_change[:] = 0.0
         state.stage.chambers.rod_change[:] = 0.0
         load = np.empty(legs)
-        loads(plant.hydraulics.cylinder, state.pressure, state.friction, load)
+        write_loads(plant.hydraulics.cylinder, state.pressure, state.friction, load)
         plant.data.ctrl[:] = load
         mujoco.mj_step(plant.model, plant.data)
         mujoco.mj_forward(plant.model, plant.data)

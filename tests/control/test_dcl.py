@@ -11,8 +11,8 @@ from shared import WORKING_STROKE
 
 from cmf_mj import Law, law_names, load_law
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.dcl import Dcl, DclState, limit, make_dcl
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.dcl import Dcl, DclState, limit_demand, make_dcl
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.feedback import (
     LegFeedback,
@@ -216,9 +216,9 @@ def test_only_the_integrator_sees_the_bottom_below_the_trigger() -> None:
 def test_demands_are_limited_to_the_working_stroke() -> None:
     """+-37.5 in (section 3.2.1); inside they pass unchanged."""
     for inches in (-37.5, -3.0, 0.0, 37.4):
-        assert limit(inches * INCH, WORKING_STROKE) == inches * INCH
-    assert limit(45 * INCH, WORKING_STROKE) == pytest.approx(37.5 * INCH, rel=1e-15)
-    assert limit(-45 * INCH, WORKING_STROKE) == pytest.approx(-37.5 * INCH, rel=1e-15)
+        assert limit_demand(inches * INCH, WORKING_STROKE) == inches * INCH
+    assert limit_demand(45 * INCH, WORKING_STROKE) == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert limit_demand(-45 * INCH, WORKING_STROKE) == pytest.approx(-37.5 * INCH, rel=1e-15)
     dcl, far = make_dcl(load_law("velocity_error"), 2), np.array([[50.0, -50.0]]) * INCH
     _, _, read = run(
         dcl, DclState.zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
@@ -232,12 +232,12 @@ def test_demands_are_limited_to_the_working_stroke() -> None:
 @pytest.mark.parametrize("name", law_names())
 @pytest.mark.parametrize("inches", [-20.0, 0.0, 15.0])
 def test_engaged_filters_have_settled(name: str, inches: float) -> None:
-    """Held at rest, the state that `engaged` returns does not move: neither compensator nor
+    """Held at rest, the state that `engaged_state` returns does not move: neither compensator nor
     filters. 1e-12 of the signals: round-off."""
     dcl = make_dcl(load_law(name), LEGS)
     reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
     feedback = feedback_at_rest(reference.copy(), 4.2e6, 4.1e6)
-    state = engaged(dcl, reference, feedback)
+    state = engaged_state(dcl, reference, feedback)
     start = DclState.of(state.arrays())
     frames = np.repeat(reference[None], 50, axis=0)
     held = LegFeedback(*(np.repeat(channel[None], 50, axis=0) for channel in feedback))
@@ -269,7 +269,7 @@ def test_engaged_laws_with_an_integral_command_nothing(law: Law, inches: float) 
     dcl = make_dcl(law, LEGS)
     reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
     feedback = feedback_at_rest(reference + 0.001, 4.2e6, 4.1e6)
-    state = engaged(dcl, reference, feedback)
+    state = engaged_state(dcl, reference, feedback)
     output, command, _ = run(
         dcl, state, reference[None], LegFeedback(*(channel[None] for channel in feedback))
     )

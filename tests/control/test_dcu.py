@@ -139,7 +139,7 @@ def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
     stream = Arrivals(np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(200), time, values)
     state, demand = played(stream, 5300)
     assert not state.rejected.any()
-    assert not state.clocks.poses[0]
+    assert not state.stream.poses_alone[0]
     curve = BPoly.from_derivatives(time, values)
     at = np.arange(3000, 5000) * FRAME - whole_delay(stream)
     for row, function in enumerate((curve, curve.derivative(), curve.derivative(2))):
@@ -223,14 +223,14 @@ def test_silence_ends_in_rest_with_a_flag() -> None:
     motion = of(lambda t: 0.4 * t, lambda t: 0.4 + 0.0 * t, lambda t: 0.0 * t)
     stream = arrivals(motion, 80.0, 2.0)
     state = resting(DCU)
-    assert state.clocks.stale[0]
+    assert state.stream.is_stale[0]
     last = int(stream.frame[-1])
     before = last + round(0.24 * RATE)
     demand = upsample(DCU, state, stream, before)
-    assert not state.clocks.stale[0]
+    assert not state.stream.is_stale[0]
     empty = Arrivals(*(column[:0] for column in stream))
     after = upsample(DCU, state, empty, 2048)
-    assert state.clocks.stale[0]
+    assert state.stream.is_stale[0]
     assert state.counts["silent"] == 1
     whole = np.concatenate([demand, after])
     rest = last + (whole_delay(stream) + SETTINGS.dcu.stop_time.si) * RATE
@@ -406,8 +406,8 @@ def test_a_host_may_change_its_rate(before: float, after: float) -> None:
     assert not state.rejected.any()
     tail = slice(110000, 120240)  # five cycles
     found = lag(demand[tail, 0, 2], 1.0, tail.start)
-    assert state.clocks.interval[0] == pytest.approx(1.0 / after, rel=1e-6)
-    assert abs(state.clocks.lateness[0]) < SETTINGS.dcu.clock_tolerance.si + FRAME
+    assert state.clock.interval[0] == pytest.approx(1.0 / after, rel=1e-6)
+    assert abs(state.clock.lateness[0]) < SETTINGS.dcu.clock_tolerance.si + FRAME
     wait = max(1.0 / after, DELAY.host_interval.si)
     total = wait + DELAY.interpolation_hold.si + DELAY.line_frames * FRAME
     assert found == pytest.approx(total, abs=SETTINGS.dcu.clock_tolerance.si + 2 * FRAME)

@@ -7,7 +7,7 @@ from shared import circuit
 from cmf_mj import Hexapod, law_names, load_law, signals
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.dcl import Dcl, DclState
-from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.engage import engaged_state, handed_over_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
@@ -45,11 +45,11 @@ def moving(seed: int) -> tuple[np.ndarray, np.ndarray, LegFeedback]:
 def taken_over(before: Dcl, after: Dcl) -> tuple[np.ndarray, np.ndarray, DclState, DclState]:
     """First outputs of both laws a frame after the change; states of both before it."""
     reference, change, feedback = moving(3)
-    state = engaged(before, reference, feedback)
+    state = engaged_state(before, reference, feedback)
     for k in range(-200, 1):
         now = feedback._replace(position=feedback.position + k * FRAME * feedback.velocity)
         blocks.step(before, state, reference + k * change, now)
-    begun = handed_over(before, state, after, reference, feedback)
+    begun = handed_over_state(before, state, after, reference, feedback)
     following = feedback._replace(position=feedback.position + FRAME * feedback.velocity)
     outputs = []
     for dcl, own in ((before, DclState.of(state.arrays())), (after, DclState.of(begun.arrays()))):
@@ -96,7 +96,9 @@ def test_what_no_state_can_take_up_fades() -> None:
     """`modal_feedback` has neither integral nor output gain: e^(-t / 0.5 s)."""
     before, after = compiled("velocity"), compiled("modal_feedback")
     reference, _, feedback = moving(4)
-    begun = handed_over(before, engaged(before, reference, feedback), after, reference, feedback)
+    begun = handed_over_state(
+        before, engaged_state(before, reference, feedback), after, reference, feedback
+    )
     first = begun.offset.copy()
     assert np.abs(first).max() > 0.02
     for _ in range(1024):

@@ -17,7 +17,7 @@ from shared import axial_gravity
 
 from cmf_mj import Hexapod, Law, load_law, signals, simulate
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.engage import engaged_state, handed_over_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings, gravity_history
@@ -145,8 +145,8 @@ def test_a_law_that_reads_gravity_takes_over_without_a_jump(first: bool) -> None
     feedback = LegFeedback(
         reference + 0.001, np.zeros(6), read[first], np.full(6, 3e6), np.full(6, 2e6)
     )
-    state = engaged(before, reference, feedback)
-    begun = handed_over(before, state, after, reference, feedback, gravity)
+    state = engaged_state(before, reference, feedback)
+    begun = handed_over_state(before, state, after, reference, feedback, gravity)
     shift = PASSED * gravity * (1.0 if first else -1.0)
     np.testing.assert_allclose(begun.acceleration - state.acceleration, shift, rtol=1e-12)
     outputs = []

@@ -11,9 +11,9 @@ from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES
 from cmf_mj.control.dcl import DclState, make_dcl
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.control.inverse import opened
+from cmf_mj.control.inverse import load_opening
 from cmf_mj.control.plan import response_polynomial
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
@@ -83,7 +83,8 @@ def outputs(law: Law, demand: np.ndarray, feedback: LegFeedback) -> tuple[np.nda
         now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
         blocks.step(dcl, state, wanted, now)
         found[k] = dcl.workspace.output
-        np.testing.assert_array_equal(dcl.workspace.limited, np.clip(wanted, -0.9525, 0.9525))
+        limited = np.clip(wanted, -0.9525, 0.9525)
+        np.testing.assert_array_equal(dcl.workspace.limited_demand, limited)
     return found, state
 
 
@@ -190,9 +191,9 @@ def test_planned_forces_are_those_of_the_machine_at_its_pose(cab: str) -> None:
     state.plan.acceleration[:] = np.arange(1.0, 7.0)
     blocks.step(dcl, state, legs, STILL)
     work = dcl.plan.inverse
-    expected = plant.reflected_mass(pose) @ work.legs[2]
-    np.testing.assert_allclose(work.force[0], expected, atol=5e-3 * np.abs(expected).max())
-    neutral = plant.reflected_mass(np.zeros(6)) @ work.legs[2]
+    expected = plant.reflected_mass(pose) @ work.leg_motion[2]
+    np.testing.assert_allclose(work.leg_force[0], expected, atol=5e-3 * np.abs(expected).max())
+    neutral = plant.reflected_mass(np.zeros(6)) @ work.leg_motion[2]
     assert np.abs(neutral - expected).max() > 0.1 * np.abs(expected).max()
 
 
@@ -204,7 +205,7 @@ def test_a_valve_against_its_load_opens_later(share: float) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 20000, endpoint=False)
     flow, load = 10.0 * np.cos(angle), share * plan.stall * np.sin(angle)
     pairs = [
-        opened(plan, z, -10.0 * np.sin(a), f, share * plan.stall * np.cos(a))
+        load_opening(plan, z, -10.0 * np.sin(a), f, share * plan.stall * np.cos(a))
         for z, a, f in zip(flow, angle, load, strict=True)
     ]
     more, rate = np.array(pairs).T
@@ -267,7 +268,7 @@ def test_load_feedback_passes_what_swings() -> None:
     area = 0.25 * np.pi * (5.5 * INCH) ** 2
     dcl = make_dcl(law, MODES)
     rest = STILL._replace(cap_pressure=np.full(6, 4e6))
-    state = engaged(dcl, np.zeros(MODES), rest)
+    state = engaged_state(dcl, np.zeros(MODES), rest)
     blocks.step(dcl, state, np.zeros(MODES), rest)
     np.testing.assert_array_equal(dcl.workspace.output, 0.0)
     pushed = rest._replace(cap_pressure=np.full(6, 4e6 + 1000.0 * POUND_FORCE / area))

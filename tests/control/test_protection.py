@@ -12,10 +12,10 @@ from cmf_mj.control.protection import (
     CHECKS,
     Fault,
     ProtectionSettings,
-    latched,
+    check_frame,
+    latched_fault,
     load_protection,
     make_protection,
-    protect,
     protection_state,
     reset,
 )
@@ -44,7 +44,7 @@ class Machine:
         self.frame = 0
 
     def step(self) -> int:
-        code = protect(
+        code = check_frame(
             self.protection,
             self.state,
             self.frame,
@@ -59,7 +59,7 @@ class Machine:
     def found(self, frames: int) -> Fault | None:
         for _ in range(frames):
             self.step()
-        return latched(self.state)
+        return latched_fault(self.state)
 
 
 def last(name: str, first: int) -> int:
@@ -77,7 +77,7 @@ def test_a_growing_tracking_error() -> None:
         machine.reference[3] = -speed * frame * FRAME
         machine.step()
     first = int(np.floor(6.0 * INCH / (speed * FRAME))) + 1
-    assert latched(machine.state) == ("tracking_error", 4, last("tracking_error", first))
+    assert latched_fault(machine.state) == ("tracking_error", 4, last("tracking_error", first))
 
 
 def test_a_velocity_sensor_with_an_offset() -> None:
@@ -120,7 +120,7 @@ def test_over_speed_of_both_sensors_in_agreement() -> None:
         machine.feedback.position[:] = speed * frame * FRAME
         machine.reference[:] = machine.feedback.position
         machine.step()
-    assert latched(machine.state) == ("over_speed", 1, last("over_speed", 0))
+    assert latched_fault(machine.state) == ("over_speed", 1, last("over_speed", 0))
 
 
 def test_a_supply_that_fails() -> None:
@@ -130,7 +130,7 @@ def test_a_supply_that_fails() -> None:
         machine.supply = SUPPLY * np.exp(-frame * FRAME / decay)
         machine.step()
     first = int(np.floor(decay * np.log(1.5) / FRAME)) + 1
-    assert latched(machine.state) == ("under_pressure", None, last("under_pressure", first))
+    assert latched_fault(machine.state) == ("under_pressure", None, last("under_pressure", first))
 
 
 def test_a_host_that_falls_silent() -> None:
@@ -139,7 +139,7 @@ def test_a_host_that_falls_silent() -> None:
         machine.age = max(0, frame - 100) * FRAME
         machine.step()
     first = 100 + int(np.floor(0.1 / FRAME)) + 1
-    assert latched(machine.state) == ("host_watchdog", None, first)
+    assert latched_fault(machine.state) == ("host_watchdog", None, first)
 
 
 def test_missed_control_frames() -> None:
@@ -171,7 +171,7 @@ def test_the_first_fault_stays_until_reset() -> None:
     assert machine.found(200) == first
     machine.supply = SUPPLY
     reset(machine.state, machine.feedback.position)
-    assert latched(machine.state) is None
+    assert latched_fault(machine.state) is None
     assert machine.found(200) is None
 
 
@@ -294,8 +294,8 @@ def test_a_fault_takes_as_long_at_any_control_rate(rate: float) -> None:
     protection, state = make_protection(SETTINGS, 1.0 / rate), protection_state(np.zeros(LEGS))
     feedback = LegFeedback(*(np.zeros(LEGS) for _ in range(5)))
     for frame in range(100):
-        protect(protection, state, frame, np.full(LEGS, 6.1 * INCH), feedback, SUPPLY)
-    found = latched(state)
+        check_frame(protection, state, frame, np.full(LEGS, 6.1 * INCH), feedback, SUPPLY)
+    found = latched_fault(state)
     assert found == ("tracking_error", 1, round(20 * rate / 2048.0) - 1)
 
 

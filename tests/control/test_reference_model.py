@@ -8,7 +8,7 @@ from cmf_mj import Hexapod, Law, SingleLegs, load_hydraulics, load_law, signals,
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.dcl import DclState, make_dcl, step
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Gains
 from cmf_mj.core.units import FRAME
@@ -36,7 +36,7 @@ def run(
     legs = reference.shape[1]
     dcl = make_dcl(law, legs)
     now = LegFeedback(*(channel[0].copy() for channel in feedback))
-    state = engaged(dcl, reference[0], now) if state is None else state
+    state = engaged_state(dcl, reference[0], now) if state is None else state
     output = np.zeros(reference.shape)
     for k in range(reference.shape[0]):
         now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
@@ -58,7 +58,7 @@ def test_a_law_without_a_model_knows_nothing_of_its_states() -> None:
     reference, feedback = histories(1, 100, 1e-3)
     law = load_law("position_error_rate")
     clean, state = run(law, reference, feedback)
-    spoilt = engaged(
+    spoilt = engaged_state(
         make_dcl(law, 2), reference[0], LegFeedback(*(channel[0] for channel in feedback))
     )
     for name, array in spoilt.arrays().items():

@@ -33,7 +33,7 @@ TIME = T * np.arange(30 * 2048)
 
 @allocating
 def _run(states, state, requests, host, rates, changes, stuck, out, codes, valve):
-    measured = state.hold.copy()
+    measured = state.hold_position.copy()
     if state.phase[0].code < 2:
         measured[:] = -states.travel
     demand, reference = np.zeros((3, host.shape[1])), np.zeros((3, host.shape[1]))
@@ -186,7 +186,7 @@ def test_the_diagram_of_the_documentation_has_every_change_and_no_other():
     ):
         machine = at(State.HOLD)
         machine.phase[0] = (code, time, 1.0, 0.5, valve, valve)
-        machine.hold[:] = hold
+        machine.hold_position[:] = hold
         out = np.zeros((3, LEGS))
         after = block.step(STATES, machine, request, still, np.full(LEGS, place), out)
         if after != code:
@@ -255,7 +255,7 @@ def test_legs_off_the_stops_go_down_from_where_they_lie():
 def test_legs_that_lie_high_engage_all_the_same():
     """A return that ended high left off and a reset from fault did so for ever."""
     machine = at(State.HOLD)
-    machine.phase.code, machine.phase.valve, machine.phase.gain = State.FAULT, 0.0, 0.0
+    machine.phase.code, machine.phase.valve_phase, machine.phase.gain = State.FAULT, 0.0, 0.0
     requests = [Request.RESET] * 2048 + [Request.ENGAGE] * (20 * 2048)
     out, codes, _ = run(machine, requests)
     assert passed(codes) == ["OFF", "RETURN", "RAISE", "ENGAGED"]
@@ -282,9 +282,9 @@ def test_a_fade_is_the_weighted_mean_of_stop_and_source():
     """From rest to a host in motion."""
     count, rest = 4 * 2048, np.array([0.4, 0.1, -0.2])
     machine = at(State.HOLD)
-    machine.hold[:] = rest
+    machine.hold_position[:] = rest
     out, _, _ = run(machine, [Request.ENGAGE] * count)
-    fade = machine.phase[0].fade
+    fade = machine.phase[0].fade_time
     x = np.clip(T * np.arange(count) / fade, 0.0, 1.0)[:, None]
     s = 10 * x**3 - 15 * x**4 + 6 * x**5
     np.testing.assert_allclose(out[0], s * HOST[:count] + (1 - s) * rest, rtol=0, atol=1e-14)

@@ -57,7 +57,8 @@ def recorded(run: Run, machine: Machine) -> Record:
         faults = session.dynamics.faults
         decide(controller, faults, frame, truth, read, memory.reference, command)
         if frame % session.every == 0:
-            row = controller.dcl.workspace.limited, read.position, *read[3:5], commands[frame]
+            limited = controller.dcl.workspace.limited_demand
+            row = limited, read.position, *read[3:5], commands[frame]
             for name, value in zip(KEPT, row, strict=True):
                 kept[name].append(value.copy())
         return commands[frame]

@@ -133,7 +133,7 @@ def check_account(outcome: Outcome, garbage: bool) -> None:
     lost = int(source.ring.lost[0] + source.ring.thinned[0])
     assert sum(outcome.refused.values()) == (len(outcome.sent) if garbage else 0)
     assert filled + lost == len(outcome.sent)
-    waiting = int(state.clocks[0].holding)
+    waiting = int(state.candidate[0].is_waiting)
     assert state.counts["accepted"] + sum(state.rejections.values()) + waiting == filled
     reached = logged_datagrams(source)
     assert reached == outcome.sent if not lost else set(reached) <= set(outcome.sent)

@@ -10,7 +10,7 @@ from cmf_mj.plant.cylinder import (
     holding_pressures,
     make_cylinders,
     stiffness,
-    throttled,
+    throttled_gain,
     volumes,
 )
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
@@ -192,7 +192,7 @@ def test_cushion_is_an_orifice_in_series_with_the_valve() -> None:
     length, full = parameters.cushion_length.si, 3.0
     stop = parameters.cushion_opening.si * full
     for gap, e in ((length, 0.0), (0.5 * length, 0.5), (0.0, 1.0), (-0.01, 1.0)):
-        found = throttled(cylinder, gap, 2.0, full)
+        found = throttled_gain(cylinder, gap, 2.0, full)
         assert 1 / found**2 == pytest.approx(1 / 4.0 + (e / stop) ** 2, rel=1e-12)
-    assert throttled(cylinder, 2 * length, 2.0, full) == 2.0
-    assert throttled(cylinder, 0.0, 0.0, full) == 0.0
+    assert throttled_gain(cylinder, 2 * length, 2.0, full) == 2.0
+    assert throttled_gain(cylinder, 0.0, 0.0, full) == 0.0

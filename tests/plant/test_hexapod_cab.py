@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab, recorded_cab
 from cmf_mj.plant.hexapod import Hexapod, hexapod_model, hexapod_spec
-from cmf_mj.plant.native import saved
+from cmf_mj.plant.native import saved_model
 
 LIGHT = 1e-6  #: Factor on the legs' masses that leaves none to speak of.
 
@@ -39,7 +39,7 @@ def odd() -> Cab:
 
 @pytest.mark.parametrize("name", models.CABS)
 def test_a_shipped_cab_is_the_model_as_it_compiles(name: str) -> None:
-    assert saved(hexapod_model(name)) == saved(hexapod_spec(name).compile())
+    assert saved_model(hexapod_model(name)) == saved_model(hexapod_spec(name).compile())
 
 
 @pytest.mark.parametrize("name", models.CABS)
@@ -66,7 +66,7 @@ def test_the_numbers_of_a_shipped_cab_stated_again_are_the_same_machine(name: st
         leg_mass_factor=1.0,
     )
     assert again != cab
-    assert saved(hexapod_model(again)) == saved(hexapod_model(name))
+    assert saved_model(hexapod_model(again)) == saved_model(hexapod_model(name))
 
 
 @pytest.mark.parametrize("cab", [odd(), load_cab().changed("heavy", mass=12e3), compact(9e3)])
@@ -74,15 +74,15 @@ def test_editing_the_compiled_model_is_compiling_the_edited_one(cab: Cab) -> Non
     """All but `meansize`, by which MuJoCo scales what it draws."""
     model, compiled = hexapod_model(cab), hexapod_spec(cab).compile()
     model.stat.meansize = compiled.stat.meansize
-    assert saved(model) == saved(compiled)
-    assert saved(model) != saved(hexapod_model(cab.base))
+    assert saved_model(model) == saved_model(compiled)
+    assert saved_model(model) != saved_model(hexapod_model(cab.base))
 
 
 def test_a_model_that_was_edited_leaves_the_next_one_alone() -> None:
-    before = saved(hexapod_model("gfd"))
+    before = saved_model(hexapod_model("gfd"))
     hexapod_model("gfd").body_mass[:] = 1.0
     Hexapod(compact(9e3))
-    assert saved(hexapod_model("gfd")) == before
+    assert saved_model(hexapod_model("gfd")) == before
 
 
 def test_the_plant_says_which_cab_it_carries() -> None:

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 
 from cmf_mj.plant.events import no_faults
-from cmf_mj.plant.hydraulics import advance, loads, rest
+from cmf_mj.plant.hydraulics import advance, rest, write_loads
 from cmf_mj.plant.parameters import HYDRAULICS, HydraulicParameters
 
 CAP = 2  #: First column of the pressures in a row (drive, spool, p_cap, p_rod).
@@ -234,7 +234,7 @@ def test_rest_state_does_not_move(supply: str, rate: float) -> None:
     np.testing.assert_allclose(state.supply, network, rtol=0, atol=1e-2)
     np.testing.assert_allclose(state.supply[:5], network[:5], rtol=0, atol=1e-12)
     held = np.empty(2)
-    loads(hydraulics.cylinder, state.pressure, state.friction, held)
+    write_loads(hydraulics.cylinder, state.pressure, state.friction, held)
     np.testing.assert_allclose(held, weights, rtol=1e-9)
     assert not state.energy.any() or np.abs(state.energy).max() < 1e-6
 

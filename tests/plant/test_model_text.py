@@ -168,7 +168,7 @@ def test_a_law_counts_with_the_legs_of_its_machine() -> None:
         dcl = make_dcl(law, 1)
         still = LegFeedback(*np.zeros((5, 1)))
         step(dcl, DclState.zeros(1), np.array([9.0]), still)
-        assert dcl.workspace.limited[0] == machine.working_stroke
+        assert dcl.workspace.limited_demand[0] == machine.working_stroke
 
 
 def test_ranges_and_thresholds_go_with_the_machine(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from cmf_mj import Hexapod, InputError, SingleLegs, signals, simulate
 from cmf_mj.plant import native
 from cmf_mj.plant.hexapod import hexapod_model, hexapod_spec
-from cmf_mj.plant.native import headless, quiet
+from cmf_mj.plant.native import headless, without_sensors
 from cmf_mj.plant.plant import Plant
 
 
@@ -40,7 +40,7 @@ def test_a_model_without_geoms_moves_as_the_drawn_one(cab: str) -> None:
 def test_a_model_without_sensors_moves_as_one_with_them() -> None:
     model = hexapod_model()
     data = [mujoco.MjData(model) for _ in range(2)]
-    for one, other in zip(data, (model, quiet(model)), strict=True):
+    for one, other in zip(data, (model, without_sensors(model)), strict=True):
         for _ in range(50):
             mujoco.mj_step(other, one)
     np.testing.assert_array_equal(data[0].qpos, data[1].qpos)
@@ -104,12 +104,12 @@ def test_the_clock_of_mujoco_is_set_again_by_the_last_to_leave() -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def inside() -> None:
-        with native.untimed():
+        with native.without_clock():
             entered.set()
             leave.wait(30)
 
     thread = threading.Thread(target=inside)
-    with native.untimed():
+    with native.without_clock():
         thread.start()
         entered.wait(30)
         assert clock.value is None

@@ -8,7 +8,7 @@ from scipy import optimize
 from cmf_mj.plant.hydraulics import Hydraulics, make_hydraulics
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.solver import Stage, make_stage, solve
-from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, charged, gas_pressure
+from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, charge_supply, gas_pressure
 
 STEP = 1.0 / 2048.0
 LEGS = 3
@@ -30,7 +30,7 @@ def prepared(p: HydraulicParameters, rng: np.random.Generator) -> tuple[Hydrauli
         own.cap_known = own.cap_volume * content_ratio(p, cap)
         own.rod_known = own.rod_volume * content_ratio(p, rod)
         own.cap, own.rod = cap + rng.normal(0, 3e5), rod + rng.normal(0, 3e5)
-    start = charged(supply, hydraulics.oil)
+    start = charge_supply(supply, hydraulics.oil)
     stage.known[:] = start[:5]
     stage.known[PUMP] = rng.uniform(0, supply.pump_flow)
     stage.known[SUPPLY] = supply.supply_volume * content_ratio(p, high)

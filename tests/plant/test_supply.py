@@ -30,7 +30,7 @@ from cmf_mj.plant.supply import (
     RETURN_PRESSURE,
     SUPPLY,
     SUPPLY_PRESSURE,
-    charged,
+    charge_supply,
     gas_pressure,
     make_supply,
     pump_flow,
@@ -88,7 +88,7 @@ def test_gas_is_polytropic() -> None:
         assert pressure == pytest.approx(expected, rel=1e-12)
         more = gas_pressure(supply, oil + 1e-6)[0] - gas_pressure(supply, oil - 1e-6)[0]
         assert rise == pytest.approx(more / 2e-6, rel=1e-6)
-    start = charged(supply, make_oil(P))
+    start = charge_supply(supply, make_oil(P))
     assert gas_pressure(supply, start[ACCUMULATOR])[0] == pytest.approx(1500 * PSI, rel=1e-12)
 
 

@@ -262,7 +262,7 @@ class Linear:
             return Disturbance(*np.full((4, len(DOFS)), np.nan))
         stiffness = self.stiffness(law, [0.0, *_REJECTION_LINES])
         static, dynamic = stiffness[0], stiffness[1:]
-        shut = self.stiffness(_VALVES_SHUT.on(self.plant.machine), _REJECTION_LINES)
+        shut = self.stiffness(_VALVES_SHUT.for_machine(self.plant.machine), _REJECTION_LINES)
         rejection = 20.0 * np.log10(shut / dynamic)
         low, high = _STIFFNESS_BAND
         least = dynamic[(low <= _REJECTION_LINES) & (_REJECTION_LINES <= high)].min(axis=0)

@@ -39,7 +39,13 @@ from cmf_mj.analysis.linear.ports import (
     port_slopes,
 )
 from cmf_mj.core.errors import NotLinearError
-from cmf_mj.plant.cylinder import CONTACTS, Contact, Slope, friction_slope, holding_pressures
+from cmf_mj.plant.cylinder import (
+    CONTACTS,
+    Contact,
+    FrictionSlope,
+    friction_slope,
+    holding_pressures,
+)
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Plant
@@ -128,7 +134,7 @@ class OperatingPoint(NamedTuple):
     pump_flow: float  #: [m^3/s].
     accumulator_oil: float  #: In one accumulator [m^3].
     outward: NDArray[np.float64]  #: Share of outward motion at closed valves, see `ports`, (n,).
-    friction: Slope  #: Slope of dry friction.
+    friction: FrictionSlope  #: Slope of dry friction.
 
 
 def operating_point(

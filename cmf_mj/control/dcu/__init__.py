@@ -2,6 +2,5 @@
 
     host (<= 80 Hz) -> [ acceptance -> buffer -> interpolation -> limit -> transport line ] -> DCL
 
-In the frame loop, for each frame that has arrived `receive(dcu, state, sequence, time, values)`,
-then `play.step(dcu, state, demand)`. Compiled, without allocation; knows neither plant nor sockets.
+In the frame loop `receive` takes each frame that has arrived, then `play.step` writes the demand.
 """

@@ -1,4 +1,4 @@
-"""Motions the DCU is put together from; each holds pose, velocity and acceleration, (3, 6).
+"""Motions that make up the demand of the DCU: pose, velocity and acceleration, (3, 6).
 
 *Between* two frames a quintic meets both in position, velocity and acceleration. With s the time
 since the first, h the interval, x = s / h and b[0..5] the Bernstein points of the quintic,
@@ -18,13 +18,12 @@ and rests at p + v Tv / 2 + a Ta^2 / 12 from max(Tv, Ta) on.
 
 within L three poles at -w, beyond it a closing speed of V. It is integrated exactly with sat
 constant over a frame, and its state is e, e' and e'' themselves: to begin again from them changes
-nothing, so no pattern of arrivals can feed it. `docs/reference/dcu.md` proves it stable. From rest
-the speed is at most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v
+nothing, so no pattern of arrivals makes it grow. `docs/reference/dcu.md` proves it stable. From
+rest the speed is at most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v
 alone grows to 0.84 v / w while that is within L, v < 3.57 V, and to more beyond.
 
 *Poses alone* u, straight lines between frames, go through a Bessel filter of fourth order with the
-delay D. The integral of its |impulse response| is 1.019: its output stays within the range of the
-poses widened by 1 % of it at either end, whatever arrives when.
+delay D. The integral of its |impulse response| is 1.019: its output exceeds their range by 1 %.
 """
 
 import numpy as np
@@ -33,7 +32,7 @@ from cmf_mj.core.compiled import compiled
 
 POSE, VELOCITY, ACCELERATION = 0, 1, 2  #: Rows of a motion.
 
-DOF_COUNT = 6
+DOF_COUNT = 6  #: Degrees of freedom of the platform.
 
 GAP_END = 1e-6  #: Acceleration [m/s^2, rad/s^2] below which a gap, times w^2, w and 1, has ended.
 
@@ -49,24 +48,24 @@ def copy(source, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add(one, other, out):  # type: ignore[no-untyped-def]
+def add(first, second, total):  # type: ignore[no-untyped-def]
     """Write the sum of two motions."""
     for row in range(3):
         for i in range(DOF_COUNT):
-            out[row, i] = one[row, i] + other[row, i]
+            total[row, i] = first[row, i] + second[row, i]
 
 
 @compiled
-def subtract(one, other, out):  # type: ignore[no-untyped-def]
+def subtract(first, second, difference):  # type: ignore[no-untyped-def]
     """Write the difference of two motions."""
     for row in range(3):
         for i in range(DOF_COUNT):
-            out[row, i] = one[row, i] - other[row, i]
+            difference[row, i] = first[row, i] - second[row, i]
 
 
 @compiled
-def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
-    """Coefficients c (6, 6), power by degree of freedom, of the quintic between two motions."""
+def fit_quintic(first, last, h, polynomial):  # type: ignore[no-untyped-def]
+    """Write coefficients c (6, 6), power by degree of freedom, of the quintic of two motions."""
     for i in range(DOF_COUNT):
         v0, v1 = first[VELOCITY, i] * h, last[VELOCITY, i] * h
         a0, a1 = first[ACCELERATION, i] * h * h, last[ACCELERATION, i] * h * h
@@ -80,8 +79,8 @@ def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def evaluate(polynomial, h, s, out):  # type: ignore[no-untyped-def]
-    """The quintic at the time s, by Horner's rule."""
+def evaluate_quintic(polynomial, h, s, out):  # type: ignore[no-untyped-def]
+    """Write the motion of the quintic at the time s, by Horner's rule."""
     x = s / h
     for i in range(DOF_COUNT):
         p, v, a = 0.0, 0.0, 0.0
@@ -104,56 +103,56 @@ def quintic_keeps_limits(dcu, first, last, h):  # type: ignore[no-untyped-def]
         b1, b2 = v0 / 5.0, 0.4 * v0 + a0 / 20.0
         b5 = last[POSE, i] - first[POSE, i]
         b4, b3 = b5 - v1 / 5.0, b5 - 0.4 * v1 + a1 / 20.0
-        most = dcu.velocity[i] * h
-        for rate in (b2 - b1, b3 - b2, b4 - b3):
-            if not 5.0 * abs(rate) <= most:
+        largest_change = dcu.velocity[i] * h
+        for difference in (b2 - b1, b3 - b2, b4 - b3):
+            if not 5.0 * abs(difference) <= largest_change:
                 return False
-        most = dcu.acceleration[i] * h * h
-        for bend in (b3 - 2.0 * b2 + b1, b4 - 2.0 * b3 + b2):
-            if not 20.0 * abs(bend) <= most:
+        largest_change = dcu.acceleration[i] * h * h
+        for second_difference in (b3 - 2.0 * b2 + b1, b4 - 2.0 * b3 + b2):
+            if not 20.0 * abs(second_difference) <= largest_change:
                 return False
     return True
 
 
 @compiled
-def stop(dcu, first, s, out):  # type: ignore[no-untyped-def]
-    """The stop from a motion, s after it began."""
+def evaluate_stop(dcu, first, s, out):  # type: ignore[no-untyped-def]
+    """Write the motion of a stop from the motion `first`, at the time s after it."""
     tv, ta = dcu.stop_time, dcu.fade_time
     x, y = min(s / tv, 1.0), min(s / ta, 1.0)
-    g, slope, way = 1.0 + x * x * (2.0 * x - 3.0), 6.0 * x * (x - 1.0), x - x**3 + 0.5 * x**4
-    e, bend = y * (1.0 - y) ** 2, (1.0 - y) * (1.0 - 3.0 * y)
-    path = y * y * (0.5 + y * (0.25 * y - 2.0 / 3.0))
+    g, slope_of_g = 1.0 + x * x * (2.0 * x - 3.0), 6.0 * x * (x - 1.0)
+    integral_of_g = x - x**3 + 0.5 * x**4
+    e, slope_of_e = y * (1.0 - y) ** 2, (1.0 - y) * (1.0 - 3.0 * y)
+    integral_of_e = y * y * (0.5 + y * (0.25 * y - 2.0 / 3.0))
     for i in range(DOF_COUNT):
         v, a = first[VELOCITY, i], first[ACCELERATION, i]
-        out[POSE, i] = first[POSE, i] + v * tv * way + a * ta * ta * path
+        out[POSE, i] = first[POSE, i] + v * tv * integral_of_g + a * ta * ta * integral_of_e
         out[VELOCITY, i] = v * g + a * ta * e
-        out[ACCELERATION, i] = v / tv * slope + a * bend
+        out[ACCELERATION, i] = v / tv * slope_of_g + a * slope_of_e
 
 
 @compiled
 def close_gap(dcu, gap):  # type: ignore[no-untyped-def]
     """Advance a gap by a frame; one too small to be felt has ended."""
-    ended = True
+    has_ended = True
     for i in range(DOF_COUNT):
         p, v, a = gap[POSE, i], gap[VELOCITY, i], gap[ACCELERATION, i]
-        held = min(max(p, -dcu.gap_range[i]), dcu.gap_range[i])
+        saturated = min(max(p, -dcu.gap_range[i]), dcu.gap_range[i])
         for row in range(3):
-            c = dcu.closing
-            gap[row, i] = c[row, 0] * p + c[row, 1] * v + c[row, 2] * a + c[row, 3] * held
-            ended = ended and abs(gap[row, i]) * dcu.gap_rate ** (2 - row) < GAP_END
-    if ended:
+            c = dcu.closing[row]
+            gap[row, i] = c[0] * p + c[1] * v + c[2] * a + c[3] * saturated
+            has_ended = has_ended and abs(gap[row, i]) * dcu.gap_rate ** (2 - row) < GAP_END
+    if has_ended:
         gap[:] = 0.0
 
 
 @compiled
-def smooth_poses(dcu, poses, smoothed):  # type: ignore[no-untyped-def]
-    """Advance the Bessel filter by a frame; `smoothed` (4, 6) has three derivatives, too."""
-    c = dcu.smoothing
+def smooth_poses(dcu, poses, filtered):  # type: ignore[no-untyped-def]
+    """Advance the Bessel filter by a frame: `filtered` (4, 6) is pose and three derivatives."""
     for i in range(DOF_COUNT):
-        x0, x1, x2, x3 = smoothed[0, i], smoothed[1, i], smoothed[2, i], smoothed[3, i]
+        x0, x1, x2, x3 = filtered[0, i], filtered[1, i], filtered[2, i], filtered[3, i]
         for row in range(4):
-            now = c[row, 0] * x0 + c[row, 1] * x1 + c[row, 2] * x2 + c[row, 3] * x3
-            smoothed[row, i] = now + c[row, 4] * poses[i]
+            c = dcu.smoothing[row]
+            filtered[row, i] = c[0] * x0 + c[1] * x1 + c[2] * x2 + c[3] * x3 + c[4] * poses[i]
 
 
 @compiled
@@ -166,7 +165,7 @@ def line_keeps_limits(dcu, first, last, h):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def hold_within(dcu, motion, out):  # type: ignore[no-untyped-def]
+def bound_pose(dcu, motion, out):  # type: ignore[no-untyped-def]
     """Bring a pose beyond the limit P to rest at P + m, m the overtravel, smoothly.
 
     With u = (|p| - P) / m the pose becomes P + m tanh u: value, slope and curvature go over at P.
@@ -175,10 +174,10 @@ def hold_within(dcu, motion, out):  # type: ignore[no-untyped-def]
         p, v, a = motion[POSE, i], motion[VELOCITY, i], motion[ACCELERATION, i]
         if abs(p) > dcu.pose[i]:
             sign = 1.0 if p > 0.0 else -1.0
-            reached = np.tanh((abs(p) - dcu.pose[i]) / dcu.overtravel[i])
-            slope = 1.0 - reached * reached
-            p = sign * (dcu.pose[i] + dcu.overtravel[i] * reached)
-            a = slope * a - 2.0 * sign * reached * slope * v * v / dcu.overtravel[i]
+            share = np.tanh((abs(p) - dcu.pose[i]) / dcu.overtravel[i])
+            slope = 1.0 - share * share
+            p = sign * (dcu.pose[i] + dcu.overtravel[i] * share)
+            a = slope * a - 2.0 * sign * share * slope * v * v / dcu.overtravel[i]
             v = slope * v
         out[POSE, i] = p
         out[VELOCITY, i] = v

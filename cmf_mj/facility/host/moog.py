@@ -162,7 +162,7 @@ class MoogBase:
         """From a command to the demand: the DCU's delay of 60 poses a second [s]."""
         dcu = session.source.blocks.dcu
         wait = POSES_HOLD * dcu.hold + dcu.smoothing_delay
-        return 1.0 / RATE + wait + session.plant.machine.frame * dcu.line
+        return 1.0 / RATE + wait + session.plant.machine.frame * dcu.line_frames
 
     def state(self, session: Session) -> MachineState:
         """What the base says it is."""
@@ -177,7 +177,7 @@ class MoogBase:
         if request == Request.OFF and code != State.OFF:
             return MachineState.PARKING
         phase = source.operating.phase[0]
-        if code == State.ENGAGED and phase.time >= max(phase.fade, phase.stop):
+        if code == State.ENGAGED and phase.time >= max(phase.fade_time, phase.stop_time):
             return MachineState.ENGAGED
         return MachineState.IDLE if code == State.OFF else MachineState.STANDBY
 

@@ -21,7 +21,7 @@ from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import oscillations
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.engage import engaged
+from cmf_mj.control.engage import engaged_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.compiled import allocating
@@ -130,7 +130,7 @@ def step_response(
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
     feedback = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
-    state = engaged(dcl, np.zeros(legs), feedback)
+    state = engaged_state(dcl, np.zeros(legs), feedback)
     positions = np.empty((round(STEP_TIME * machine.rate), legs))
     demand = cab.jacobian[:, axes] @ size
     settings = servo.load_servo_settings(None, fitting(machine))

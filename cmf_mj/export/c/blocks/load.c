@@ -4,7 +4,7 @@
  */
 #define CAP_AREA @dcl.load_feedback.cap_area@ /* [m^2] */
 #define ROD_AREA @dcl.load_feedback.rod_area@ /* [m^2] */
-#define LOAD_PASSES @dcl.load_feedback.passes@ /* 1 - e^(-w T), w of @law.load_feedback.corner@ Hz */
+#define LOAD_PASSES @dcl.load_feedback.filter_gain@ /* 1 - e^(-w T), w of @law.load_feedback.corner@ Hz */
 
 /* K_f [1/N]: @law.load_feedback.gain@ %/klbf. */
 static const cmf_real LOAD_GAIN[LEGS] = @dcl.load_feedback.gain@;

@@ -2,11 +2,11 @@
  * Reference model a = w^2 (r - p) - 2 zeta w v, advanced exactly, and its feed-forward
  * (1 + d) (K_v v + K_a a) + K_p (p - measured) + K_r (v - measured).
  */
-#define POSITION_STAYS @dcl.model.position_stays@ /* next p of p */
+#define POSITION_STAYS @dcl.model.position_of_position@ /* next p of p */
 #define POSITION_OF_VELOCITY @dcl.model.position_of_velocity@ /* [s] of v */
 #define POSITION_OF_REFERENCE @dcl.model.position_of_reference@ /* of r */
 #define VELOCITY_OF_POSITION @dcl.model.velocity_of_position@ /* [1/s] next v of p */
-#define VELOCITY_STAYS @dcl.model.velocity_stays@ /* of v */
+#define VELOCITY_STAYS @dcl.model.velocity_of_velocity@ /* of v */
 #define VELOCITY_OF_REFERENCE @dcl.model.velocity_of_reference@ /* [1/s] of r */
 #define MODEL_POSITION_GAIN @dcl.model.position_gain@ /* K_p [1/m], @law.reference_model.position@ %/in */
 #define MODEL_RATE_GAIN @dcl.model.rate_gain@ /* K_r [s/m], @law.reference_model.rate@ %/(in/s) */
@@ -15,7 +15,7 @@
 #if ADAPTING
 #define ADAPTATION_GAIN @dcl.model.adaptation_gain@ /* @law.reference_model.adaptation.rate@ 1/s K_v T [1/m] */
 #define SLOPE @dcl.model.slope@ /* [1/s] */
-#define FILTER_STAYS @dcl.model.stays@ /* low-pass of @law.reference_model.adaptation.corner@ Hz */
+#define FILTER_STAYS @dcl.model.filter_pole@ /* low-pass of @law.reference_model.adaptation.corner@ Hz */
 #define LEVEL @dcl.model.level@ /* [fraction] @law.reference_model.adaptation.level@ % */
 #define DEAD_ZONE @dcl.model.dead_zone@ /* [m/s] @law.reference_model.adaptation.dead_zone@ in/s */
 #define LEAK @dcl.model.leak@ /* a frame */

@@ -2,7 +2,7 @@
  * Valve calculations: commands within full command (section 2.3.3). What is left of the output of
  * a law that was in force before fades.
  */
-#define OFFSET_STAYS @dcl.offset_stays@ /* a frame */
+#define OFFSET_STAYS @dcl.offset_decay@ /* a frame */
 
 static void valve_calculations(cmf_real offset[LEGS], cmf_law_output *output) {
   for (int leg = 0; leg < LEGS; leg++) {
