@@ -37,7 +37,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
-from cmf_mj.studies.certificate_family import Box
+from cmf_mj.studies.certificate_box import Box
 from cmf_mj.studies.fit.campaign import FILE
 from cmf_mj.studies.fit.plan import LEAD, Planned, Workspace, plan_campaign, record_campaign
 from cmf_mj.studies.tuning.evaluation import least_damping, linear_cab
@@ -253,7 +253,7 @@ def laws(options: argparse.Namespace) -> None:
 def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str, float]:
     """What laws tuned on a fit do on the machine it is of."""
     from cmf_mj.studies.certificate import certify
-    from cmf_mj.studies.certificate_family import LARGEST, load_box
+    from cmf_mj.studies.certificate_box import LARGEST_SCALE, load_box
 
     plants = {"fit": Hexapod("fitted", machine=folder / "machine.toml")}
     plants["truth"] = Hexapod(truth.cab, truth.oil)
@@ -277,7 +277,7 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
     for law, friction in product((recorded, found["fit"]), contacts):
         one = certify(plant, law, folder / str(friction), box, friction=friction)
         what = f"{'recorded' if law is recorded else 'tuned'}, {friction}"
-        broken = one.broken if np.isfinite(one.broken) else float(LARGEST)  # nothing breaks it
+        broken = one.broken if np.isfinite(one.broken) else LARGEST_SCALE  # nothing breaks it
         said |= {f"{what}: proven": one.proven, f"{what}: broken": broken}
     carried = _carried(found["fit"], plants)
     for name, law in {"recorded": recorded, "tuned": carried}.items():

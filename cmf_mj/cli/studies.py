@@ -163,7 +163,7 @@ def certify_command(
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies import certificate as run
-    from cmf_mj.studies.certificate_family import load_box
+    from cmf_mj.studies.certificate_box import load_box
     from cmf_mj.studies.engine import one_library_thread
 
     unit_box, effort = load_box(box), run.QUICK if quick else run.Effort()

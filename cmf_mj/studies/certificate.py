@@ -1,8 +1,8 @@
 """Certificates: the box of machines a law is proven to survive, and the one an attack breaks it in.
 
 **Proven.** In each pose the machines of a box, and more, are in the loop with parameters of
-`family`, where the lags, ports, chambers and leak of each leg are free on their own. `peak_bound`
-of it is the reciprocal of a scale within which no pole gets to the ray of a damping ratio.
+`certificate_family`, where lags, ports, chambers and leak of each leg are free on their own; their
+`peak_bound` is the reciprocal of a scale within which no pole gets to the ray of a damping ratio.
 
 **Attacked.** Latin hypercubes over the unit box; and from many starts the corner to which the
 slopes of the least damping ratio point, then CMA-ES (N. Hansen, package `cma`). A machine that
@@ -35,7 +35,8 @@ from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, measure_swing
-from cmf_mj.studies.certificate_family import LARGEST, SIZE, SLOW, Box, Family
+from cmf_mj.studies.certificate_box import DIMENSIONS, LARGEST_SCALE, Box
+from cmf_mj.studies.certificate_family import SLOW_POLE, Family
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
@@ -124,8 +125,8 @@ ABOUT_CERTIFICATES = (
     "How far machines may be off, all numbers at once; 1 is the whole unit box",
     "zeta: least damping ratio, in all poses, of the nominal machine. proven: scale of the box "
     "within which every machine is stable; broken: scale at which one is not, -: none up to "
-    f"{LARGEST:g}. stable, least zeta: of machines drawn from the unit box. beyond, within: swing "
-    f"of the machine that breaks first, 10 s after a step, over the step, at {BEYOND:g} and "
+    f"{LARGEST_SCALE:g}. stable, least zeta: of machines drawn from the unit box. beyond, within: "
+    f"swing of the machine that breaks first, 10 s after a step, over the step, at {BEYOND:g} and "
     f"{WITHIN:g} times that scale.",
 )
 ABOUT_PROOFS = ("Scale of the box within which every machine keeps a damping ratio",)
@@ -146,7 +147,7 @@ def certify(
     `friction` is how dry friction enters the loop, see `plant.cylinder`; None refuses it. The
     simulation replays a machine with all its friction. Raises `InputError` as `Family` does.
 
-    >>> from cmf_mj.studies.certificate_family import load_box
+    >>> from cmf_mj.studies.certificate_box import load_box
     >>> from cmf_mj.studies.certificate import certify
     >>> plant, law = cmf_mj.Hexapod("ifd"), cmf_mj.load_law("velocity")
     >>> result = certify(plant, law, Path("out/certify"), load_box())
@@ -154,33 +155,34 @@ def certify(
     True
     """
     poses = [_pose(plant, law, box, pose, friction) for pose in box.poses(plant)[: effort.poses]]
-    points = cube("latin_hypercube", effort.samples, SIZE, seed)
+    points = cube("latin_hypercube", effort.samples, DIMENSIONS, seed)
     drawn, worst = [], []
     for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
         parts = np.array_split(some, len(some) // _CHUNK + 1)
         drawn.append(np.concatenate([pose.damping_in(box, part) for part in parts]))
         worst.append(some[drawn[-1].argmin()])
-    nominal = [pose.nominal() for pose in poses]
+    nominal = [pose.nominal_damping() for pose in poses]
     weakest = sorted(range(len(poses)), key=lambda i: drawn[i].min())
-    broken, proofs = (poses[int(np.argmin(nominal))], np.zeros(SIZE), 0.0), []
+    broken, proofs = (poses[int(np.argmin(nominal))], np.zeros(DIMENSIONS), 0.0), []
     if min(nominal) > 0.0:
         begins = [(poses[i], worst[i]) for i in weakest[:_PLACES]]
         broken = _break(box, begins, effort, seed)
         poses.sort(key=lambda pose: pose is not broken[0])
         for ratio in np.arange(effort.ratios) / effort.ratios * min(nominal):
-            edge, turn = min(broken[2], LARGEST), float(np.arcsin(ratio))
-            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn, 1.0 / edge, SLOW)
+            edge, turn = min(broken[2], LARGEST_SCALE), float(np.arcsin(ratio))
+            loop = poses[0].widen(poses[0].widths(box, edge))
+            first = peak_bound(loop, turn, 1.0 / edge, SLOW_POLE)
             edge = min(edge, _WIDER / first)  # slopes differ less in a smaller box
             beta = 1.0 / edge
             for pose in poses:
-                beta = peak_bound(pose.within(pose.widths(box, edge)), turn, beta, SLOW)
+                beta = peak_bound(pose.widen(pose.widths(box, edge)), turn, beta, SLOW_POLE)
             proven = 1.0 / beta
             found = [_attack(p, box, proven, x, effort.rounds, seed, -1.0)[0] for p, x in begins]
             proofs.append(Proof(float(ratio), proven, min(found)))
     pose, point, scale = broken
     swing = []
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
-        changes = box.changes(factor * min(scale, LARGEST) * point[None])
+        changes = box.changes(factor * min(scale, LARGEST_SCALE) * point[None])
         case = save_case(plain_path(folder, name), name, plant, law, pose.pose, box, changes)
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
@@ -196,7 +198,7 @@ def _pose(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | N
     """
     for closed, share in product((True, False), (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)):
         family = Family(plant, law, share * pose, friction)
-        if family.holds(box, LARGEST, closed=closed):
+        if family.holds(box, LARGEST_SCALE, closed=closed):
             break
     return family
 
@@ -209,12 +211,12 @@ def _break(
     def damped(share: float, pose: Family, point: Array) -> float:
         return float(pose.damping_in(box, share * point[None])[0])
 
-    best, scale = (*begins[0], np.inf), LARGEST
+    best, scale = (*begins[0], np.inf), LARGEST_SCALE
     generator = np.random.default_rng([seed, 1])
     for start in range(effort.starts):
         pose, point = begins[start % len(begins)]
         if start >= len(begins):
-            point = 2.0 * cube("corners", 1, SIZE, generator)[0] - 1.0
+            point = 2.0 * cube("corners", 1, DIMENSIONS, generator)[0] - 1.0
         while True:
             damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
             if damping > 0.0:
@@ -237,7 +239,7 @@ def _attack(
 
     best = float(damping(point[None])[0]), point
     for _ in range(4):
-        corner = np.sign(best[0] - damping(best[1] + _STEP * np.eye(SIZE)))
+        corner = np.sign(best[0] - damping(best[1] + _STEP * np.eye(DIMENSIONS)))
         here = float(damping(corner[None])[0])
         if here >= best[0]:
             break

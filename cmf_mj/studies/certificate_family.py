@@ -1,8 +1,5 @@
 """All machines of a box in one pose under a law, as one loop with parameters.
 
-The box of a scale s holds the machines whose numbers are off by at most s times its values, each on
-its own. A corner of it is a point of +-1.
-
 The machine at rest in the pose, linearised as `linear.assembly` does, changes by factors:
 
     drives, spools    their rows                   oil      rows of both chambers
@@ -15,27 +12,24 @@ where both areas are equal,
 
     rho = gain sqrt(Ps) kappa(p / Ps)        over that of the nominal machine,
 
-kappa the describing function of the valve at rest, see `linear.ports`. Where the load leaves it
-open, against the leak, its slope with pressure is that of the nominal machine. The law and a frame
-of delay are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for
+kappa the describing function of the valve at rest, see `linear.ports`. Where the load leaves
+it open, against the leak, its slope with pressure is that of the nominal machine. The law and a
+frame of delay are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for
 s = (2 / T) atanh(w T/2) and the hold for the mean of two frames: right up to (w T)^2 / 12, 2e-4 at
 15 Hz. Left out is what gravity's stiffness and the content of the oil change with the cab.
 
-Poles slower than `SLOW` do not count. They are the mean pressures of chambers, which creep as fast
-as pistons leak; a leg whose valve begins to open under its load has one at 0, where what is left
-out decides its sign. `operating_point` takes rests alone that keep themselves. They count in the
-nominal machine, so that a law that lets the platform creep away is not certified.
+Poles slower than `SLOW_POLE` do not count. They are the mean pressures of chambers, which creep as
+fast as pistons leak; a leg whose valve begins to open under its load has one at 0, where what is
+left out decides its sign. `operating_point` takes rests alone that keep themselves. They count in
+the nominal machine, so that a law that lets the platform creep away is not certified.
 """
 
 from collections.abc import Mapping
-from itertools import product
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 from scipy import linalg
 
 from cmf_mj.analysis.linear.linear import Linear
@@ -47,104 +41,32 @@ from cmf_mj.analysis.linear.structured import Uncertain
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, NotLinearError
-from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.facility.unknown import Unknown
-from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.core.errors import NotLinearError
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
-from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.certificate_box import Box
 
 Array = NDArray[np.float64]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
-KINDS = {
-    "drive_lag": ("hydraulics.actuators.*.drive_lag", 6),
-    "valve_lag": ("hydraulics.actuators.*.valve_lag", 6),
-    "valve_gain": ("hydraulics.actuators.*.valve_gain", 6),
-    "leak_rate": ("hydraulics.actuators.*.leakage", 6),
-    "bulk_modulus": ("hydraulics.bulk_modulus", 1),
-    "supply_pressure": ("hydraulics.supply", 1),
-    "cab_mass": ("cab.mass", 1),
-    "cab_place": ("cab.centre_of_mass", 3),
-    "cab_inertia": ("cab.inertia", 1),
-}
-"""Paths of the unknowns and how many numbers each has, in the order of a point of the box."""
+SLOW_POLE = 0.3  #: Re + |Im| of a pole [rad/s] that does not count; leaks take 0.4 and more.
+_ROUNDING = 1e-7  #: Rate [rad/s] of a pole that is at 0 but for rounding.
+_SLOPE_MARGIN = 1.01  #: Range of the slopes taken over the one found.
 
-SIZE = sum(count for _, count in KINDS.values())
-WIDEST = 0.6  #: Largest deviation of a factor: at `LARGEST`, numbers stay positive.
-LARGEST = 1.3  #: Largest scale: numbers stay positive, and closed valves hold every leg.
-SLOW = 0.3  #: Re + |Im| of a pole [rad/s] below which it does not count; leaks take 0.4 and more.
-_STILL = 1e-7  #: Rate [rad/s] of a pole that is at 0 but for rounding.
-LEAST = 0.05  #: Share of a number that is left of it at least.
+_FINE_STEP, _COARSE_STEP = 0.005, 0.05
+"""Steps of the loads at which kappa is tabulated, fine where closed valves may hold them."""
+_LARGEST_LOAD = 0.96  #: Largest of them over the stall force.
 
-
-class Box(Settings):
-    """The unit box: how far a number may be off either way."""
-
-    title: str
-    pose_share: Share  #: Of an axis alone over its operational limit.
-    corner_share: Share  #: Of all axes at once.
-    unknowns: dict[str, Unknown]  #: Those of `KINDS`, each with a deviation.
-
-    @model_validator(mode="after")
-    def _whole(self) -> "Box":
-        paths = [(name, one.path) for name, one in self.unknowns.items()]
-        if paths != [(name, path) for name, (path, _) in KINDS.items()]:
-            allowed = f"allowed: {', '.join(KINDS)}, in this order, with their paths"
-            raise InputError(f"unknowns: {', '.join(self.unknowns)} are refused; {allowed}")
-        for name, one in self.unknowns.items():
-            most = WIDEST if one.effect == "factor" else np.inf
-            if one.distribution != "uniform" or not 0.0 < one.half <= most:
-                allowed = f"a uniform deviation of at most {100.0 * WIDEST:g} %"
-                raise InputError(f"unknowns.{name}: is refused; allowed: {allowed}")
-        return self
-
-    def changes(self, points: Array) -> dict[str, Array]:
-        """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count).
-
-        Beyond a wide unit box a factor keeps `LEAST` of its number.
-        """
-        parts = Unknowns(self.unknowns).split(points)
-        sizes = {name: self.unknowns[name].half * part for name, part in parts.items()}
-        place = {"cab_place": sizes["cab_place"]}
-        return {name: np.maximum(size, LEAST - 1.0) for name, size in sizes.items()} | place
-
-    def values(self, changes: Mapping[str, Array]) -> dict[str, Any]:
-        """Values of the unknowns in a machine with changes (1, count), in axes of the cab."""
-        found = {name: change + 1.0 for name, change in changes.items()}
-        return Unknowns(self.unknowns).shaped(found | {"cab_place": FLIP * changes["cab_place"]})
-
-    def poses(self, plant: Hexapod) -> Array:
-        """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
-        low, high = load_motion_limits(machine=plant.machine).operational.T
-        ends = np.vstack([np.diag(high), np.diag(low)]) * self.pose_share
-        signs = np.array([(*s, s[1], s[0], s[2]) for s in product((-1.0, 1.0), repeat=3)])
-        corners = self.corner_share * np.where(signs > 0.0, high, low)
-        return np.vstack([np.zeros(6), ends, corners])
-
-
-def load_box(source: str | Path | None = None) -> Box:
-    """The shipped unit box, or one from a TOML file."""
-    path = Path(__file__).with_name("certificate.toml") if source is None else Path(source)
-    return validated(Box, read_toml(path), path.name)
-
-
-_FINE, _COARSE, _MOST = 0.005, 0.05, 0.96
-"""Steps of the loads at which kappa is tabulated, fine where closed valves may hold them, and the
-largest of them over the stall force."""
-_STEPS = 17
-"""Cabs between two opposite corners of the box whose slopes are looked at for their range."""
-_MARGIN = 1.01  #: Range of the slopes taken over the one found.
-_NAMES = "drive spool cap_port rod_port leak cap_oil rod_oil".split()
-_OF_LEGS = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(_NAMES)}
-"""Parameters of legs, each of which enters once, by what they change."""
-_LEGS = 6 * len(_OF_LEGS)
-_OF_CAB = (3, 4, 4, 4, 3)
+_ACCELERATIONS = slice(12, 18)  #: Rows of the legs' accelerations in the feedback.
+_LEG_PARAMETERS = ("drive", "spool", "cap_port", "rod_port", "leak", "cap_oil", "rod_oil")
+"""Parameters that each leg has one of."""
+_OF_LEGS = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(_LEG_PARAMETERS)}
+_OF_CAB = slice(6 * len(_LEG_PARAMETERS), None)
+"""Where parameters stand among the inputs w and outputs z of the loop."""
+_CAB_REPETITIONS = (3, 4, 4, 4, 3)
 """How often those of the cab enter: its mass, three shifts of its centre of mass, its inertia."""
-SIZES = (1,) * _LEGS + _OF_CAB  #: How often parameters enter.
+REPETITIONS = (1,) * 6 * len(_LEG_PARAMETERS) + _CAB_REPETITIONS  #: How often parameters enter.
 
 
 class Family:
@@ -158,7 +80,7 @@ class Family:
         `friction` is as `Linear` takes it. Raises `InputError` as `Linear` and `bound` do.
         """
         linear = Linear(plant, pose, friction=friction)
-        self.pose, self._point = pose, linear.point
+        self.pose, self._mechanics = pose, linear.point.mechanics
         cab = plant.cab_parameters
         assert cab is not None
         turn = rotation(*pose[3:])
@@ -167,232 +89,236 @@ class Family:
         self._gravity = turn.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
         self._mass, self._place = cab.mass.si, FLIP * cab.centre_of_mass.si
         self._inertia = FLIP[:, None] * cab.tensor * FLIP
-        self._ports_of = _port_slopes(plant)
-        self._held = _areas(plant) * plant.parameters.supply_pressure.si
+        self._ports = _slopes_of_legs(plant)
+        self._unit_load = _load_areas(plant) * plant.parameters.supply_pressure.si
         self._plant = reduced(linear.system, outputs=labels(FEEDBACK, 6))
         self.loop = self._loop(bound(law, plant))
         """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
 
     def _loop(self, law: Law) -> Uncertain:
-        """The loop with those states of a bound law that feedback reaches."""
+        """The loop with those states of a bound law that feedback reaches.
+
+        Rows of plant and parameters are linear forms of plant states, commands and w.
+        """
         dcl = reduced(dcl_state_space(law, 6), labels(FEEDBACK, 6))
-        system, (ak, bk, ck) = self._plant, _in_frames(dcl, law.frame)
-        a, b, c, _ = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
-        names, n = list(system.state_labels), len(a)
-        state, command, w = np.split(np.eye(n + 6 + sum(SIZES)), [n, n + 6])
-        seen, change = np.zeros((len(w), len(state[0]))), a @ state + b @ command
-        drive, spool, speed, cap, rod = (
-            [names.index(label) for label in labels((kind,), 6)]
-            for kind in ("drive", "spool", "leg_velocity", "cap_pressure", "rod_pressure")
-        )
+        law_a, law_b, law_c = _in_frames(dcl, law.frame)
+        a, b, c = (np.asarray(m) for m in (self._plant.A, self._plant.B, self._plant.C))
+        ends = [len(a), len(a) + 6]
+        state, command, w = np.split(np.eye(ends[-1] + sum(REPETITIONS)), ends)
+        rate, z_legs = self._free_legs(a @ state + b @ command, state, w)
+        speed = self._rows("leg_velocity")
+        rate[speed], z_cab = self._free_cab(rate[speed], w[_OF_CAB])
+        feedback = c @ state
+        feedback[_ACCELERATIONS] = rate[speed]
+        rates = np.vstack([rate, law_b @ feedback])
+        by_state, by_command, by_w = np.split(rates, ends, axis=1)
+        z_state, z_command, z_w = np.split(np.vstack([z_legs, z_cab]), ends, axis=1)
+        loop_a = np.hstack([by_state, by_command @ law_c])
+        loop_a[len(a) :, len(a) :] += law_a
+        loop_c = np.hstack([z_state, z_command @ law_c])
+        return Uncertain(loop_a, by_w, loop_c, z_w, REPETITIONS)
 
-        def free(name: str, what: Array) -> Array:
-            """What the parameters of six legs add to what they multiply."""
-            seen[_OF_LEGS[name]] = what
-            return w[_OF_LEGS[name]]
+    def _rows(self, name: str) -> list[int]:
+        """Rows of the six states of a name in the plant."""
+        states = list(self._plant.state_labels)
+        return [states.index(label) for label in labels((name,), 6)]
 
-        change[drive] += free("drive", change[drive])
-        change[spool] += free("spool", change[spool])
-        change[cap] += free("cap_port", a[cap, spool][:, None] * state[spool])
-        change[rod] += free("rod_port", a[rod, spool][:, None] * state[spool])
-        flow = free("leak", state[rod] - state[cap])
-        change[cap] += a[cap, rod][:, None] * flow
-        change[rod] -= a[rod, cap][:, None] * flow
-        change[cap] += free("cap_oil", change[cap])
-        change[rod] += free("rod_oil", change[rod])
-        self._free_cab(change, speed, w[_LEGS:], seen[_LEGS:])
-        sees = c @ state
-        sees[12:18] = change[speed]
-        a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
-        z, z_command, z_w = np.split(seen, [n, n + 6], axis=1)
-        whole = np.hstack([a, by_command @ ck])
-        whole[n:, n:] += ak
-        return Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
+    def _free_legs(self, rate: Array, state: Array, w: Array) -> tuple[Array, Array]:
+        """Rates of the states with the parameters of the legs, and what these multiply."""
+        drive, spool = self._rows("drive"), self._rows("spool")
+        cap, rod = self._rows("cap_pressure"), self._rows("rod_pressure")
+        a, w_of = np.asarray(self._plant.A), {name: w[rows] for name, rows in _OF_LEGS.items()}
+        z_of = {
+            "drive": rate[drive],
+            "spool": rate[spool],
+            "cap_port": a[cap, spool][:, None] * state[spool],
+            "rod_port": a[rod, spool][:, None] * state[spool],
+            "leak": state[rod] - state[cap],
+        }
+        rate = rate.copy()
+        rate[drive] += w_of["drive"]
+        rate[spool] += w_of["spool"]
+        rate[cap] += w_of["cap_port"] + a[cap, rod][:, None] * w_of["leak"]
+        rate[rod] += w_of["rod_port"] - a[rod, cap][:, None] * w_of["leak"]
+        z_of |= {"cap_oil": rate[cap], "rod_oil": rate[rod]}
+        rate[cap] += w_of["cap_oil"]
+        rate[rod] += w_of["rod_oil"]
+        return rate, np.vstack([z_of[name] for name in _LEG_PARAMETERS])
 
-    def _free_cab(self, change: Array, speed: list[int], w: Array, seen: Array) -> None:
-        """Put mass, place and inertia of the cab into the rows of the legs' speeds.
+    def _free_cab(self, acceleration: Array, w: Array) -> tuple[Array, Array]:
+        """Accelerations of the legs with the parameters of the cab, and what these multiply.
 
         With q = H v' and B + sum of delta_j dB_j, dB_j = U_j V_j, the cab moves by y = B q + U w1,
         is pulled by h = diag(m, m, m, I) y + w2, and the platform feels B' h + V' w3.
         """
-        reach = _reach(self._place)
+        lever = _lever(self._place)
         body = linalg.block_diag(self._mass * np.eye(3), self._inertia)
-        shifts = [_reach(self._place + one) - reach for one in np.eye(3)]
-        rows = [np.flatnonzero(shift.any(axis=1)) for shift in shifts]
-        parts = np.cumsum(_OF_CAB)[:-1]
-        w_mass, *w_places, w_inertia = np.split(w, parts)
-        z_mass, *z_places, z_inertia = np.split(seen, parts)
-        moved, pulled, felt = (np.zeros((6, change.shape[1])) for _ in range(3))
-        pulled[:3], pulled[3:] = w_mass, w_inertia
-        for shift, at, one in zip(shifts, rows, w_places, strict=True):
-            moved[at] += one[:2]
-            felt += shift[at].T @ one[2:]
-        added = self._motion.T @ (reach.T @ (body @ moved + pulled) + felt)
-        change[speed] -= np.linalg.solve(self._point.mechanics.mass, added)
-        q = self._motion @ change[speed]
-        y = reach @ q + moved
-        h = body @ y + pulled
-        z_mass[:], z_inertia[:] = self._mass * y[:3], self._inertia @ y[3:]
-        for shift, at, one in zip(shifts, rows, z_places, strict=True):
-            one[:2], one[2:] = shift[at] @ q, h[at]
+        lever_changes = [_lever(self._place + axis) - lever for axis in np.eye(3)]
+        w_mass, *w_places, w_inertia = np.split(w, np.cumsum(_CAB_REPETITIONS)[:-1])
+        moved, felt = np.zeros((6, w.shape[1])), np.zeros((6, w.shape[1]))
+        pulled = np.vstack([w_mass, w_inertia])
+        for change, w_place in zip(lever_changes, w_places, strict=True):
+            rows, (w_moved, w_felt) = change.any(axis=1), np.split(w_place, 2)
+            moved[rows] += w_moved
+            felt += change[rows].T @ w_felt
+        added = self._motion.T @ (lever.T @ (body @ moved + pulled) + felt)
+        acceleration = acceleration - np.linalg.solve(self._mechanics.mass, added)
+        platform = self._motion @ acceleration
+        cab = lever @ platform + moved
+        pull = body @ cab + pulled
+        z_places = []
+        for change in lever_changes:
+            rows = change.any(axis=1)
+            z_places += [change[rows] @ platform, pull[rows]]
+        return acceleration, np.vstack([self._mass * cab[:3], *z_places, self._inertia @ cab[3:]])
 
-    def _loads(self, changes: Mapping[str, Array]) -> Array:
-        """Static loads of the legs [N], (N, 6)."""
+    def _load_shares(self, changes: Mapping[str, Array]) -> Array:
+        """Static loads of the legs over area and supply pressure, (N, 6)."""
         mass = self._mass * (1.0 + changes["cab_mass"])
         weight = mass * self._gravity - self._mass * self._gravity
-        turned = np.cross(self._place + changes["cab_place"], mass * self._gravity)
-        turned -= np.cross(self._place, self._mass * self._gravity)
-        return np.asarray(self._point.mechanics.load - np.hstack([weight, turned]) @ self._motion)
+        moment = np.cross(self._place + changes["cab_place"], mass * self._gravity)
+        moment -= np.cross(self._place, self._mass * self._gravity)
+        loads = self._mechanics.load - np.hstack([weight, moment]) @ self._motion
+        return np.asarray(loads / (self._unit_load * (1.0 + changes["supply_pressure"])))
 
-    def _ports(self, changes: Mapping[str, Array]) -> Array:
+    def _port_changes(self, changes: Mapping[str, Array]) -> Array:
         """Rho - 1 of machines' cap and rod ports, (2, N, 6)."""
-        load, loads = self._point.mechanics.load, self._loads(changes)
-        high, gain = 1.0 + changes["supply_pressure"], 1.0 + changes["valve_gain"]
-        at, nominal = loads / (self._held * high), load / self._held
-        ratios = np.empty((2, *at.shape))
-        for leg, ports in enumerate(self._ports_of):
-            for ratio, kappa in zip(ratios, ports.slopes, strict=True):
-                ratio[:, leg] = np.interp(at[:, leg], ports.shares, kappa)
-                ratio[:, leg] /= np.interp(nominal[leg], ports.shares, kappa)
-        return np.asarray(gain * np.sqrt(high) * ratios - 1.0)
+        supply, gain = 1.0 + changes["supply_pressure"], 1.0 + changes["valve_gain"]
+        shares, nominal = self._load_shares(changes), self._mechanics.load / self._unit_load
+        ratios = np.empty((2, *shares.shape))
+        for leg, ports in enumerate(self._ports):
+            ratios[:, :, leg] = ports.at(shares[:, leg]) / ports.at(nominal[[leg]])
+        return np.asarray(gain * np.sqrt(supply) * ratios - 1.0)
 
     def deltas(self, changes: Mapping[str, Array]) -> Array:
         """Delta of machines by what is off, see `Box.changes`, (N, 60)."""
-        of_legs = {
-            "drive": changes["drive_lag"],
-            "spool": changes["valve_lag"],
-            "leak": changes["leak_rate"],
-            **dict.fromkeys(("cap_oil", "rod_oil"), np.repeat(changes["bulk_modulus"], 6, axis=1)),
-            **dict(zip(("cap_port", "rod_port"), self._ports(changes), strict=True)),
-        }
-        places = np.repeat(changes["cab_place"], 4, axis=1)
-        mass, inertia = (np.repeat(changes[one], 3, axis=1) for one in ("cab_mass", "cab_inertia"))
-        return np.hstack([*(of_legs[name] for name in _OF_LEGS), mass, places, inertia])
+        cap_port, rod_port = self._port_changes(changes)
+        oil = np.repeat(changes["bulk_modulus"], 6, axis=1)
+        of_legs = {"drive": changes["drive_lag"], "spool": changes["valve_lag"]}
+        of_legs |= {"leak": changes["leak_rate"], "cap_port": cap_port, "rod_port": rod_port}
+        of_legs |= {"cap_oil": oil, "rod_oil": oil}
+        mass = np.repeat(changes["cab_mass"], 3, axis=1)
+        place = np.repeat(changes["cab_place"], 4, axis=1)
+        inertia = np.repeat(changes["cab_inertia"], 3, axis=1)
+        return np.hstack([*(of_legs[name] for name in _LEG_PARAMETERS), mass, place, inertia])
 
     def widths(self, box: Box, scale: float) -> Array:
         """Largest |delta| of the box of a scale, over the scale, (60,)."""
-        widths = np.abs(self.deltas(_corners(box, scale))).max(axis=0)
+        widths = np.abs(self.deltas(box.corner_changes(scale))).max(axis=0)
         for port in ("cap_port", "rod_port"):
-            widths[_OF_LEGS[port]] *= _MARGIN
+            widths[_OF_LEGS[port]] *= _SLOPE_MARGIN
         return np.asarray(widths / scale)
 
     def holds(self, box: Box, scale: float, *, closed: bool) -> bool:
         """Whether valves at rest, all of them `closed`, hold the legs of every machine in a box."""
-        corners = _corners(box, scale)
-        shares = self._loads(corners) / (self._held * (1.0 + corners["supply_pressure"]))
-        ends = (one.closed if closed else one.shares[[0, -1]] for one in self._ports_of)
-        low, high = np.transpose(list(ends))
+        shares = self._load_shares(box.corner_changes(scale))
+        low, high = np.transpose([ports.range_held(closed=closed) for ports in self._ports])
         return bool((low < shares).all() and (shares < high).all())
 
     def damping(self, deltas: Array) -> Array:
         """Least damping ratio of poles, (N,): -1 to 1, of a real one either; slow ones have 1."""
-        poles = np.linalg.eigvals(_off(self.loop, deltas))
-        slow = poles.real + np.abs(poles.imag) < SLOW
+        poles = np.linalg.eigvals(_changed_a(self.loop, deltas))
+        slow = poles.real + np.abs(poles.imag) < SLOW_POLE
         return np.asarray(np.where(slow, 1.0, -poles.real / np.abs(poles)).min(axis=1))
 
-    def nominal(self) -> float:
-        """That of the nominal machine, whose slow poles are exact: -1 where one does not decay."""
+    def nominal_damping(self) -> float:
+        """Least damping ratio of the nominal machine; -1 where a slow pole of it does not decay."""
         poles = np.linalg.eigvals(self.loop.a)
-        slow = poles[poles.real + np.abs(poles.imag) < SLOW]
-        holds = bool((slow.real < -_STILL).all())
-        return float(self.damping(np.zeros((1, sum(SIZES))))[0]) if holds else -1.0
+        slow = poles[poles.real + np.abs(poles.imag) < SLOW_POLE]
+        if (slow.real >= -_ROUNDING).any():
+            return -1.0
+        return float(self.damping(np.zeros((1, sum(REPETITIONS))))[0])
 
     def damping_in(self, box: Box, points: Array) -> Array:
-        """Damping ratios at points of the unit box."""
+        """Least damping ratios at points of the unit box, (N,)."""
         return self.damping(self.deltas(box.changes(points)))
 
-    def within(self, widths: Array) -> Uncertain:
-        """The loop with parameters of these widths for a delta of 1."""
-        wide = widths[:, None]
-        return self.loop._replace(c=wide * self.loop.c, d=wide * self.loop.d)
+    def widen(self, widths: Array) -> Uncertain:
+        """The loop with parameters that are off by these widths for a delta of 1."""
+        column = widths[:, None]
+        return self.loop._replace(c=column * self.loop.c, d=column * self.loop.d)
 
 
-def _corners(box: Box, scale: float) -> dict[str, Array]:
-    """What is off in machines among which those with the widest slopes are."""
-    signs = np.array(list(product((-1.0, 1.0), repeat=4)))
-    cabs = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
-    rest = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))  # supply and gains
-    counts = [count for _, count in KINDS.values()]
-    at = dict(zip(KINDS, np.cumsum([0, *counts]), strict=False))
-    points = np.ones((len(cabs) * len(rest), SIZE))
-    points[:, at["cab_mass"] : at["cab_inertia"]] = np.repeat(cabs, len(rest), axis=0)
-    high, gains = np.tile(rest, (len(cabs), 1)).T[:, :, None]
-    points[:, [at["supply_pressure"]]] = high
-    points[:, at["valve_gain"] : at["leak_rate"]] = gains
-    return box.changes(scale * points)
-
-
-class _Ports(NamedTuple):
-    """Slopes of a leg's ports at rest by the load it holds, over area and supply pressure."""
-
-    shares: Array  #: Loads that the valves hold, (n,).
-    slopes: Array  #: Of cap and rod port, (2, n).
-    closed: tuple[float, float]  #: Loads that closed valves hold; NaN for none.
-
-
-def _areas(plant: Hexapod) -> Array:
-    """Area of each leg that the load over the pressure at rest is: of equal areas one of them."""
-    cap, rod = plant.hydraulics.cylinder.cap_area, plant.hydraulics.cylinder.rod_area
-    return np.where(cap == rod, cap, cap - rod)
-
-
-def _port_slopes(plant: Hexapod) -> list[_Ports]:
-    """The slopes of each leg; legs of one cylinder, whose valves have other gains, share them."""
-    cylinders, known = plant.hydraulics.cylinder, dict[bytes, _Ports]()
-    for leg, cylinder in enumerate(cylinders):
-        if cylinder.tobytes() not in known:
-            known[cylinder.tobytes()] = _slopes_of(plant, leg)
-    return [known[cylinder.tobytes()] for cylinder in cylinders]
-
-
-def _slopes_of(plant: Hexapod, leg: int) -> _Ports:
-    """Slopes of a leg's ports over the loads that its valves hold at rest."""
-    hydraulics, supply = plant.hydraulics, plant.parameters.supply_pressure.si
-    cylinder, bias = hydraulics.cylinder[leg], hydraulics.valve[leg].null_bias
-    area = float(_areas(plant)[leg])
-    ends = -_MOST * cylinder.rod_area / area, _MOST * cylinder.cap_area / area
-    shares = _COARSE * np.arange(np.ceil(ends[0] / _COARSE), ends[1] / _COARSE)
-    if cylinder.cap_area != cylinder.rod_area:
-        shares = np.union1d(shares[(shares < 0.0) | (shares > 1.0)], np.arange(0.0, 1.0, _FINE))
-    rows, held = [], []
-    for share in shares:
-        try:
-            rest = hold(plant, leg, float(share) * area * supply, supply, 0.0)
-        except NotLinearError:
-            continue
-        at = np.append(rest.pressure, [supply, 0.0])
-        opening, outward = rest.command + bias, outward_share(rest.ratio)
-        slopes = port_slopes(hydraulics, leg, opening, at, outward).opening[[CAP, ROD]]
-        rows.append(slopes.sum(axis=1))
-        held.append((share, not opening.any()))
-    found, shut = np.array(held).T
-    closed = found[shut > 0.0]
-    ends = (closed[0], closed[-1]) if len(closed) else (np.nan, np.nan)
-    return _Ports(found, np.array(rows).T, ends)
-
-
-def _reach(place: Array) -> Array:
+def _lever(place: Array) -> Array:
     """B: motion of a point and turning per motion of the platform, (6, 6)."""
     x, y, z = place
-    reach = np.eye(6)
-    reach[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return reach
+    lever = np.eye(6)
+    lever[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return lever
 
 
-def _off(loop: Uncertain, deltas: Array) -> Array:
+def _changed_a(loop: Uncertain, deltas: Array) -> Array:
     """A of machines that are off, (N, n, n)."""
-    a, b, c, d, _ = loop
-    wide = deltas[:, :, None]
-    return np.asarray(a + b @ np.linalg.solve(np.eye(len(d)) - wide * d, wide * c))
+    column = deltas[:, :, None]
+    feedback = np.linalg.solve(np.eye(len(loop.d)) - column * loop.d, column * loop.c)
+    return np.asarray(loop.a + loop.b @ feedback)
 
 
 def _in_frames(law: control.StateSpace, frame: float) -> tuple[Array, Array, Array]:
     """Law, a frame of delay, and the mean of two frames for the hold: A, B, C in w."""
     a, b, c, d = (np.asarray(m) for m in (law.A, law.B, law.C, law.D))
-    n, one = len(a), np.eye(6)
-    late = np.zeros((n + 12, n + 12))
-    late[:n, :n], late[n : n + 6, :n], late[n + 6 :, n : n + 6] = a, c, one
-    leaves = 0.5 * np.hstack([np.zeros((6, n)), one, one])
-    back, scale = np.linalg.inv(late + np.eye(n + 12)), 2.0 / np.sqrt(frame)
-    turned = 2.0 / frame * back @ (late - np.eye(n + 12))
-    return turned, scale * back @ np.vstack([b, d, 0.0 * d]), scale * leaves @ back
+    n, identity = len(a), np.eye(6)
+    # States of the law, commands of the last frame, and those of the frame before.
+    delayed = np.zeros((n + 12, n + 12))
+    delayed[:n, :n], delayed[n : n + 6, :n], delayed[n + 6 :, n : n + 6] = a, c, identity
+    mean = 0.5 * np.hstack([np.zeros((6, n)), identity, identity])
+    inverse, scale = np.linalg.inv(delayed + np.eye(n + 12)), 2.0 / np.sqrt(frame)
+    a_w = 2.0 / frame * inverse @ (delayed - np.eye(n + 12))
+    return a_w, scale * inverse @ np.vstack([b, d, 0.0 * d]), scale * mean @ inverse
+
+
+class _PortSlopes(NamedTuple):
+    """Kappa of a leg: slopes of its ports at the loads, over area and supply, that valves hold."""
+
+    shares: Array  #: The loads, ascending, (n,).
+    slopes: Array  #: Of cap and rod port, (2, n).
+    closed_shares: Array  #: Loads that closed valves hold, (m,).
+
+    def at(self, shares: Array) -> Array:
+        """Slopes of cap and rod port at loads (k,), (2, k)."""
+        return np.array([np.interp(shares, self.shares, slopes) for slopes in self.slopes])
+
+    def range_held(self, *, closed: bool) -> Array:
+        """The ends of the loads that valves hold, or `closed` ones alone, (2,); NaN for none."""
+        shares = self.closed_shares if closed else self.shares
+        return shares[[0, -1]] if len(shares) else np.full(2, np.nan)
+
+
+def _load_areas(plant: Hexapod) -> Array:
+    """Area of each leg that the pressure at rest acts on [m^2], (6,)."""
+    cap, rod = plant.hydraulics.cylinder.cap_area, plant.hydraulics.cylinder.rod_area
+    return np.where(cap == rod, cap, cap - rod)
+
+
+def _slopes_of_legs(plant: Hexapod) -> list[_PortSlopes]:
+    """The slopes of each leg; legs of one cylinder, whose valves have other gains, share them."""
+    by_cylinder: dict[bytes, _PortSlopes] = {}
+    for leg, cylinder in enumerate(plant.hydraulics.cylinder):
+        if cylinder.tobytes() not in by_cylinder:
+            by_cylinder[cylinder.tobytes()] = _slopes_of(plant, leg)
+    return [by_cylinder[cylinder.tobytes()] for cylinder in plant.hydraulics.cylinder]
+
+
+def _slopes_of(plant: Hexapod, leg: int) -> _PortSlopes:
+    hydraulics, supply = plant.hydraulics, plant.parameters.supply_pressure.si
+    cylinder = hydraulics.cylinder[leg]
+    area, bias = float(_load_areas(plant)[leg]), hydraulics.valve[leg].null_bias
+    held, slopes, held_closed = [], [], []
+    low, high = -_LARGEST_LOAD * cylinder.rod_area / area, _LARGEST_LOAD * cylinder.cap_area / area
+    shares = _COARSE_STEP * np.arange(np.ceil(low / _COARSE_STEP), high / _COARSE_STEP)
+    if cylinder.cap_area != cylinder.rod_area:
+        outside = shares[(shares < 0.0) | (shares > 1.0)]
+        shares = np.union1d(outside, np.arange(0.0, 1.0, _FINE_STEP))
+    for share in shares:
+        try:
+            rest = hold(plant, leg, float(share) * area * supply, supply, 0.0)
+        except NotLinearError:
+            continue
+        pressures = np.append(rest.pressure, [supply, 0.0])
+        openings, outward = rest.command + bias, outward_share(rest.ratio)
+        by_opening = port_slopes(hydraulics, leg, openings, pressures, outward).opening
+        held.append(share)
+        slopes.append(by_opening[[CAP, ROD]].sum(axis=1))
+        if not openings.any():
+            held_closed.append(share)
+    return _PortSlopes(np.array(held), np.array(slopes).T, np.array(held_closed))

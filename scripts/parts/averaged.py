@@ -32,7 +32,7 @@ from cmf_mj.report_2014.posterior.run import Task
 from cmf_mj.report_2014.posterior.study import effect_settings, load_effects
 from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.studies.certificate import QUICK, certify
-from cmf_mj.studies.certificate_family import load_box
+from cmf_mj.studies.certificate_box import load_box
 from cmf_mj.studies.fit.sampling import effective_size, quantiles
 
 EFFORT = QUICK._replace(samples=30, starts=1, rounds=1, poses=1)  #: Bounds at neutral alone.

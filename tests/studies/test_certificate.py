@@ -21,7 +21,8 @@ from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.parameters import hydraulics_of
 from cmf_mj.studies.certificate import QUICK, _attack, certify, save_case
-from cmf_mj.studies.certificate_family import KINDS, SIZE, SIZES, Family, load_box
+from cmf_mj.studies.certificate_box import DIMENSIONS, load_box
+from cmf_mj.studies.certificate_family import REPETITIONS, Family
 
 POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
 BOX = load_box()
@@ -48,19 +49,19 @@ def plant() -> cmf_mj.Hexapod:
 def test_nominal_loop_is_the_one_in_frames(name: str, plant: cmf_mj.Hexapod) -> None:
     law = cmf_mj.load_law(name)
     family = Family(plant, law, POSE)
-    found = family.damping(np.zeros((1, sum(SIZES))))[0]
+    found = family.damping(np.zeros((1, sum(REPETITIONS))))[0]
     assert found == pytest.approx(least_damping(law, plant, POSE), abs=5e-5)
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "all"])
+@pytest.mark.parametrize("kind", [*BOX.unknowns, "all"])
 def test_machines_are_those_of_their_files(
     kind: str, plant: cmf_mj.Hexapod, tmp_path: Path
 ) -> None:
     """Each number off alone, then all at once; the files name a machine that is linearised anew."""
-    point = np.random.default_rng(5).uniform(-1.0, 1.0, (1, SIZE))
-    parts = Unknowns(BOX.unknowns).split(np.arange(SIZE))
+    point = np.random.default_rng(5).uniform(-1.0, 1.0, (1, DIMENSIONS))
+    parts = Unknowns(BOX.unknowns).split(np.arange(DIMENSIONS))
     if kind != "all":
-        point[:, np.delete(np.arange(SIZE), parts[kind])] = 0.0
+        point[:, np.delete(np.arange(DIMENSIONS), parts[kind])] = 0.0
     changes = BOX.changes(point)
     law = cmf_mj.load_law("velocity")
     save_case(tmp_path, "drawn", plant, law, POSE, BOX, changes)
@@ -83,7 +84,7 @@ def test_other_machines_are_those_of_their_files_too(
     base = cmf_mj.load_machine(name)
     machine = base.model_copy(update={"name": "mine", "mjcf": None})
     plant, law = cmf_mj.Hexapod(cmf_mj.load_cab(None, machine), rubs), cmf_mj.load_law(base.law)
-    changes = BOX.changes(np.random.default_rng(5).uniform(-1.0, 1.0, (1, SIZE)))
+    changes = BOX.changes(np.random.default_rng(5).uniform(-1.0, 1.0, (1, DIMENSIONS)))
     path = save_case(tmp_path, "drawn", plant, law, 0.3 * POSE, BOX, changes)
     drawn, law_file = load_scenario(path).session().plant, cmf_mj.load_law(tmp_path / "law.toml")
     assert isinstance(drawn, cmf_mj.Hexapod) and drawn.machine.name == "mine"
@@ -102,8 +103,10 @@ def test_each_leg_has_the_ports_of_its_own_cylinder() -> None:
     plain = base.model_dump(mode="json", exclude_none=True)
     oil = type(base).model_validate(plain | {"name": "mixed", "actuators": one})
     law, light = cmf_mj.load_law("velocity"), cmf_mj.load_cab("gfd")
-    values = np.zeros((1, SIZE))
-    values[0, np.arange(SIZE)[Unknowns(BOX.unknowns).split(np.arange(SIZE))["cab_mass"]]] = 1.0
+    values = np.zeros((1, DIMENSIONS))
+    values[
+        0, np.arange(DIMENSIONS)[Unknowns(BOX.unknowns).split(np.arange(DIMENSIONS))["cab_mass"]]
+    ] = 1.0
     changes = BOX.changes(values)
     heavy = Unknowns(BOX.unknowns).apply(BOX.values(changes), light, "heavy")
     family = Family(cmf_mj.Hexapod(light, oil), law, np.zeros(6))
@@ -124,7 +127,7 @@ def test_a_leg_loaded_where_its_valve_begins_to_open_is_certified(tmp_path: Path
     one = certify(plant, law, tmp_path, box, QUICK._replace(poses=1), friction="none")
     assert one.proven > 1.0
     closed = set[bool]()
-    for point in np.random.default_rng(5).uniform(-1.0, 1.0, (6, 1, SIZE)):
+    for point in np.random.default_rng(5).uniform(-1.0, 1.0, (6, 1, DIMENSIONS)):
         values = box.values(box.changes(point))
         cab, oil = (
             Unknowns(narrow).apply(values, part, "drawn")
@@ -139,7 +142,7 @@ def test_a_leg_loaded_where_its_valve_begins_to_open_is_certified(tmp_path: Path
 def test_box_holds_its_machines(plant: cmf_mj.Hexapod) -> None:
     """No machine of a box is wider off than the loop that stands for the box."""
     family = Family(plant, cmf_mj.load_law("velocity"), POSE)
-    points = np.random.default_rng(6).uniform(-1.0, 1.0, (2000, SIZE))
+    points = np.random.default_rng(6).uniform(-1.0, 1.0, (2000, DIMENSIONS))
     points[1000:] = np.sign(points[1000:])
     for scale in (0.3, 1.0):
         deltas = family.deltas(BOX.changes(scale * points))
@@ -153,14 +156,14 @@ def test_no_sample_and_no_attack_beats_the_bound(tmp_path: Path, plant: cmf_mj.H
     assert 0.0 < one.proven < one.broken < 1.25 * one.proven
     assert all(proof.attacked > proof.ratio for proof in one.proofs)
     family = Family(plant, cmf_mj.load_law("velocity"), one.pose)
-    points = np.sign(np.random.default_rng(7).uniform(-1.0, 1.0, (500, SIZE)))
+    points = np.sign(np.random.default_rng(7).uniform(-1.0, 1.0, (500, DIMENSIONS)))
     assert family.damping_in(BOX, 0.999 * one.proven * points).min() > 0.0
     assert one.within < 0.02 < 0.2 < one.beyond  # the simulation rings on beyond, not within
 
 
 def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> None:
     """The largest and its successors, one a start, were refused inside NumPy."""
-    family, point = Family(plant, cmf_mj.load_law("velocity"), POSE), np.zeros(SIZE)
+    family, point = Family(plant, cmf_mj.load_law("velocity"), POSE), np.zeros(DIMENSIONS)
     for seed in (0, 2**32 - 2, 2**32 - 1, 2**32 + 19):
         assert np.isfinite(_attack(family, BOX, 0.1, point, 1, seed, -1.0)[0])
 
@@ -183,7 +186,7 @@ def test_a_law_that_lets_the_platform_creep_away_is_not_certified(
     gains = Gains(velocity=-2.3, reference=-position, position=position)
     law = cmf_mj.Law(name="creeps", title="Creeps", direct_gain=gains)
     held = position < 0.0
-    assert (Family(plant, law, np.zeros(6)).nominal() > 0.0) == held
+    assert (Family(plant, law, np.zeros(6)).nominal_damping() > 0.0) == held
     if not held:
         one = certify(plant, law, tmp_path, BOX, QUICK._replace(poses=1, samples=64))
         assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
@@ -192,17 +195,17 @@ def test_a_law_that_lets_the_platform_creep_away_is_not_certified(
 def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
     """A bound that is known already spares the work: `least` comes back."""
     family = Family(plant, cmf_mj.load_law("modal_plan"), np.zeros(6))
-    assert peak_bound(family.within(0.02 * family.widths(BOX, 1.0)), 0.0, 1.0) == 1.0
+    assert peak_bound(family.widen(0.02 * family.widths(BOX, 1.0)), 0.0, 1.0) == 1.0
 
 
 def test_wide_box_leaves_a_share_of_each_number() -> None:
     """Of a fit that cannot tell two lags apart, replayed at 1.5 times the largest scale."""
     lag = BOX.unknowns["drive_lag"].model_copy(update={"deviation": 60.0})
     wide = BOX.model_copy(update={"unknowns": {**BOX.unknowns, "drive_lag": lag}})
-    changes = wide.changes(-1.95 * np.ones((1, SIZE)))
+    changes = wide.changes(-1.95 * np.ones((1, DIMENSIONS)))
     assert changes["drive_lag"].min() == pytest.approx(-0.95)
     assert changes["cab_place"].min() == pytest.approx(-1.95 * BOX.unknowns["cab_place"].half)
-    usual = BOX.changes(-1.95 * np.ones((1, SIZE)))
+    usual = BOX.changes(-1.95 * np.ones((1, DIMENSIONS)))
     assert usual["drive_lag"].min() == pytest.approx(-1.95 * 0.15)
 
 

@@ -26,7 +26,7 @@ from cmf_mj.facility.unknown import DERIVED
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.models import Legs
 from cmf_mj.plant.parameters import OF_THE_SUPPLY
-from cmf_mj.studies.certificate_family import WIDEST, load_box
+from cmf_mj.studies.certificate_box import WIDEST_DEVIATION, load_box
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.tuning.search import save_law
 
@@ -189,7 +189,7 @@ def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     ends = posterior.bounds(share_each, exchange=False)
     bounds, best = physical(posterior, ends), physical(posterior, posterior.z)
     half_width = np.abs(bounds - best).max(axis=0)
-    ratio = np.minimum(half_width / np.maximum(np.abs(best), 1e-12), WIDEST)
+    ratio = np.minimum(half_width / np.maximum(np.abs(best), 1e-12), WIDEST_DEVIATION)
     table = load_box().model_dump(mode="json", exclude_defaults=True)
     source = f"{100 * share:g} % of the machines that the recordings allow, all numbers together"
     for name, pattern in _BOX_PATHS.items():

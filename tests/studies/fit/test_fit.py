@@ -18,7 +18,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import load_sensors
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
-from cmf_mj.studies.certificate_family import load_box
+from cmf_mj.studies.certificate_box import load_box
 from cmf_mj.studies.fit import doubt, results
 from cmf_mj.studies.fit.campaign import FILE, data_sheet, load_campaign
 from cmf_mj.studies.fit.engine import Posterior, fit

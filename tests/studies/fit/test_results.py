@@ -12,7 +12,7 @@ import cmf_mj
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import read_toml
 from cmf_mj.facility.run import Run
-from cmf_mj.studies.certificate_family import load_box
+from cmf_mj.studies.certificate_box import load_box
 from cmf_mj.studies.fit import results
 from cmf_mj.studies.fit.campaign import FILE, load_campaign
 from cmf_mj.studies.fit.engine import Posterior
