@@ -86,8 +86,8 @@ def make_shape(modes: Modes | None, legs: int) -> NDArray[np.float64]:
         return np.eye(legs)
     if legs != MODES:
         raise InputError(f"modes: are those of {MODES} legs; there are {legs}")
-    left, _, right = np.linalg.svd(np.array(modes.shape))
-    return np.ascontiguousarray(left @ right)
+    u, _, v_transposed = np.linalg.svd(np.array(modes.shape))
+    return np.ascontiguousarray(u @ v_transposed)
 
 
 def mode_mass(modes: Modes) -> NDArray[np.float64]:

@@ -101,48 +101,48 @@ def _limit_reference(dcl: Dcl, reference: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def handed_over_state(
-    before: Dcl,
+    previous: Dcl,
     state: DclState,
-    after: Dcl,
+    dcl: Dcl,
     reference: NDArray[np.float64],
     feedback: LegFeedback,
     gravity: NDArray[np.float64] | None = None,
 ) -> DclState:
-    """State in which the law `after` takes over from `before`, whose `state` is left as it is.
+    """State in which the law `dcl` takes over from `previous`, whose `state` is left as it is.
 
     Reference (n,) [m] and feedback are those that the law before read in the last frame, `gravity`
     what the accelerometers felt of it, (n,) [m/s^2]; by default none.
     """
-    begun, frame, bound = copied(state), before.error.frame, after.error.integrator_limit
-    begun.offset[:] = 0.0
-    if not np.array_equal(before.shape, after.shape):
-        _turn_state(begun, after.shape @ before.shape.T)
-    demand = _limit_reference(after, reference)
-    demand_change = np.clip(before.workspace.demand_change, -_FASTEST * frame, _FASTEST * frame)
+    begun_state, frame, bound = copied(state), previous.error.frame, dcl.error.integrator_limit
+    begun_state.offset[:] = 0.0
+    if not np.array_equal(previous.shape, dcl.shape):
+        _turn_state(begun_state, dcl.shape @ previous.shape.T)
+    demand = _limit_reference(dcl, reference)
+    demand_change = np.clip(previous.workspace.demand_change, -_FASTEST * frame, _FASTEST * frame)
     feedback = feedback._replace(position=feedback.position + frame * feedback.velocity)
-    command = _output(before, state, demand + demand_change, feedback)
+    command = _output(previous, state, demand + demand_change, feedback)
     if gravity is not None:
-        turned = after.shape @ before.shape.T @ _filtered_gravity(before, gravity)
-        begun.acceleration[:] += _filtered_gravity(after, gravity) - turned
-        shift = int(before.feedback.gravity_compensation) - int(after.feedback.gravity_compensation)
+        previous_gravity = dcl.shape @ previous.shape.T @ _filtered_gravity(previous, gravity)
+        begun_state.acceleration[:] += _filtered_gravity(dcl, gravity) - previous_gravity
+        shift = int(previous.feedback.gravity_compensation) - int(dcl.feedback.gravity_compensation)
         feedback = feedback._replace(acceleration=feedback.acceleration + shift * gravity)
-    np.clip(begun.error.integral, -bound, bound, out=begun.error.integral)
-    hand_over = _HandOver(before, after, begun, command, demand, demand_change, feedback)
+    np.clip(begun_state.error.integral, -bound, bound, out=begun_state.error.integral)
+    hand_over = _HandOver(previous, dcl, begun_state, command, demand, demand_change, feedback)
     hand_over.start_blocks()
     hand_over.settle_targets()
     hand_over.settle_integral()
     missing = hand_over.missing_output()
-    begun.offset[:] = np.where(np.abs(missing) > _ROUND_OFF, missing, 0.0)
-    after.workspace.limited_demand[:] = demand
-    after.workspace.demand_change[:] = demand_change
-    return begun
+    begun_state.offset[:] = np.where(np.abs(missing) > _ROUND_OFF, missing, 0.0)
+    dcl.workspace.limited_demand[:] = demand
+    dcl.workspace.demand_change[:] = demand_change
+    return begun_state
 
 
 class _HandOver(NamedTuple):
     """A law that begins in the middle of a run, and the output it has to begin with."""
 
-    before: Dcl  #: The law in force.
-    after: Dcl  #: The law that begins.
+    previous: Dcl  #: The law in force.
+    dcl: Dcl  #: The law that begins.
     state: DclState  #: State of the law that begins, changed stage by stage.
     command: NDArray[np.float64]  #: Output of the law in force, by leg, fractions, (n,).
     demand: NDArray[np.float64]  #: Limited demand of the last frame [m], (n,).
@@ -152,74 +152,74 @@ class _HandOver(NamedTuple):
     @property
     def keeps_compensator(self) -> bool:
         """Whether both compensators have the same A and B."""
-        first, second = self.before.compensator, self.after.compensator
-        has_same_poles = np.array_equal(first.state_gain, second.state_gain)
-        return has_same_poles and np.array_equal(first.input_gain, second.input_gain)
+        gains, next_gains = self.previous.compensator, self.dcl.compensator
+        has_same_poles = np.array_equal(gains.state_gain, next_gains.state_gain)
+        return has_same_poles and np.array_equal(gains.input_gain, next_gains.input_gain)
 
     def missing_output(self) -> NDArray[np.float64]:
         """What is missing of the output by leg, fractions, (n,)."""
         reference = self.demand + self.demand_change
-        return self.command - _output(self.after, self.state, reference, self.feedback)
+        return self.command - _output(self.dcl, self.state, reference, self.feedback)
 
     def settle_compensator(self) -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
-        after, gains = self.after, self.after.compensator
+        dcl, gains = self.dcl, self.dcl.compensator
         self.missing_output()  # writes the inputs
-        change = np.zeros(after.workspace.inputs.shape)
-        change[:, _REFERENCE] = after.shape @ self.demand_change
-        change[:, _POSITION] = after.shape @ self.feedback.velocity * self.before.error.frame
+        change = np.zeros(dcl.workspace.inputs.shape)
+        change[:, _REFERENCE] = dcl.shape @ self.demand_change
+        change[:, _POSITION] = dcl.shape @ self.feedback.velocity * self.previous.error.frame
         fade = 1.0 - gains.state_gain
-        inputs = after.workspace.inputs - change / fade[:, None]
+        inputs = dcl.workspace.inputs - change / fade[:, None]
         if not self.keeps_compensator:
             self.state.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, inputs) / fade
-        return after.shape @ self.missing_output()
+        return dcl.shape @ self.missing_output()
 
     def start_blocks(self) -> None:
         """Start the blocks that the law before does not have."""
-        before, after, state = self.before, self.after, self.state
-        modes = LegFeedback(*(after.shape @ channel for channel in self.feedback))
-        demand = after.shape @ self.demand
+        previous, dcl, state = self.previous, self.dcl, self.state
+        modes = LegFeedback(*(dcl.shape @ channel for channel in self.feedback))
+        demand = dcl.shape @ self.demand
         plan, model = state.plan, state.model
-        if not after.model.is_adapting:
+        if not dcl.model.is_adapting:
             model.adaptation.factor[:] = 0.0
-        starts_plan = after.has_plan and not before.has_plan
+        starts_plan = dcl.has_plan and not previous.has_plan
         if starts_plan:
             for values in plan:
                 values[:] = 0.0
             plan.position[:], plan.velocity[:] = modes.position, modes.velocity
-            plan.demand[:], largest_rate = demand, after.plan.rate
-            change = after.shape @ self.demand_change
+            plan.demand[:], largest_rate = demand, dcl.plan.rate
+            change = dcl.shape @ self.demand_change
             plan.demand_rate[:] = np.clip(change, -largest_rate, largest_rate)
             plan.reference_rate[:] = plan.demand_rate
             plan.reference[:] = plan.position
-            after.plan.inverse.leg_motion[0] = after.shape.T @ plan.position
+            dcl.plan.inverse.leg_motion[0] = dcl.shape.T @ plan.position
             for _ in range(_CHORDS):
-                follow_pose(after.plan.inverse, plan.pose)
+                follow_pose(dcl.plan.inverse, plan.pose)
         if self.starts_model:
             model.position[:], model.velocity[:] = modes.position, modes.velocity
         if starts_plan or self.starts_model:
             state.error.integral[:] = 0.0
-        if after.has_load_feedback and not before.has_load_feedback:
+        if dcl.has_load_feedback and not previous.has_load_feedback:
             for leg in range(demand.size):
-                force = load_force(after.load_feedback, leg, modes, plan.acceleration[leg])
+                force = load_force(dcl.load_feedback, leg, modes, plan.acceleration[leg])
                 state.load_filter[leg] = force
-        if _has_target(after) != _has_target(before):
-            target = model.position if after.model.is_active else demand
-            target = plan.position if after.has_plan else target
+        if _has_target(dcl) != _has_target(previous):
+            target = model.position if dcl.model.is_active else demand
+            target = plan.position if dcl.has_plan else target
             state.error.position_filter[:] = target - modes.position
-            lag = modes.velocity / after.error.derivative_pole
+            lag = modes.velocity / dcl.error.derivative_pole
             state.error.reference_filter[:] = target - lag
 
     @property
     def starts_model(self) -> bool:
         """Whether the law follows a model that moves in another way than that of the law before."""
-        return self.after.model.is_active and not moves_alike(self.before.model, self.after.model)
+        return self.dcl.model.is_active and not moves_alike(self.previous.model, self.dcl.model)
 
     def settle_targets(self) -> None:
         """Move what the model or plan asks for until the output is met."""
         if self.starts_model:
             self._move(self.state.model.position)
-        if self.after.has_plan:
+        if self.dcl.has_plan:
             for _ in range(3):  # valves under load are not linear, nor are modes alone off neutral
                 self._move(self.state.plan.reference)
 
@@ -232,11 +232,11 @@ class _HandOver(NamedTuple):
 
     def settle_integral(self) -> None:
         """Move the error integral, then the compensator, by what is missing of the output."""
-        after, integral = self.after, self.state.error.integral
-        bound = after.error.integrator_limit
-        change = _ratio(self.settle_compensator(), integral_gain(after))
-        integral[:] = np.clip(integral + after.shape.T @ change, -bound, bound)
-        change = _ratio(self.settle_compensator(), after.compensator.output_gain)
+        dcl, integral = self.dcl, self.state.error.integral
+        bound = dcl.error.integrator_limit
+        change = _ratio(self.settle_compensator(), integral_gain(dcl))
+        integral[:] = np.clip(integral + dcl.shape.T @ change, -bound, bound)
+        change = _ratio(self.settle_compensator(), dcl.compensator.output_gain)
         self.state.compensator[:] += 0.0 if self.keeps_compensator else change
 
 

@@ -156,14 +156,16 @@ def open_to_hold(hydraulics: Hydraulics, state: HydraulicState) -> NDArray[np.fl
 
 
 @inlined
-def _set_ports(hydraulics, state, faults, is_last, command, before, after):  # type: ignore[no-untyped-def]
+def _set_ports(hydraulics, state, faults, is_last, command, start_extension, end_extension):  # type: ignore[no-untyped-def]
     """Volumes and flow gains of all actuators at the end of a stage; the last moves the spools."""
     head = state.supply[SUPPLY_PRESSURE] - state.supply[RETURN_PRESSURE]
     isolation = state.supply[ISOLATION]
     motion_share = 1.0 if is_last else _GAMMA
-    for leg in range(before.shape[0]):
+    for leg in range(start_extension.shape[0]):
         pair, cylinder = state.stage.chambers[leg], hydraulics.cylinder[leg]
-        extension = before[leg] + motion_share * (after[leg] - before[leg])
+        extension = start_extension[leg] + motion_share * (
+            end_extension[leg] - start_extension[leg]
+        )
         pair.cap_volume, pair.rod_volume = volumes(cylinder, extension)
         cap_in, cap_out, rod_in, rod_out = 0.0, 0.0, 0.0, 0.0
         for index in range(2):
@@ -224,23 +226,23 @@ def _guess_stage(state, is_last, weight_ratio, least_pressure):  # type: ignore[
 
 
 @inlined
-def _add_energies(hydraulics, energy, stage, time, motion_share, before, after):  # type: ignore[no-untyped-def]
+def _add_energies(hydraulics, energy, stage, time, motion_share, start_extension, end_extension):  # type: ignore[no-untyped-def]
     """Add to the energies what a stage passes in its time, over its share of the motion."""
     for i in range(len(POWERS)):
         energy[i] += time * stage.power[i]
-    for leg in range(before.shape[0]):
+    for leg in range(start_extension.shape[0]):
         pair = stage.chambers[leg]
         load = force(hydraulics.cylinder[leg], pair.cap, pair.rod)
-        energy[_MECHANICAL] += motion_share * load * (after[leg] - before[leg])
+        energy[_MECHANICAL] += motion_share * load * (end_extension[leg] - start_extension[leg])
 
 
 @inlined
-def _solve_in_one_stage(hydraulics, state, before, after):  # type: ignore[no-untyped-def]
+def _solve_in_one_stage(hydraulics, state, start_extension, end_extension):  # type: ignore[no-untyped-def]
     """Take the step again by the implicit Euler method; whether it converged."""
     step, stage, energy = hydraulics.step, state.stage, state.energy
     for i in range(energy.shape[0]):
         energy[i] = stage.energy[i]
-    for leg in range(before.shape[0]):
+    for leg in range(start_extension.shape[0]):
         pair = stage.chambers[leg]
         pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
     for node in range(CONTENTS + 1):
@@ -248,25 +250,25 @@ def _solve_in_one_stage(hydraulics, state, before, after):  # type: ignore[no-un
     cylinders, laminar = hydraulics.cylinder, hydraulics.laminar
     iterations = solve(cylinders, hydraulics.oil, hydraulics.supply, laminar, stage, step)
     # Work by the mean of both ends, as the mechanics does it.
-    _add_energies(hydraulics, energy, stage, step, 0.5, before, after)
-    for leg in range(before.shape[0]):
+    _add_energies(hydraulics, energy, stage, step, 0.5, start_extension, end_extension)
+    for leg in range(start_extension.shape[0]):
         pressure = state.pressure[leg]
         load = force(cylinders[leg], pressure[CAP], pressure[ROD])
-        energy[_MECHANICAL] += 0.5 * load * (after[leg] - before[leg])
+        energy[_MECHANICAL] += 0.5 * load * (end_extension[leg] - start_extension[leg])
     return iterations >= 0
 
 
 @inlined
-def _keep_step(hydraulics, state, before, after):  # type: ignore[no-untyped-def]
+def _keep_step(hydraulics, state, start_extension, end_extension):  # type: ignore[no-untyped-def]
     """Make the results of the last stage the state, and slide the friction contacts."""
     step, stage, network, energy = hydraulics.step, state.stage, state.supply, state.energy
-    for leg in range(before.shape[0]):
+    for leg in range(start_extension.shape[0]):
         pair = stage.chambers[leg]
         pair.cap_change = pair.cap - state.pressure[leg, CAP]
         pair.rod_change = pair.rod - state.pressure[leg, ROD]
         state.pressure[leg, CAP], state.pressure[leg, ROD] = pair.cap, pair.rod
         state.content[leg, CAP], state.content[leg, ROD] = pair.cap_content, pair.rod_content
-        travel = after[leg] - before[leg]
+        travel = end_extension[leg] - start_extension[leg]
         state.bristle[leg], state.friction[leg] = slide(
             hydraulics.friction[leg], state.bristle[leg], travel / step, step
         )
@@ -279,15 +281,15 @@ def _keep_step(hydraulics, state, before, after):  # type: ignore[no-untyped-def
 
 
 @inlined
-def advance(hydraulics, state, faults, command, before, after, is_stopped=False):  # type: ignore[no-untyped-def]
+def advance(hydraulics, state, faults, command, start_extension, end_extension, is_stopped=False):  # type: ignore[no-untyped-def]
     """Advance all actuators and the supply by one mechanical step; whether both stages converged.
 
-    Command fractions (n,) are held over the step, from the extensions (n,) [m] before to those
-    after. If `is_stopped`, in an emergency stop, the supply closes and the settle valves open.
+    Command fractions (n,) are held over the step, between extensions (n,) [m] at its start and
+    end. If `is_stopped`, in an emergency stop, the supply closes and the settle valves open.
     """
     step, stage, energy = hydraulics.step, state.stage, state.energy
     cylinders, oil = hydraulics.cylinder, hydraulics.oil
-    weight, least = _GAMMA * step, least_pressure(oil)
+    weight, lowest_pressure = _GAMMA * step, least_pressure(oil)
     supply, network, failed = hydraulics.supply, state.supply, faults.plant[0]
     manifolds = stage.manifolds[0]
     manifolds.gas, manifolds.gas_rise = gas_pressure(supply, network[ACCUMULATOR])
@@ -301,20 +303,20 @@ def advance(hydraulics, state, faults, command, before, after, is_stopped=False)
     for i in range(energy.shape[0]):
         stage.energy[i] = energy[i]
     is_torn, has_converged = False, True
-    for leg in range(before.shape[0]):
+    for leg in range(start_extension.shape[0]):
         is_torn |= state.pressure[leg, CAP] < _TORN or state.pressure[leg, ROD] < _TORN
     for is_last in (False, True):
-        _set_ports(hydraulics, state, faults, is_last, command, before, after)
-        _guess_stage(state, is_last, (step - weight) / weight, least)
+        _set_ports(hydraulics, state, faults, is_last, command, start_extension, end_extension)
+        _guess_stage(state, is_last, (step - weight) / weight, lowest_pressure)
         iterations = solve(cylinders, oil, supply, hydraulics.laminar, stage, weight)
         has_converged &= iterations >= 0
         time = weight if is_last else step - weight
-        _add_energies(hydraulics, energy, stage, time, time / step, before, after)
-        for leg in range(before.shape[0]):
+        _add_energies(hydraulics, energy, stage, time, time / step, start_extension, end_extension)
+        for leg in range(start_extension.shape[0]):
             is_torn |= stage.chambers[leg].cap < _TORN or stage.chambers[leg].rod < _TORN
     if is_torn:
-        has_converged = _solve_in_one_stage(hydraulics, state, before, after)
-    _keep_step(hydraulics, state, before, after)
+        has_converged = _solve_in_one_stage(hydraulics, state, start_extension, end_extension)
+    _keep_step(hydraulics, state, start_extension, end_extension)
     return has_converged
 
 

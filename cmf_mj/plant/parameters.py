@@ -133,19 +133,19 @@ class HydraulicParameters(_Actuator):
         for name in ("", *self.actuators):
             numbers = self.actuator(name)
             where = f"actuators.{name}." if name else ""
-            _ordered(numbers, where, "rod_diameter", "bore_diameter")
-            _ordered(numbers, where, "minimum_gap", "half_stroke")
-            _ordered(numbers, where, "coulomb_friction", "breakaway_friction", equal=True)
+            _check_order(numbers, where, "rod_diameter", "bore_diameter")
+            _check_order(numbers, where, "minimum_gap", "half_stroke")
+            _check_order(numbers, where, "coulomb_friction", "breakaway_friction", equal=True)
             if numbers["coulomb_friction"].value == 0.0 < numbers["breakaway_friction"].value:
                 raise InputError(
                     f"{where}breakaway_friction: {numbers['breakaway_friction']} needs a "
                     f"coulomb_friction greater than 0"
                 )
         quantities = self.quantities()
-        _ordered(quantities, "", "return_pressure", "supply_pressure")
-        _ordered(quantities, "", "precharge_pressure", "supply_pressure")
-        _ordered(quantities, "", "supply_pressure", "relief_pressure", equal=True)
-        _ordered(quantities, "", "relief_pressure", "proof_pressure")
+        _check_order(quantities, "", "return_pressure", "supply_pressure")
+        _check_order(quantities, "", "precharge_pressure", "supply_pressure")
+        _check_order(quantities, "", "supply_pressure", "relief_pressure", equal=True)
+        _check_order(quantities, "", "relief_pressure", "proof_pressure")
         if self.accumulator_count.value != int(self.accumulator_count.value):
             raise InputError(
                 f"accumulator_count: {self.accumulator_count.value:g} must be a whole number"
@@ -179,13 +179,13 @@ class HydraulicParameters(_Actuator):
         return numbers
 
 
-def _ordered(
+def _check_order(
     values: Mapping[str, Quantity], where: str, small: str, large: str, *, equal: bool = False
 ) -> None:
-    less, more = values[small], values[large]
-    if less.si > more.si or (less.si == more.si and not equal):
+    lower, upper = values[small], values[large]
+    if lower.si > upper.si or (lower.si == upper.si and not equal):
         bound = "at most" if equal else "less than"
-        raise InputError(f"{where}{small}: {less} must be {bound} {large}, {more}")
+        raise InputError(f"{where}{small}: {lower} must be {bound} {large}, {upper}")
 
 
 def cap_area(values: Mapping[str, Quantity]) -> float:
@@ -230,11 +230,11 @@ def hydraulics_of(
     machine: Machine, source: str | Path | HydraulicParameters | None = None
 ) -> HydraulicParameters:
     """A hydraulic set, by default that of the machine, whose half stroke its cylinders have."""
-    return _own(machine) if source is None else load_hydraulics(source)
+    return _machine_set(machine) if source is None else load_hydraulics(source)
 
 
 @lru_cache
-def _own(machine: Machine) -> HydraulicParameters:
+def _machine_set(machine: Machine) -> HydraulicParameters:
     if isinstance(machine.hydraulics, str):
         return load_hydraulics(machine.hydraulics)
     where, changes = f"{machine.name}: hydraulics", dict(machine.hydraulics)
@@ -244,13 +244,10 @@ def _own(machine: Machine) -> HydraulicParameters:
     for field, owner in (("name", "machine"), ("half_stroke", "table legs")):
         if field in changes:
             raise InputError(f"{where}: {field}: is taken from the {owner}; leave it out")
-    own = {"name": machine.name, "half_stroke": machine.legs.half_stroke}
+    numbers = {"name": machine.name, "half_stroke": machine.legs.half_stroke}
     return validated(
-        HydraulicParameters, merged(base.model_dump(exclude_none=True), changes, 0) | own, where
+        HydraulicParameters, merged(base.model_dump(exclude_none=True), changes, 0) | numbers, where
     )
-
-
-_LENGTHS, _SPEEDS, _PRESSURES = ("in", "m", "mm"), ("in/s", "m/s", "mm/s"), ("psi", "Pa", "bar")
 
 
 @lru_cache
@@ -260,27 +257,28 @@ def fitting(machine: Machine) -> Fitting | None:
     Ranges, thresholds, tolerances and noise go with what they belong to: lengths with the half
     stroke, speeds with the limit of leg velocity, pressures with the supply. All else stays.
     """
-    own, cmf = (
-        (one.half_stroke, one.limits.leg.velocity.si, hydraulics_of(one).supply_pressure.si)
-        for one in (machine, load_machine())
-    )
-    if own == cmf:
+    sizes, cmf_sizes = _sizes(machine), _sizes(load_machine())
+    if sizes == cmf_sizes:
         return None
-    scale = {
-        unit: mine / its
-        for units, mine, its in zip((_LENGTHS, _SPEEDS, _PRESSURES), own, cmf, strict=True)
-        for unit in units
-    }
-    return partial(_fitted, scale, machine.name)
+    scale = {unit: size / cmf_sizes[unit] for unit, size in sizes.items()}
+    return partial(_scale_table, scale, machine.name)
 
 
-def _fitted(scale: dict[str, float], name: str, table: dict[str, Any]) -> dict[str, Any]:
+def _sizes(machine: Machine) -> dict[str, float]:
+    """Half stroke, leg velocity and supply pressure by the units of what goes with them."""
+    sizes = dict.fromkeys(("in", "m", "mm"), machine.half_stroke)
+    sizes |= dict.fromkeys(("in/s", "m/s", "mm/s"), machine.limits.leg.velocity.si)
+    pressure = hydraulics_of(machine).supply_pressure.si
+    return sizes | dict.fromkeys(("psi", "Pa", "bar"), pressure)
+
+
+def _scale_table(scale: dict[str, float], name: str, table: dict[str, Any]) -> dict[str, Any]:
     """A table with its quantities in proportion; tables in it likewise."""
     factor = scale.get(str(table.get("unit", "")).removesuffix("/rtHz"))
     if factor is not None:
         source = f"{table['source']}; of the CMF, here in proportion to {name}"
         return table | {"value": table["value"] * factor, "source": source}
     return {
-        key: _fitted(scale, name, entry) if isinstance(entry, dict) else entry
+        key: _scale_table(scale, name, entry) if isinstance(entry, dict) else entry
         for key, entry in table.items()
     }

@@ -131,19 +131,19 @@ def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _bounded(pressure, change, inward, high, outward, low, least, narrow):  # type: ignore[no-untyped-def]
+def _bounded(pressure, change, inward, high, outward, low, lowest, narrow):  # type: ignore[no-untyped-def]
     """A pressure after a Newton change, cut short where a drop would change sign, or at vacuum.
 
     Flow gains `inward` from the supply and `outward` to the return are 0 if shut; below the drop
     `narrow` an orifice is as good as linear. All pressures in Pa, `least` the lower bound.
     """
-    moved = pressure + change
+    following = pressure + change
     if abs(change) > narrow:
-        if outward > 0.0 and (pressure - low) * (moved - low) < 0.0:
-            moved = low
-        if inward > 0.0 and (pressure - high) * (moved - high) < 0.0:
-            moved = high
-    return max(moved, least)
+        if outward > 0.0 and (pressure - low) * (following - low) < 0.0:
+            following = low
+        if inward > 0.0 and (pressure - high) * (following - high) < 0.0:
+            following = high
+    return max(following, lowest)
 
 
 @inlined
@@ -164,7 +164,7 @@ def _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight):  # typ
     h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
     inflow, outflow, high_shift, low_shift = 0.0, 0.0, 0.0, 0.0
     high_high, low_low, high_low = 0.0, 0.0, 0.0
-    lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
+    flow_loss, hose_loss, leak_loss = 0.0, 0.0, 0.0
     for leg in range(stage.chambers.shape[0]):
         pair, cylinder = stage.chambers[leg], cylinders[leg]
         cap, rod = pair.cap, pair.rod
@@ -205,16 +205,16 @@ def _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight):  # typ
         outflow += cap_out + rod_out + seep
         h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
         into = cap_in * (h_high - h_cap) + rod_in * (h_high - h_rod)
-        lost += into + cap_out * (h_cap - h_low) + rod_out * (h_rod - h_low)
-        lost_hose += cylinder.supply_hose * (cap_in * cap_in + rod_in * rod_in)
-        lost_hose += cylinder.return_hose * (cap_out * cap_out + rod_out * rod_out)
-        lost_hose += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
-        lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
+        flow_loss += into + cap_out * (h_cap - h_low) + rod_out * (h_rod - h_low)
+        hose_loss += cylinder.supply_hose * (cap_in * cap_in + rod_in * rod_in)
+        hose_loss += cylinder.return_hose * (cap_out * cap_out + rod_out * rod_out)
+        hose_loss += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
+        leak_loss += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
     manifolds.inflow, manifolds.outflow = inflow, outflow
     manifolds.high_high, manifolds.low_low, manifolds.high_low = high_high, low_low, high_low
     manifolds.high_shift, manifolds.low_shift = high_shift, low_shift
-    power[_POWER.valves], power[_POWER.lines] = lost - lost_hose, lost_hose
-    power[_POWER.leakage] = lost_leak
+    power[_POWER.valves], power[_POWER.lines] = flow_loss - hose_loss, hose_loss
+    power[_POWER.leakage] = leak_loss
 
 
 @inlined
@@ -222,7 +222,7 @@ def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-un
     """Change the pressures of both manifolds; the largest change, as compression of oil [Pa]."""
     node, known, power, manifolds = stage.node, stage.known, stage.power, stage.manifolds[0]
     high, low, tank = manifolds.high, manifolds.low, supply.return_pressure
-    least = least_pressure(oil)
+    lowest = least_pressure(oil)
     pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
     flow, flow_slope = accumulator_flow(supply, manifolds, known[ACCUMULATOR], high, weight)
     bank = manifolds.bank
@@ -257,8 +257,8 @@ def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-un
     node[PUMP] = pump
     node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
     manifolds.rise, manifolds.fall = rise, fall
-    manifolds.high = max(high + rise, least)
-    manifolds.low = max(low + fall, least)
+    manifolds.high = max(high + rise, lowest)
+    manifolds.low = max(low + fall, lowest)
     h_high, h_low, h_tank = enthalpy(oil, high), enthalpy(oil, low), enthalpy(oil, tank)
     h_pump = enthalpy(oil, high + supply.pump_line * pump)
     h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
@@ -278,7 +278,7 @@ def _change_chambers(oil, laminar, stage, high, low):  # type: ignore[no-untyped
 
     `high` and `low` are the pressures of the manifolds before their change.
     """
-    least, narrow, largest = least_pressure(oil), laminar * laminar, 0.0
+    lowest, narrow, largest = least_pressure(oil), laminar * laminar, 0.0
     rise, fall = stage.manifolds[0].rise, stage.manifolds[0].fall
     for leg in range(stage.chambers.shape[0]):
         pair = stage.chambers[leg]
@@ -290,10 +290,10 @@ def _change_chambers(oil, laminar, stage, high, low):  # type: ignore[no-untyped
         rod_stretch = max(1.0, pair.rod_yield * oil.bulk_modulus / pair.rod_volume)
         largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
         pair.cap = _bounded(
-            pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, least, narrow
+            pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, lowest, narrow
         )
         pair.rod = _bounded(
-            pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, least, narrow
+            pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, lowest, narrow
         )
     return largest
 
@@ -305,10 +305,10 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
     Gains, volumes, known contents and guesses go in; pressures, contents and powers come out.
     `laminar` is s of the orifices [sqrt(Pa)].
     """
-    chambers, manifolds, least = stage.chambers, stage.manifolds[0], least_pressure(oil)
+    chambers, manifolds, lowest = stage.chambers, stage.manifolds[0], least_pressure(oil)
     for leg in range(chambers.shape[0]):
-        chambers[leg].cap = max(chambers[leg].cap, least)
-        chambers[leg].rod = max(chambers[leg].rod, least)
+        chambers[leg].cap = max(chambers[leg].cap, lowest)
+        chambers[leg].rod = max(chambers[leg].rod, lowest)
     for iteration in range(_ITERATIONS):
         high, low, manifold_change = manifolds.high, manifolds.low, 0.0
         _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight)
