@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cmf_mj.core.files import write_csv
+from cmf_mj.core.tables import write_csv
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
 from cmf_mj.plant.hexapod import Hexapod

@@ -25,9 +25,10 @@ import tomlkit
 
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.files import write_csv, write_json, write_text
+from cmf_mj.core.files import write_json, write_text
 from cmf_mj.core.result import Table
 from cmf_mj.core.settings import read_toml
+from cmf_mj.core.tables import write_csv
 from cmf_mj.core.units import factor
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknown import Unknown

@@ -30,8 +30,8 @@ from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.analysis.spectra import welch_response
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.settings import read_toml
+from cmf_mj.core.tables import write_csv
 from cmf_mj.facility.unknowns import Unknowns, load_unknowns
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS

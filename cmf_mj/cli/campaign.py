@@ -124,7 +124,7 @@ def fit_command(
     report, hardware and hardware_lag are campaigns of what the 2014 report prints.
     """
     from cmf_mj.core.result import Result, fields_of
-    from cmf_mj.show.fit import figures
+    from cmf_mj.show.fit import fit_figures
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.fit import doubt, results
     from cmf_mj.studies.fit.engine import fit
@@ -139,7 +139,7 @@ def fit_command(
     posterior = doubts.widened(posterior)
     results.save(posterior, out)
     table = results.numbers(posterior)
-    drawn: dict[str, Any] = {**figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
+    drawn: dict[str, Any] = {**fit_figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
     if doubts.stated:
         stated = Result(doubts.stated, fields_of(doubt.StatedNumber)).table
         drawn |= {"stated.csv": stated.save}

@@ -36,7 +36,7 @@ from cmf_mj.control.inverse import follow_pose
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.plan import correction
 from cmf_mj.control.reference_model import moves_alike
-from cmf_mj.core.arrays import copied
+from cmf_mj.core.arrays import copy_block
 
 _REFERENCE, _POSITION = SIGNALS.index("reference"), SIGNALS.index("position")
 _INTEGRAL = SIGNALS.index("error_integral")
@@ -113,7 +113,7 @@ def handed_over_state(
     Reference (n,) [m] and feedback are those that the law before read in the last frame, `gravity`
     what the accelerometers felt of it, (n,) [m/s^2]; by default none.
     """
-    begun_state, frame, bound = copied(state), previous.error.frame, dcl.error.integrator_limit
+    begun_state, frame, bound = copy_block(state), previous.error.frame, dcl.error.integrator_limit
     begun_state.offset[:] = 0.0
     if not np.array_equal(previous.shape, dcl.shape):
         _turn_state(begun_state, dcl.shape @ previous.shape.T)
@@ -282,5 +282,5 @@ def _output(
     dcl: Dcl, state: DclState, reference: NDArray[np.float64], feedback: LegFeedback
 ) -> NDArray[np.float64]:
     """Output of a law (n,), its state left as it is."""
-    step(dcl, copied(state), reference, feedback)
+    step(dcl, copy_block(state), reference, feedback)
     return dcl.workspace.output.copy()

@@ -11,24 +11,24 @@ import sys
 import tempfile
 from pathlib import Path
 
-_NUMBA, _MATPLOTLIB = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
+_NUMBA_VARIABLE, _MATPLOTLIB_VARIABLE = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
 
 
-def _writable(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     """Whether a folder can be written to, or made."""
-    there = next((path for path in (folder, *folder.parents) if os.path.exists(path)), folder)
-    return folder.is_absolute() and there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+    existing = next((path for path in (folder, *folder.parents) if os.path.exists(path)), folder)
+    return folder.is_absolute() and existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
 
 
-def _temporary() -> Path:
+def _private_folder() -> Path:
     """A folder that only this user can write to: compiled code is run as it stands there."""
     if not hasattr(os, "getuid"):
         return Path(tempfile.gettempdir()) / "cmf-mj"
     folder = Path(tempfile.gettempdir()) / f"cmf-mj-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
-    private = status.st_uid == os.getuid() and not status.st_mode & 0o077
-    return folder if private and not folder.is_symlink() else Path(tempfile.mkdtemp("cmf-mj"))
+    is_private = status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return folder if is_private and not folder.is_symlink() else Path(tempfile.mkdtemp("cmf-mj"))
 
 
 def place_caches() -> None:
@@ -36,14 +36,15 @@ def place_caches() -> None:
     package = Path(__file__).parents[1]
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     config = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
-    homeless = not (_writable(home) and _writable(config / "matplotlib"))
-    if homeless and _MATPLOTLIB not in os.environ:
-        os.environ[_MATPLOTLIB] = str(_temporary() / "matplotlib")
-    if _NUMBA not in os.environ and not _writable(package / "core" / "__pycache__"):
-        os.environ[_NUMBA] = str((_temporary() if homeless else home / "cmf-mj") / "numba")
-        if not Path(os.environ[_NUMBA]).exists():
-            where = f"{os.environ[_NUMBA]}, for {package} cannot be written to"
-            print(f"cmf: compiled code is kept in {where}", file=sys.stderr)
+    has_home = _is_writable(home) and _is_writable(config / "matplotlib")
+    if not has_home and _MATPLOTLIB_VARIABLE not in os.environ:
+        os.environ[_MATPLOTLIB_VARIABLE] = str(_private_folder() / "matplotlib")
+    if _NUMBA_VARIABLE not in os.environ and not _is_writable(package / "core" / "__pycache__"):
+        cache = (home / "cmf-mj" if has_home else _private_folder()) / "numba"
+        os.environ[_NUMBA_VARIABLE] = str(cache)
+        if not cache.exists():
+            place = f"{cache}, for {package} cannot be written to"
+            print(f"cmf: compiled code is kept in {place}", file=sys.stderr)
 
 
 place_caches()

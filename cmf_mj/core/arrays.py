@@ -1,4 +1,4 @@
-"""Arrays, mappings and lists that nobody can write to, their checks, and what kernels take."""
+"""Checks of numbers and arrays, arrays and tables that are read-only, and arguments of kernels."""
 
 import operator
 from collections.abc import Iterable, Mapping
@@ -12,7 +12,7 @@ from cmf_mj.core.errors import InputError, unknown_name
 Block = TypeVar("Block", bound=tuple[Any, ...])
 Params = TypeVar("Params", bound=tuple[Any, ...])
 
-MEMORY = 4 * 2**30  #: Most that any one part of a run, such as its record, may take [bytes].
+MEMORY = 4 * 2**30  #: Limit of any one part of a run, such as its record [bytes].
 
 
 def check_memory(field: str, part: str, numbers: float) -> None:
@@ -43,10 +43,10 @@ def real(name: str, values: ArrayLike) -> NDArray[np.float64]:
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
             return np.asarray(array, dtype=float)
-        what = str(array.dtype)
+        content = str(array.dtype)
     except ValueError:
-        what = "rows of different lengths"
-    raise InputError(f"{name}: holds {what}; allowed: real numbers")
+        content = "rows of different lengths"
+    raise InputError(f"{name}: holds {content}; allowed: real numbers")
 
 
 def shaped(
@@ -58,21 +58,24 @@ def shaped(
     """
     array = np.array(real(name, values), order="C")
     last = array.shape[-len(shape) :] if leading else array.shape
-    if len(last) != len(shape) or any(n not in (None, m) for n, m in zip(shape, last, strict=True)):
-        sizes = ["N" if n is None else str(n) for n in shape]
+    is_fitting = len(last) == len(shape) and all(
+        size in (None, length) for size, length in zip(shape, last, strict=True)
+    )
+    if not is_fitting:
+        sizes = ["N" if size is None else str(size) for size in shape]
         allowed = ", ".join(["..."] * leading + sizes) + "," * (len(sizes) + leading == 1)
         raise InputError(f"{name}: shape is {array.shape}; allowed: ({allowed})")
     if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name}{list(where)}: {array[where]} is not a finite number")
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name}{list(first)}: {array[first]} is not a finite number")
     return array
 
 
 def frozen(values: ArrayLike) -> NDArray[np.float64]:
     """A read-only view, which cannot be made writable, of the array itself or of a copy.
 
-    The array itself where it owns its values and is read-only already, or is such a view. So what
-    makes an array freezes it and hands it over, and long histories are not held twice.
+    It is a view of the array itself where that, or the array that it is a view of, owns its values
+    and is read-only. So a long history is frozen once, handed over, and not held twice.
     """
     array = np.asarray(values)
     owner = array if array.base is None else array.base
@@ -84,24 +87,25 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     return view
 
 
-def copied(block: Block) -> Block:
+def copy_block(block: Block) -> Block:
     """A named tuple of arrays, and of such tuples, with arrays of its own."""
-    parts = (copied(part) if isinstance(part, tuple) else part.copy() for part in block)
+    parts = (copy_block(part) if isinstance(part, tuple) else part.copy() for part in block)
     return type(block)(*parts)
 
 
 def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Params:
-    """The named tuple of a block: what is derived, and the rest by name from settings, in SI.
+    """The named tuple of a block: `derived` values, and the rest by name from settings.
 
-    Settings are a table of them or an object; a quantity is taken in SI, anything else as it is.
+    Settings are a mapping or an object. Quantities become their SI value, others stay as they are.
 
     >>> from cmf_mj.plant.cylinder import Friction
     >>> compiled_params(Friction, cmf_mj.load_hydraulics("report"), excess=0.1).presliding
     0.0001016
     """
     table = settings if isinstance(settings, Mapping) else vars(settings)
-    values = (derived[name] if name in derived else table[name] for name in kind._fields)  # type: ignore[attr-defined]
-    return kind(*(getattr(value, "si", value) for value in values))
+    fields = kind._fields  # type: ignore[attr-defined]
+    values = {name: derived[name] if name in derived else table[name] for name in fields}
+    return kind(**{name: getattr(value, "si", value) for name, value in values.items()})
 
 
 def record_array(kind: type[NamedTuple], rows: Iterable[Any]) -> np.recarray:
@@ -117,15 +121,15 @@ def record_array(kind: type[NamedTuple], rows: Iterable[Any]) -> np.recarray:
     return np.array(values, dtype=dtype).view(np.recarray)
 
 
-def _refused(self: object, *_: object, **__: object) -> NoReturn:
+def _refuse_change(self: object, *_: object, **__: object) -> NoReturn:
     raise TypeError(f"{type(self).__name__} does not support item assignment: it is read-only")
 
 
 class FrozenDict(dict[str, Any]):
     """A mapping by name that nobody can write to; it pickles and copies."""
 
-    __setitem__ = __delitem__ = __ior__ = _refused
-    clear = pop = popitem = setdefault = update = _refused
+    __setitem__ = __delitem__ = __ior__ = _refuse_change
+    clear = pop = popitem = setdefault = update = _refuse_change
 
     def __missing__(self, name: str) -> NoReturn:
         """Refuse a name that is not there."""
@@ -139,16 +143,16 @@ class FrozenDict(dict[str, Any]):
 class FrozenList(list[Any]):
     """A list that nobody can write to; it pickles and copies."""
 
-    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refused
-    append = extend = insert = pop = remove = _refused
-    clear = reverse = sort = _refused
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refuse_change
+    append = extend = insert = pop = remove = _refuse_change
+    clear = reverse = sort = _refuse_change
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How to make it again."""
         return FrozenList, (list(self),)
 
 
-_PLAIN = frozenset((str, float, int, bool, type(None)))
+_SCALARS = frozenset((str, float, int, bool, type(None)))
 
 
 def frozen_json(content: Any) -> Any:
@@ -161,5 +165,5 @@ def frozen_json(content: Any) -> Any:
         return FrozenDict(zip(content, frozen_json(tuple(content.values())), strict=True))
     if isinstance(content, list | tuple):
         kind = FrozenList if isinstance(content, list) else tuple
-        return kind(v if type(v) in _PLAIN else frozen_json(v) for v in content)
+        return kind(v if type(v) in _SCALARS else frozen_json(v) for v in content)
     return content

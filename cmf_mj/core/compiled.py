@@ -3,8 +3,8 @@
 Numba's cache asks whether the *file* of a function has changed, not the files of the functions it
 calls. The frame loop inlines blocks from a dozen modules, so an edited valve would go on running
 as it was. Here the cache is a folder named after a digest of all sources that compiled code can
-take anything from: the modules that import this one, and all they import. That of the sources
-before is removed.
+take anything from: the modules that import this one, and all they import. The folders of earlier
+sources are removed.
 """
 
 import hashlib
@@ -56,26 +56,26 @@ def digest() -> str:
 @lru_cache
 def _folder() -> str:
     """Where the compiled code of these sources is kept, below the cache that Numba is given."""
-    given = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR")
-    base = Path(given or _PACKAGE / "core" / "__pycache__")
-    own = f"cmf_mj-{hashlib.sha256(bytes(_PACKAGE)).hexdigest()[:8]}"
-    folder = base / f"{own}-{digest()[:16]}"
+    cache = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR")
+    parent = Path(cache or _PACKAGE / "core" / "__pycache__")
+    prefix = f"cmf_mj-{hashlib.sha256(bytes(_PACKAGE)).hexdigest()[:8]}"
+    folder = parent / f"{prefix}-{digest()[:16]}"
     if not folder.is_dir():
-        for old in set(base.glob(f"{own}-*")) - {folder}:
-            shutil.rmtree(old, ignore_errors=True)
+        for old_folder in set(parent.glob(f"{prefix}-*")) - {folder}:
+            shutil.rmtree(old_folder, ignore_errors=True)
     return str(folder)
 
 
-def _cached(function: Callable[..., Any], **inner: bool) -> Callable[..., Any]:
-    """Compile a function, to be kept in the folder of these sources."""
+def _compile(function: Callable[..., Any], **flags: bool) -> Callable[..., Any]:
+    """Compile a function with flags of Numba's, to be kept in the folder of these sources."""
     if numba.config.DISABLE_JIT:
         return function
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _folder()
+    user_cache, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _folder()
     try:
-        return numba.njit(cache=True, **options, **inner)(function)
+        return numba.njit(cache=True, **options, **flags)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        numba.config.CACHE_DIR = user_cache
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -85,7 +85,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     Arrays are taken as they are, without counting references, which took a seventh of a control
     frame: the function makes no array, returns none, and calls none that is `allocating`.
     """
-    return _cached(function, _nrt=False)
+    return _compile(function, _nrt=False)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -94,12 +94,12 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     For functions that take many arrays and are called each frame from one place: handing the
     arrays over would cost more than the work done with them.
     """
-    return _cached(function, _nrt=False, forceinline=True)
+    return _compile(function, _nrt=False, forceinline=True)
 
 
 def allocating(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that makes or returns arrays; not for the frame loop."""
-    return _cached(function)
+    return _compile(function)
 
 
 @compiled

@@ -81,7 +81,7 @@ class MissingExtraError(CmfError, ModuleNotFoundError):
 
 @contextmanager
 def within(where: object) -> Iterator[None]:
-    """Have refusals name where the refused thing stands, such as a file, unless they do already."""
+    """Put `where` the refused thing stands, such as a file, before refusals that lack it."""
     try:
         yield
     except InputError as error:
@@ -91,7 +91,7 @@ def within(where: object) -> Iterator[None]:
 
 
 def reason(error: BaseException) -> str:
-    """What another library says of an error, in one line of at most 300 characters."""
+    """The message of another library's error, in one line of at most 300 characters."""
     return " ".join(str(error).split())[:300]
 
 
@@ -106,7 +106,7 @@ def require(package: str, extra: str) -> Any:
 
 def similar(name: object, known: Iterable[str]) -> str:
     """A question for the most similar of the known names, empty where none is."""
-    return "".join(f"; did you mean {one}?" for one in get_close_matches(str(name), known, 1))
+    return "".join(f"; did you mean {match}?" for match in get_close_matches(str(name), known, 1))
 
 
 def unknown_name(field: str, name: object, known: Iterable[str], more: str = "") -> InputError:
@@ -114,9 +114,9 @@ def unknown_name(field: str, name: object, known: Iterable[str], more: str = "")
 
     `more` says what else is allowed, e.g. ` nor a .toml file`.
     """
-    known = list(known)
-    guess = similar(name, known)
-    return InputError(f"{field}: {name!r} is not one of {', '.join(known)}{more}{guess}")
+    names = list(known)
+    question = similar(name, names)
+    return InputError(f"{field}: {name!r} is not one of {', '.join(names)}{more}{question}")
 
 
 def check_name(field: str, name: str, known: Iterable[str], more: str = "") -> str:

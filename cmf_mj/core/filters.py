@@ -45,7 +45,7 @@ def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
     return np.ascontiguousarray(signal.butter(order, corner, output="sos", fs=rate))
 
 
-def settled_filter(
+def settled_filter_state(
     sections: NDArray[np.float64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """State (n, s, 2) of filters that have held the values (n,) for a long time."""
@@ -55,19 +55,19 @@ def settled_filter(
 
 
 @compiled
-def filter_all(sections, state, values, passed):  # type: ignore[no-untyped-def]
-    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); none pass as they are.
+def filter_all(sections, state, values, outputs):  # type: ignore[no-untyped-def]
+    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); unchanged for s = 0.
 
-    `passed` is overwritten and may be `values` itself.
+    `outputs` is overwritten and may be `values` itself.
     """
     for i in range(values.shape[0]):
-        passed[i] = values[i]
+        outputs[i] = values[i]
         if sections.shape[0] > 0:
-            passed[i] = filtered(sections, state[i], passed[i])
+            outputs[i] = filter_value(sections, state[i], outputs[i])
 
 
 @compiled
-def filtered(sections, state, value):  # type: ignore[no-untyped-def]
+def filter_value(sections, state, value):  # type: ignore[no-untyped-def]
     """Next output of a filter; its state (s, 2) is overwritten (direct form II, transposed)."""
     for i in range(sections.shape[0]):
         output = sections[i, 0] * value + state[i, 0]
@@ -77,8 +77,8 @@ def filtered(sections, state, value):  # type: ignore[no-untyped-def]
     return value
 
 
-class Held(NamedTuple):
-    """A discretised system of n states, m inputs and p outputs."""
+class SampledSystem(NamedTuple):
+    """A system of n states, m inputs and p outputs, discretised with a first-order hold."""
 
     transition: NDArray[np.float64]  #: (n, n).
     earlier: NDArray[np.float64]  #: Of the input at the sample before, (n, m).
@@ -87,36 +87,40 @@ class Held(NamedTuple):
     direct: NDArray[np.float64]  #: D, (p, m).
 
 
-def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float) -> Held:
+def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float) -> SampledSystem:
     """Discretise A (n, n), B (n, m), C (p, n) and D (p, m) to samples of T = `interval` [s]."""
-    system = [np.atleast_2d(np.array(matrix, dtype=float, order="C")) for matrix in (a, b, c, d)]
-    states, inputs = system[1].shape
-    outputs = len(system[2])
-    shapes = ((states, states), (states, inputs), (outputs, states), (outputs, inputs))
-    for name, matrix, shape in zip("abcd", system, shapes, strict=True):
+    dynamics, drive, output, direct = (
+        np.atleast_2d(np.array(matrix, dtype=float, order="C")) for matrix in (a, b, c, d)
+    )
+    (states, inputs), outputs = drive.shape, len(output)
+    for name, matrix, shape in (
+        ("a", dynamics, (states, states)),
+        ("c", output, (outputs, states)),
+        ("d", direct, (outputs, inputs)),
+    ):
         if matrix.shape != shape:
             raise InputError(f"{name}: shape is {matrix.shape}; allowed: {shape}")
     if not (np.isfinite(interval) and interval > 0.0):
         raise InputError(f"interval: {interval} s must be greater than 0")
     joined = np.zeros((states + 2 * inputs, states + 2 * inputs))
-    joined[:states, :states] = interval * system[0]
-    joined[:states, states : states + inputs] = interval * system[1]
+    joined[:states, :states] = interval * dynamics
+    joined[:states, states : states + inputs] = interval * drive
     joined[states : states + inputs, states + inputs :] = np.eye(inputs)
     exponential = linalg.expm(joined)
-    first, later = np.split(exponential[:states, states:], 2, axis=1)
-    return Held(
-        np.ascontiguousarray(exponential[:states, :states]),
-        np.ascontiguousarray(first - later),
-        np.ascontiguousarray(later),
-        system[2],
-        system[3],
+    constant, later = np.split(exponential[:states, states:], 2, axis=1)
+    return SampledSystem(
+        transition=np.ascontiguousarray(exponential[:states, :states]),
+        earlier=np.ascontiguousarray(constant - later),
+        later=np.ascontiguousarray(later),
+        output=output,
+        direct=direct,
     )
 
 
-def settled(system: Held, inputs: ArrayLike) -> NDArray[np.float64]:
+def settled_state(system: SampledSystem, inputs: ArrayLike) -> NDArray[np.float64]:
     """State (n,) of a stable system that has had the inputs (m,) for a long time."""
-    pushed = (system.earlier + system.later) @ np.asarray(inputs, dtype=float)
-    return np.asarray(linalg.solve(np.eye(pushed.size) - system.transition, pushed))
+    change = (system.earlier + system.later) @ np.asarray(inputs, dtype=float)
+    return np.asarray(linalg.solve(np.eye(change.size) - system.transition, change))
 
 
 @compiled
@@ -135,7 +139,7 @@ def advance(system, state, before, now, work):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def read(system, state, inputs, out):  # type: ignore[no-untyped-def]
+def write_outputs(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
     """Write the outputs (p,) of a state (n,) and inputs (m,)."""
     for i in range(system.output.shape[0]):
         total = 0.0
@@ -143,23 +147,23 @@ def read(system, state, inputs, out):  # type: ignore[no-untyped-def]
             total += system.output[i, j] * state[j]
         for j in range(inputs.shape[0]):
             total += system.direct[i, j] * inputs[j]
-        out[i] = total
+        outputs[i] = total
 
 
 @allocating
-def history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
-    """Write outputs (N, p) of inputs (N, m); the state (n,) goes from that of the first row on."""
+def write_history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
+    """Write outputs (N, p) of inputs (N, m); the state (n,) moves from first to last row."""
     work = np.empty(state.shape[0])
     for row in range(inputs.shape[0]):
         if row > 0:
             advance(system, state, inputs[row - 1], inputs[row], work)
-        read(system, state, inputs[row], outputs[row])
+        write_outputs(system, state, inputs[row], outputs[row])
 
 
 def chain(coefficients: ArrayLike, gain: float, interval: float) -> NDArray[np.float64]:
-    """A sample of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, exact for constant u, (n, n+1).
+    """Step matrix (n, n+1) of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, u constant.
 
-    It acts on y, its derivatives and u.
+    Times y, its derivatives below the n-th and u, it gives the former after one interval [s].
     """
     order = np.size(coefficients)
     matrix = np.zeros((order + 1, order + 1))

@@ -23,8 +23,8 @@ Status = Literal[
 than the report, `recalled` from general knowledge of the field and not checked."""
 
 
-class _Known(Settings, Generic[Value]):
-    """What a source gives, in its unit."""
+class _Sourced(Settings, Generic[Value]):
+    """A value as a source gives it, in its unit."""
 
     value: Value  #: Value in `unit`.
     unit: str  #: Unit as published, e.g. `in/s/%`.
@@ -33,13 +33,13 @@ class _Known(Settings, Generic[Value]):
 
     @model_validator(mode="before")
     @classmethod
-    def _table(cls, known: Any) -> Any:
-        if not isinstance(known, _Known | Mapping):
+    def _check_table(cls, table: Any) -> Any:
+        if not isinstance(table, _Sourced | Mapping):
             raise InputError("must be a table of value, unit, status and source")
-        return known
+        return table
 
 
-class Quantity(_Known[float]):
+class Quantity(_Sourced[float]):
     """One number as a source gives it."""
 
     @property
@@ -55,11 +55,11 @@ class Quantity(_Known[float]):
 def quantity_table(title: str, quantities: Mapping[str, Quantity]) -> Table:
     """Value, unit, status and source of every number."""
     columns = ("parameter", ("value", "g"), "unit", "status", "source")
-    rows = [(name, one.value, one.unit, one.status, one.source) for name, one in quantities.items()]
+    rows = [(name, q.value, q.unit, q.status, q.source) for name, q in quantities.items()]
     return Table(title, columns, rows)
 
 
-class Quantities(_Known[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]]):
+class Quantities(_Sourced[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]]):
     """Several numbers of one unit as a source gives them."""
 
     @property
@@ -68,7 +68,10 @@ class Quantities(_Known[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
         return units.to_si(self.unit, np.array(self.value))
 
 
-class Points(_Known[Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(as_tuples)]]):
+_Point = tuple[float, float, float]
+
+
+class Points(_Sourced[Annotated[tuple[_Point, ...], BeforeValidator(as_tuples)]]):
     """Points in space of one unit as a source gives them."""
 
     @property
@@ -82,7 +85,7 @@ def positive_in(*allowed: str) -> AfterValidator:
     return AfterValidator(Kind(allowed).check)
 
 
-_MOST = {
+_LARGEST_SIZE = {
     **{"s": LONGEST, "m": 1e3, "m/s": 1e3, "m^2": 10.0, "m^3": 1e4, "m^3/s": 1e2},
     **{"kg": 1e7, "N": 1e8, "Pa": 1e12, "N s/m": 1e12, "kg/m^3": 1e5},
 }
@@ -104,21 +107,22 @@ class Kind(NamedTuple):
         unit = quantity.unit
         if unit not in self.units:
             raise InputError(f"{unit!r} is refused: unit must be one of {', '.join(self.units)}")
-        refused = f"{quantity.value} {unit} is refused: must be"
+        refusal = f"{quantity.value} {unit} is refused: must be"
         if not self.signed and self.zero and quantity.value < 0.0:
-            raise InputError(f"{refused} at least 0 {unit}")
+            raise InputError(f"{refusal} at least 0 {unit}")
         if not self.signed and not self.zero and quantity.value <= 0.0:
-            raise InputError(f"{refused} greater than 0 {unit}")
+            raise InputError(f"{refusal} greater than 0 {unit}")
         size = abs(quantity.si)
         if size >= self.below:
-            raise InputError(f"{refused} less than {units.from_si(unit, self.below):g} {unit}")
-        most = min(self.at_most, *(_MOST.get(name, self.at_most) for name in self.units))
-        if size > most:
-            raise InputError(f"{refused} at most {units.from_si(unit, most):g} {unit}")
+            raise InputError(f"{refusal} less than {units.from_si(unit, self.below):g} {unit}")
+        bounds = (_LARGEST_SIZE.get(name, self.at_most) for name in self.units)
+        largest = min(self.at_most, *bounds)
+        if size > largest:
+            raise InputError(f"{refusal} at most {units.from_si(unit, largest):g} {unit}")
         return quantity
 
 
-def _one_or_two(quantity: Quantity) -> Quantity:
+def _check_one_or_two(quantity: Quantity) -> Quantity:
     if quantity.value not in (1.0, 2.0):
         raise InputError(f"{quantity.value:g} is refused: must be 1 or 2")
     return quantity
@@ -161,7 +165,7 @@ Bias = Annotated[Quantity, AfterValidator(Kind(("1", "%"), signed=True, below=1.
 Opening = Annotated[Quantity, AfterValidator(Kind(("1", "%"), at_most=1.0).check)]
 Exponent = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.67).check)]
 Count = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]
-OneOrTwo = Annotated[Count, AfterValidator(_one_or_two)]
+OneOrTwo = Annotated[Count, AfterValidator(_check_one_or_two)]
 Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
 
 

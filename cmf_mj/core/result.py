@@ -8,6 +8,7 @@ are printed, in the unit of the field.
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
+from itertools import pairwise
 from operator import and_
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_type_hints
@@ -20,9 +21,10 @@ from pydantic_core import to_jsonable_python
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import write_csv, write_json, write_parquet, write_text
+from cmf_mj.core.files import write_json, write_text
+from cmf_mj.core.tables import write_csv, write_parquet
 
-_ROW, _ROWS = "row of the table", "row of the table_list"
+_ROW = "row of the table"  #: Column of row numbers.
 
 
 def column(table: pa.Table, name: str) -> NDArray[np.float64]:
@@ -43,9 +45,10 @@ def groups(table: pa.Table, *names: str) -> Iterator[tuple[tuple[Any, ...], pa.T
     [('b', [0.1, 0.3]), ('a', [0.2])]
     """
     numbered = table.append_column(_ROW, pa.array(np.arange(table.num_rows)))
-    alike = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "list")]).to_pylist()
-    for one in sorted(alike, key=lambda one: one[_ROWS][0]):
-        yield tuple(one[name] for name in names), table.take(one[_ROWS])
+    grouped = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "list")]).to_pylist()
+    row_lists = {tuple(group[name] for name in names): group[f"{_ROW}_list"] for group in grouped}
+    for values, rows in sorted(row_lists.items(), key=lambda item: min(item[1])):
+        yield values, table.take(rows)
 
 
 Column = Sequence[str]
@@ -109,25 +112,21 @@ class Table:
         A group is a title of two lines and those after it whose first line is empty.
         """
         heads = self.header
-        begins = [i for i, head in enumerate(heads) if head.find("\n") > 0]
-        if len(begins) < 2:
+        starts = [i for i, head in enumerate(heads) if head.find("\n") > 0]
+        if len(starts) < 2:
             return [self]
-        made = []
-        for start, stop in zip(begins, [*begins[1:], len(heads)], strict=True):
-            taken = [*range(begins[0]), *range(start, stop)]
-            rows = [[row[i] for i in taken] for row in self.rows]
-            title = self.title if start == begins[0] else ""
-            caption = self.caption if stop == len(heads) else ""
-            made.append(
-                replace(
-                    self,
-                    title=title,
-                    caption=caption,
-                    rows=rows,
-                    columns=[self.columns[i] for i in taken],
-                )
+        tables, common = [], range(starts[0])
+        for start, stop in pairwise([*starts, len(heads)]):
+            chosen = [*common, *range(start, stop)]
+            table = replace(
+                self,
+                title=self.title if start == common.stop else "",
+                caption=self.caption if stop == len(heads) else "",
+                rows=[[row[i] for i in chosen] for row in self.rows],
+                columns=[self.columns[i] for i in chosen],
             )
-        return made
+            tables.append(table)
+        return tables
 
     def __rich__(self) -> Any:
         """The table for the terminal."""
@@ -147,13 +146,13 @@ class Table:
                 table.add_column(escape(column), overflow="fold")
             else:
                 table.add_column(escape(column[0]), justify="right", no_wrap=True)
-        first = ""
-        for index, row in enumerate(self.cells):
-            repeats = self.grouped and row[0] == first
-            if index and self.grouped and not repeats:
+        label: str | None = None
+        for first, *others in self.cells:
+            is_repeated = self.grouped and first == label
+            if label is not None and self.grouped and not is_repeated:
                 table.add_section()
-            first = row[0]
-            table.add_row(*map(escape, ["", *row[1:]] if repeats else row))
+            label = first
+            table.add_row(*map(escape, ["" if is_repeated else first, *others]))
         return table
 
     def markdown(self) -> str:
@@ -225,9 +224,12 @@ class Field:
 
 
 def lines(row: Any, fields: Iterable[Field]) -> list[tuple[str, str, str]]:
-    """A row turned: title, value and meaning of each printed field."""
-    printed = [each for each in fields if each.printed]
-    return [(one.header.replace("\n", " "), one.text(one.value(row)), one.about) for one in printed]
+    """A row as a table of its own: title, value and meaning of each printed field."""
+    return [
+        (field.header.replace("\n", " "), field.text(field.value(row)), field.about)
+        for field in fields
+        if field.printed
+    ]
 
 
 def fields_of(row: type) -> tuple[Field, ...]:
@@ -241,11 +243,12 @@ def fields_of(row: type) -> tuple[Field, ...]:
     | --- | --- |
     | velocity | 2.8 Hz |
     """
-    found = []
+    fields = []
     for name, hint in get_type_hints(row, include_extras=True).items():
-        stated = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Field)]
-        found.append(replace(stated[0], name=name) if stated else Field(name))
-    return tuple(found)
+        annotations = getattr(hint, "__metadata__", ())
+        field = next((entry for entry in annotations if isinstance(entry, Field)), Field())
+        fields.append(replace(field, name=name))
+    return tuple(fields)
 
 
 @dataclass(frozen=True)
@@ -297,15 +300,15 @@ class Result(Sequence[Row], Generic[Row]):
     @cached_property
     def frame(self) -> pa.Table:
         """All named fields, in SI."""
-        named = [each for each in self.fields if each.name]
-        return pa.table({each.name: [each.value(row) for row in self.rows] for each in named})
+        named = [field for field in self.fields if field.name]
+        return pa.table({field.name: [field.value(row) for row in self.rows] for field in named})
 
     @property
     def table(self) -> Table:
         """All printed fields, as text."""
-        printed = [each for each in self.fields if each.printed]
-        cells = [[each.text(each.value(row)) for each in printed] for row in self.rows]
-        columns = [each.column for each in printed]
+        printed = [field for field in self.fields if field.printed]
+        cells = [[field.text(field.value(row)) for field in printed] for row in self.rows]
+        columns = [field.column for field in printed]
         return Table(self.title, columns, cells, self.caption, grouped=self.grouped)
 
     @property
@@ -323,22 +326,18 @@ class Result(Sequence[Row], Generic[Row]):
 
         CSV leaves empty what is missing or NaN. Parquet and JSON have titles, units and provenance.
         """
-        about = {
-            "title": self.title,
-            "fields": {e.name: {"title": e.title, "unit": e.unit} for e in self.fields if e.name},
-            "provenance": dict(self.provenance),
-        }
+        fields = {f.name: {"title": f.title, "unit": f.unit} for f in self.fields if f.name}
+        header = {"title": self.title, "fields": fields, "provenance": dict(self.provenance)}
         rows = self.frame.to_pylist()
         match path.suffix:
             case ".md":
                 return self.table.save(path)
             case ".parquet":
-                return write_parquet(self.frame, path, (_KEY, about))
+                return write_parquet(self.frame, path, (_KEY, header))
             case ".json":
-                return write_json(
-                    path, to_jsonable_python(about | {"rows": rows}, inf_nan_mode="null")
-                )
+                content = header | {"rows": rows}
+                return write_json(path, to_jsonable_python(content, inf_nan_mode="null"))
             case ".csv":
-                cells = ([None if v != v else v for v in row.values()] for row in rows)
+                cells = ([None if cell != cell else cell for cell in row.values()] for row in rows)
                 return write_csv(path, self.frame.column_names, cells, self.digits)
         raise InputError(f"{path}: must end in .md, .csv, .parquet or .json")

@@ -27,11 +27,10 @@ from cmf_mj.core.errors import InputError, reason, similar, unknown_name
 from cmf_mj.core.units import LONGEST
 
 LARGEST = 1e20
-"""Largest number of a settings file: none of a machine in any unit of the field is beyond, and its
-square and cube are still numbers."""
+"""Largest number of a settings file: above any of a machine in any unit; its cube is a number."""
 
 _SMALLEST = sys.float_info.min
-_MOST = 2**53  #: Whole numbers to here are exact as a double.
+_LARGEST_WHOLE = 2**53  #: Whole numbers to here are exact as a double.
 
 Time = Annotated[float, Field(ge=0.0, le=LONGEST)]
 """A time in a run [s], at most that of the longest."""
@@ -43,24 +42,24 @@ Seed = Annotated[int, Field(ge=0)]  #: Seed of a random generator.
 
 
 def in_range(value: Any) -> Any:
-    """A value whose numbers, those in lists and tables too, can be computed with.
+    """The value, if its numbers, those in lists and tables too, can be computed with.
 
     Refused are sizes above `LARGEST`, subnormal ones and whole numbers that a double cannot hold.
-    Arrays, sets and whole numbers of NumPy pass unseen; strict fields have none.
+    Arrays, sets and whole numbers of NumPy are not checked; strict fields have none.
     """
     if isinstance(value, Mapping):
         in_range(tuple(value.values()))
     elif isinstance(value, list | tuple):
-        for one in value:
-            in_range(one)
+        for entry in value:
+            in_range(entry)
     elif isinstance(value, float) and not (value == 0.0 or _SMALLEST <= abs(value) <= LARGEST):
         raise InputError(f"a number must be 0 or {_SMALLEST:.3g} to {LARGEST:.3g} in size")
-    elif isinstance(value, int) and abs(value) > _MOST:
-        raise InputError(f"a whole number must be at most {_MOST} in size")
+    elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+        raise InputError(f"a whole number must be at most {_LARGEST_WHOLE} in size")
     return value
 
 
-_UNKNOWN = "unknown_field"  #: Kind of the error of a key that a table has not.
+_UNKNOWN_FIELD = "unknown_field"  #: Kind of error of a key that a table may not have.
 
 
 class Settings(BaseModel):
@@ -76,28 +75,29 @@ class Settings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_other_keys(cls, table: Any) -> Any:
-        taken: set[str] = set()
-        named: list[str] = []
+        accepted_keys: set[str] = set()
+        public_keys: list[str] = []
         for name, field in cls.model_fields.items():
-            named += [] if field.exclude else [field.serialization_alias or name]
-            taken |= {name, *getattr(field.validation_alias, "choices", ())}
-        others = table.keys() - taken if isinstance(table, Mapping) else ()
+            public_keys += [] if field.exclude else [field.serialization_alias or name]
+            accepted_keys |= {name, *getattr(field.validation_alias, "choices", ())}
+        others = table.keys() - accepted_keys if isinstance(table, Mapping) else ()
         if others and cls.model_config["extra"] == "forbid":
-            allowed = f"is not a known field; allowed: {', '.join(sorted(named))}"
-            said = [f"{key}: {allowed}{similar(key, named)}" for key in sorted(others, key=str)]
-            raise PydanticCustomError(_UNKNOWN, "{said}", {"said": "\n".join(said)})
+            allowed = f"is not a known field; allowed: {', '.join(sorted(public_keys))}"
+            keys = sorted(others, key=str)
+            faults = "\n".join(f"{key}: {allowed}{similar(key, public_keys)}" for key in keys)
+            raise PydanticCustomError(_UNKNOWN_FIELD, "{faults}", {"faults": faults})
         return table
 
 
 def name_or(*loaded: type) -> PlainValidator:
-    """Validator of a field that takes a name or file of settings, or what is `loaded` already."""
-    loaded_ones = "".join(f", or {one.__name__} as its `load_` function makes it" for one in loaded)
+    """Validator of a field that takes a name or file of settings, or an instance of `loaded`."""
+    classes = "".join(f", or {kind.__name__} as its `load_` function makes it" for kind in loaded)
 
     def check(value: Any) -> Any:
-        if not isinstance(value, (str, Path, *loaded)):
-            kind = type(value).__name__
-            raise InputError(f"a {kind} is refused; allowed: a name, a TOML file{loaded_ones}")
-        return value
+        if isinstance(value, (str, Path, *loaded)):
+            return value
+        kind = type(value).__name__
+        raise InputError(f"a {kind} is refused; allowed: a name, a TOML file{classes}")
 
     return PlainValidator(check, json_schema_input_type=str)
 
@@ -120,7 +120,7 @@ _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .,+-]{0,62}[A-Za-z0-9_+-])?")
 
 
 def checked_name(name: str, field: str = "") -> str:
-    """A name of a law, cab, set, machine or study, fit for files, tables and commands.
+    """The name of a law, cab, set, machine or study, if it fits files, tables and commands.
 
     Five of them and an ending fit into one file name, and none leaves a folder.
     """
@@ -137,11 +137,11 @@ def checked_name(name: str, field: str = "") -> str:
 def check_distinct(field: str, names: Sequence[str]) -> None:
     """Refuse names that cannot stand beside one another on a disk that ignores capitals."""
     folded = [name.casefold() for name in names]
-    same = [name for name in names if folded.count(name.casefold()) > 1]
-    if same:
+    alike = ", ".join(name for name in names if folded.count(name.casefold()) > 1)
+    if alike:
         raise InputError(
-            f"{field}: {', '.join(same)} must differ in name, not in capitals alone; one of a file "
-            "can get another name there"
+            f"{field}: {alike} must differ in name, not in capitals alone; one of a file can get "
+            "another name there"
         )
 
 
@@ -150,22 +150,22 @@ Name = Annotated[str, AfterValidator(checked_name)]  #: What `checked_name` acce
 
 def as_tuples(value: Any) -> Any:
     """TOML's lists as tuples, down to the numbers."""
-    return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+    return tuple(map(as_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def check_file(path: Path) -> Path:
-    """Refuse what is no file: nothing, a folder, or a pipe, which would be waited for."""
+    """The path, if it is that of a file; a pipe, which would be waited for, is none."""
     if "\0" in str(path):
         raise InputError(f"{str(path)!r}: cannot be read: no name has a null character")
     if not os.path.isfile(path):
-        there = "it is a folder or a device, not a file"
-        fault = there if os.path.exists(path) else "there is no such file"
+        exists = os.path.exists(path)
+        fault = "it is a folder or a device, not a file" if exists else "there is no such file"
         raise InputError(f"{path}: cannot be read: {fault}")
     return path
 
 
 def beside(folder: Path, name: str | None) -> Any:
-    """A TOML file, or `FILE.toml:law`, which counts from a folder; any other name as it is."""
+    """The path of a TOML file, or `FILE.toml:law`, from a folder; any other name as it is."""
     return folder / name if name and re.search(r"\.toml(:[^:/]*)?$", name) else name
 
 
@@ -180,9 +180,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is not valid TOML: {reason(error)}") from error
 
 
-_LEVELS = 16  #: Levels of tables and lists allowed in a file, itself the first.
-_SHOWN = 200  #: Characters that errors show of a refused value.
-_FAULTS = 10  #: Faults that an error shows.
+_MAX_LEVELS = 16  #: Levels of tables and lists allowed in a file, itself the first.
+_MAX_CHARACTERS = 200  #: Characters that errors show of a refused value.
+_MAX_FAULTS = 10  #: Faults that an error shows.
 
 
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
@@ -193,7 +193,7 @@ def parsed_toml(text: str, where: str) -> dict[str, Any]:
         raise _too_deep(where) from None
     except ValueError as error:  # also a number with more digits than Python reads
         raise InputError(f"{where}: is not valid TOML: {reason(error)}") from error
-    return _shallow(table, where)
+    return _check_depth(table, where)
 
 
 def parsed_json(text: str | bytes, where: str) -> Any:
@@ -204,22 +204,23 @@ def parsed_json(text: str | bytes, where: str) -> Any:
         raise _too_deep(where) from None
     except ValueError as error:
         raise InputError(f"{where}: is not valid JSON: {reason(error)}") from error
-    return _shallow(content, where)
+    return _check_depth(content, where)
 
 
-def _shallow(content: Any, where: str) -> Any:
-    """The same, if nothing that walks through it can run out of stack."""
-    layer = [content] if isinstance(content, dict | list) else []
-    for _ in range(_LEVELS):
-        nested = [v.values() if isinstance(v, dict) else v for v in layer]
-        layer = [v for values in nested for v in values if isinstance(v, dict | list)]
-        if not layer:
+def _check_depth(content: Any, where: str) -> Any:
+    """The content, if nothing that walks through it can run out of stack."""
+    level = [content] if isinstance(content, dict | list) else []
+    for _ in range(_MAX_LEVELS):
+        entries = [table.values() if isinstance(table, dict) else table for table in level]
+        level = [entry for row in entries for entry in row if isinstance(entry, dict | list)]
+        if not level:
             return content
     raise _too_deep(where)
 
 
 def _too_deep(where: str) -> InputError:
-    return InputError(f"{where}: tables and lists are nested too deep; allowed: {_LEVELS} levels")
+    fault = "tables and lists are nested too deep"
+    return InputError(f"{where}: {fault}; allowed: {_MAX_LEVELS} levels")
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
@@ -231,9 +232,10 @@ def validated(model: type[Model], table: object, where: str) -> Model:
 
 
 def _refusal(error: ValidationError, where: str) -> InputError:
-    said = [line for e in error.errors() for line in _explain(e, where)]
-    more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
-    return InputError("\n".join(said[:_FAULTS] + more))
+    faults = [line for fault in error.errors() for line in _fault_lines(fault, where)]
+    rest = len(faults) - _MAX_FAULTS
+    more = [f"{where}: and {rest} more"] if rest > 0 else []
+    return InputError("\n".join(faults[:_MAX_FAULTS] + more))
 
 
 class Arguments(Settings):
@@ -258,16 +260,16 @@ def merged(
     """
     table = dict(base)
     for name, change in changes.items():
-        before = table.get(name)
-        if levels > 0 and isinstance(before, Mapping) and isinstance(change, Mapping):
-            table[name] = merged(before, change, levels - 1)
+        entry = table.get(name)
+        if levels > 0 and isinstance(entry, Mapping) and isinstance(change, Mapping):
+            table[name] = merged(entry, change, levels - 1)
         else:
             table[name] = change
     return table
 
 
 Fitting = Callable[[dict[str, Any]], dict[str, Any]]
-"""What makes the shipped table, which is for the CMF, that of another machine."""
+"""A function from the shipped table, which is for the CMF, to that of another machine."""
 
 
 class UserSet(NamedTuple):
@@ -295,7 +297,7 @@ def user_set(
         raise unknown_name(f"{path}: base", base, names)
     if len(content) != 1 or not isinstance(next(iter(content.values())), dict):
         raise InputError(f"{path}: has the entries {sorted(content)}; exactly one table is allowed")
-    name, changes = next(iter(content.items()))
+    ((name, changes),) = content.items()
     checked_name(name, f"{path}: name of the table")
     for field in ("name", *fixed):
         if field in changes:
@@ -308,9 +310,9 @@ def user_set(
 class Loader(Generic[Model]):
     """Loads the settings of a shipped file, called as `load(source)`.
 
-    The file is one table, or has shipped sets: a table each, beside `[common]`, whose entries all
-    have. A user's file repeats what it changes of the whole; or names a shipped set as `base` and
-    holds one table, named after the new set, with what that changes.
+    The file is one table, or a table a shipped set beside `[common]`, whose entries every set has.
+    A user's file holds the changed entries of the one table; or the name of a shipped set, `base`,
+    and one table with the changes, named after the new set.
     """
 
     model: type[Model]  #: Settings class.
@@ -331,45 +333,45 @@ class Loader(Generic[Model]):
         """
         if isinstance(source, self.model):
             return source
-        chosen = self.default if source is None else str(source)
-        if fitted is None and chosen in (self.names or (self.default,)):
-            return _cached_shipped(self, chosen)
-        made = validated(self.model, *self.table(chosen, fitted))
-        name = getattr(made, "name", "")
-        if chosen not in self.names and name in self.names and made != _cached_shipped(self, name):
-            raise InputError(
-                f"{chosen}: {name!r} is the name of a shipped set; another one needs another name"
-            )
-        return made
+        origin = self.default if source is None else str(source)
+        if fitted is None and origin in (self.names or (self.default,)):
+            return _cached_shipped(self, origin)
+        settings = validated(self.model, *self.table(origin, fitted))
+        name = getattr(settings, "name", "")
+        is_user_file = origin not in self.names
+        if is_user_file and name in self.names and settings != _cached_shipped(self, name):
+            fault = f"{name!r} is the name of a shipped set; another one needs another name"
+            raise InputError(f"{origin}: {fault}")
+        return settings
 
     def table(
-        self, chosen: str | Path, fitted: Fitting | None = None
+        self, source: str | Path, fitted: Fitting | None = None
     ) -> tuple[dict[str, Any], str]:
         """The table of a shipped set, with its `name`, or a user's, and what errors call it."""
-        chosen, shipped = str(chosen), read_toml(self.shipped)
+        origin, shipped = str(source), read_toml(self.shipped)
         shipped = shipped if fitted is None else fitted(shipped)
         if not self.names:
-            if chosen == self.default:
+            if origin == self.default:
                 return shipped, self.shipped.name
             if self.what:
-                user_file(self.what, (self.default,), chosen)
-            return merged(shipped, read_toml(Path(chosen)), self.levels), chosen
+                user_file(self.what, (self.default,), origin)
+            return merged(shipped, read_toml(Path(origin)), self.levels), origin
         sets = {name: shipped.get("common", {}) | shipped[name] for name in self.names}
-        if chosen in sets:
-            return sets[chosen] | {"name": chosen}, f"{self.shipped.name}: {chosen}"
-        user = user_set(self.what, self.names, chosen, fixed=self.fixed, based=self.based)
-        start = sets[user.base] if self.based else {}
-        return merged(start, user.changes, self.levels) | {"name": user.name}, user.where
+        if origin in sets:
+            return sets[origin] | {"name": origin}, f"{self.shipped.name}: {origin}"
+        user = user_set(self.what, self.names, origin, fixed=self.fixed, based=self.based)
+        base = sets[user.base] if self.based else {}
+        return merged(base, user.changes, self.levels) | {"name": user.name}, user.where
 
 
 @cache
-def _cached_shipped(loader: Loader[Model], chosen: str) -> Model:
+def _cached_shipped(loader: Loader[Model], name: str) -> Model:
     """A shipped set, read once: settings are not to be changed."""
-    return validated(loader.model, *loader.table(chosen))
+    return validated(loader.model, *loader.table(name))
 
 
 def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
-    """The TOML file that a source names which is none of the shipped `names`."""
+    """The path of the user's TOML file that a source is; it is none of the shipped `names`."""
     path = Path(source)
     if path.suffix != ".toml":
         raise unknown_name(what, str(source), names, " nor a .toml file")
@@ -377,16 +379,15 @@ def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
 
 
 _NO_KEY = re.compile(r"[a-z-]*\[.*|constrained-(str|int|float)$")
-"""What pydantic calls the alternatives of a union, and keys, which are no keys of the file."""
+"""Parts of pydantic's locations that are no keys of the file: alternatives of a union, and keys."""
 
 
-def _explain(error: Any, where: str) -> list[str]:
-    """Lines of a refusal, one a fault."""
+def _fault_lines(error: Any, where: str) -> list[str]:
+    """Lines of a refusal from one of pydantic's errors."""
     location = [part for part in map(str, error["loc"]) if not _NO_KEY.match(part)]
-    field = ".".join(location)
-    message = error["msg"].removeprefix("Value error, ")
+    field, message = ".".join(location), error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]
-    if error["type"] == _UNKNOWN:
+    if error["type"] == _UNKNOWN_FIELD:
         return [f"{where}: {'.'.join([*location, line])}" for line in message.splitlines()]
     if not field:
         return [f"{where}: {line}" for line in message.splitlines()]
@@ -394,6 +395,6 @@ def _explain(error: Any, where: str) -> list[str]:
         return [f"{where}: {field}: is missing"]
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
         return [f"{where}: {field}: {line}" for line in message.splitlines()]
-    given = repr(error["input"])
-    given = given if len(given) <= _SHOWN else f"{given[:_SHOWN]}..."
-    return [f"{where}: {field}: {given} is refused: {allowed}"]
+    text = repr(error["input"])
+    value = text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}..."
+    return [f"{where}: {field}: {value} is refused: {allowed}"]

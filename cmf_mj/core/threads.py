@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 class OneAtATime:
-    """Lets one thread in, `with` it, and refuses whoever comes meanwhile; a copy of it is free."""
+    """Lets one thread in, `with` it, and refuses others until it leaves; a copy starts unlocked."""
 
     def __init__(self, refusal: str) -> None:
         """Refuse with this message."""

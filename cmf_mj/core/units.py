@@ -66,7 +66,7 @@ _FACTORS: dict[str, float] = {
     "Hz": HERTZ,
 }
 
-_NAMES = {
+_SI_NAMES = {
     **dict.fromkeys(("mm", "cm", "in", "ft"), "m"),
     **dict.fromkeys(("bar", "kPa", "MPa", "psi"), "Pa"),
     **{"kN": "N", "lbf": "N", "lbm": "kg", "deg": "rad", "%": "1", "ms": "s", "us": "s"},
@@ -75,12 +75,12 @@ _NAMES = {
     **{"lbf s": "N s", "deg s": "rad s"},
     **dict.fromkeys(("lbm ft^2", "lbm in^2", "slug ft^2"), "kg m^2"),
 }
-"""SI units by the part of a unit; those of SI are their own."""
+"""SI units by the part of a unit; parts that are SI units themselves are left out."""
 
 Value = TypeVar("Value", float, np.ndarray)
 
 
-def known(unit: str) -> bool:
+def is_known(unit: str) -> bool:
     """Whether `factor` knows a unit."""
     return unit in _FACTORS or all(part in _FACTORS for part in unit.split("/"))
 
@@ -107,13 +107,15 @@ def si_unit(unit: str) -> str:
     ('m/s^2', 'm^3/s/Pa', 'Pa s/m^3')
     """
     factor(unit)
-    if unit in _NAMES:
-        return _NAMES[unit]
-    first, *rest = (_NAMES.get(part, part).split("/") for part in unit.split("/"))
-    above = [first[0], *(part for _, *turned in rest for part in turned)]
-    below = [*first[1:], *(part for part, *_ in rest)]
-    product = " ".join(part for part in above if part != "1") or "1"
-    return "/".join([product, *(part for part in below if part != "1")])
+    if unit in _SI_NAMES:
+        return _SI_NAMES[unit]
+    numerator, denominator = list[str](), list[str]()
+    for place, part in enumerate(unit.split("/")):
+        multiplied, *divided = _SI_NAMES.get(part, part).split("/")
+        numerator += divided if place > 0 else [multiplied]
+        denominator += [multiplied] if place > 0 else divided
+    product = " ".join(part for part in numerator if part != "1") or "1"
+    return "/".join([product, *(part for part in denominator if part != "1")])
 
 
 def to_si(unit: str, value: Value) -> Value:

@@ -97,7 +97,8 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFee
 def converter_state(converters: Any, feedback: LegFeedback) -> LegFeedback:
     """Filter states (n, s, 2) of `make_converters` that have seen the feedback for a long time."""
     pairs = zip(converters, feedback, strict=True)
-    return LegFeedback(*(filters.settled_filter(one.low_pass, values) for one, values in pairs))
+    states = (filters.settled_filter_state(one.low_pass, values) for one, values in pairs)
+    return LegFeedback(*states)
 
 
 @compiled

@@ -244,7 +244,7 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
     felt = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
     values = truth._replace(acceleration=truth.acceleration + felt)
     pairs = zip(sensors.channels, values, strict=True)
-    settled = (filters.settled_filter(channel.low_pass, value) for channel, value in pairs)
+    settled = (filters.settled_filter_state(channel.low_pass, value) for channel, value in pairs)
     return SensorState(LegFeedback(*settled), axes, axes.direction.copy())
 
 

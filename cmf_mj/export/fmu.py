@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from cmf_mj.control import demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import whole_file, write_csv
+from cmf_mj.core.files import whole_file
+from cmf_mj.core.tables import write_csv
 from cmf_mj.core.units import LONGEST
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import channels, defines, parameters

@@ -41,7 +41,7 @@ from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import Held, advance, hold, read, settled
+from cmf_mj.core.filters import SampledSystem, advance, hold, settled_state, write_outputs
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, TiltCoordinated
@@ -86,22 +86,22 @@ class HeadMotion(NamedTuple):
 class Filter(NamedTuple):
     """A linear filter at work; its arrays are overwritten by each sample."""
 
-    system: Held
+    system: SampledSystem
     state: Array  #: (n,).
     inputs: Array  #: Of the last sample, (m,).
 
     @staticmethod
-    def of(system: Held) -> "Filter":
+    def of(system: SampledSystem) -> "Filter":
         """A filter at rest."""
         states, inputs = system.earlier.shape
         return Filter(system, np.zeros(states), np.zeros(inputs))
 
     def start(self, inputs: Array) -> Array:
         """Put it into the state after a long time at constant inputs (m,); its outputs (p,)."""
-        self.state[:] = settled(self.system, inputs)
+        self.state[:] = settled_state(self.system, inputs)
         self.inputs[:] = inputs
         outputs = np.empty(len(self.system.output))
-        read(self.system, self.state, self.inputs, outputs)
+        write_outputs(self.system, self.state, self.inputs, outputs)
         return outputs
 
 
@@ -111,7 +111,7 @@ def push_sample(filtering, inputs, out):  # type: ignore[no-untyped-def]
     work = np.empty(filtering.state.size)
     advance(filtering.system, filtering.state, filtering.inputs, inputs, work)
     filtering.inputs[:] = inputs
-    read(filtering.system, filtering.state, inputs, out)
+    write_outputs(filtering.system, filtering.state, inputs, out)
 
 
 class Classical(NamedTuple):
@@ -175,7 +175,7 @@ def _with_derivatives(a: Array, b: Array) -> Matrices:
     return Matrices(a, b, outputs, np.vstack([np.zeros((2, 1)), b[1]]))
 
 
-def side_by_side(systems: list[Matrices], interval: float) -> Held:
+def side_by_side(systems: list[Matrices], interval: float) -> SampledSystem:
     """Equal-sized systems as one, its inputs and outputs ordered by signal, then by system."""
     a, b, c, d = (linalg.block_diag(*parts) for parts in zip(*systems, strict=True))
     count = len(systems)

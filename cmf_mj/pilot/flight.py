@@ -23,8 +23,8 @@ from pydantic import Field
 from cmf_mj.core import units
 from cmf_mj.core.arrays import FrozenDict, frozen, shaped
 from cmf_mj.core.errors import InputError, unknown_name, within
-from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
 from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
+from cmf_mj.core.tables import read_column, read_table, write_parquet, write_table
 from cmf_mj.pilot.drives import DRIVES, drive
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 

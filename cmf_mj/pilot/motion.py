@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.arrays import shaped
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import write_table
+from cmf_mj.core.tables import write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.geometry import FLIP

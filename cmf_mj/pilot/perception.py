@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import history, hold, settled
+from cmf_mj.core.filters import hold, settled_state, write_history
 from cmf_mj.core.quantity import Acceleration, AngularSpeed, Ratio, Time, Wait
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion
@@ -135,7 +135,7 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
         columns = np.ascontiguousarray(inputs.T)[:, :, None]
         outputs = np.empty_like(columns)
         for column, sensed in zip(columns, outputs, strict=True):
-            history(system, settled(system, column[0]), column, sensed)
+            write_history(system, settled_state(system, column[0]), column, sensed)
         parts.append(np.ascontiguousarray(outputs[:, :, 0].T))
     return Sensed(motion.time, *parts)
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.core.arrays import copied, frozen_json, real, shaped
+from cmf_mj.core.arrays import copy_block, frozen_json, real, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.core.units import FRAME
@@ -283,7 +283,7 @@ class Plant:
                 if conditions == last_conditions:
                     self.data.qpos[:] = qpos
                     mujoco.mj_forward(self.model, self.data)
-                    return copied(state)
+                    return copy_block(state)
             self._quiet = without_sensors(self.model)
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
@@ -295,7 +295,7 @@ class Plant:
             if warnings := fit.warnings_of(self.data):
                 raise InputError(f"start: {warnings}; allowed: a state without warnings")
             state = rest(self.hydraulics, load, self.extensions())
-            self._last_start = conditions, self.data.qpos.copy(), copied(state)
+            self._last_start = conditions, self.data.qpos.copy(), copy_block(state)
             return state
 
     def _reset(self) -> None:

@@ -99,7 +99,7 @@ def _unit(text: str) -> str:
     """A unit as this project spells it, empty where it has none."""
     text = text.strip().replace("²", "^2").replace("s2", "s^2")
     unit = "/".join(_UNIT_SPELLING.get(part.strip().lower(), part) for part in text.split("/"))
-    return unit if units.known(unit) else ""
+    return unit if units.is_known(unit) else ""
 
 
 def _leg_patterns(names: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -3,7 +3,7 @@
 A record is immutable, down to nested metadata; it pickles and copies. Its file is a Parquet table:
 a column per scalar channel, `leg_position_1` to `_6` for a channel with a leg axis, and metadata
 (units, parameters, law, seed, model digest) as JSON in the schema, so that any Parquet reader opens
-it. Checksums tell a damaged file from a whole one (`cmf_mj.core.files`).
+it. Checksums tell a damaged file from a whole one (`cmf_mj.core.tables`).
 """
 
 import hashlib
@@ -20,8 +20,9 @@ from pydantic import Field
 
 from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json, real, shaped
 from cmf_mj.core.errors import InputError, check_name, within
-from cmf_mj.core.files import check_target, read_column, read_headed, write_parquet
+from cmf_mj.core.files import check_target
 from cmf_mj.core.settings import FileHeader
+from cmf_mj.core.tables import read_column, read_headed, write_parquet
 from cmf_mj.core.units import si_unit, to_si
 from cmf_mj.record.sources import even_clock
 from cmf_mj.signals import signal_of

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, reason, require, unknown_name
-from cmf_mj.core.files import read_table
 from cmf_mj.core.settings import check_file, parsed_json
+from cmf_mj.core.tables import read_table
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def _header(lines: list[list[str]], width: int) -> tuple[list[str], list[str]]:
     none: list[str] = []
     *_, upper, lower = none, none, *(cells for cells in lines if len(cells) == width)
     marks = [cell.strip("[]() ") for cell in lower]
-    known = any(map(units.known, marks)) or len({*filter(None, marks)}) < sum(map(bool, marks))
+    known = any(map(units.is_known, marks)) or len({*filter(None, marks)}) < sum(map(bool, marks))
     if upper and known and all(name or not mark for name, mark in zip(upper, marks, strict=True)):
         if not any(map(_CELL.fullmatch, upper)):
             return upper, marks

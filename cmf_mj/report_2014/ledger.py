@@ -1,10 +1,9 @@
 """The ledger: misprints and contradictions of the 2014 report, and what this project does.
 
-The entries are in `ledger.toml`, numbered by their place there: a new one moves the numbers of
-those after it. Every entry names a test that shows the claim in numbers; the figures an entry
-states are those that its test computes, and the fixture `entry` of `tests/conftest.py` checks that
-the test asks for all of them. `cmf report ledger` prints it, docs/reference/ledger.md is made from
-it.
+The entries are in `ledger.toml`, numbered by their place: a new entry moves the numbers of all
+after it. Every entry names a test that shows the claim in numbers. Its figures are the numbers that
+the test computes; the fixture `entry` of `tests/conftest.py` checks that the test asks for all of
+them. `cmf report ledger` prints the ledger, docs/reference/ledger.md is made from it.
 """
 
 from collections.abc import Sequence
@@ -94,7 +93,6 @@ def ledger_table(entries: Sequence[LedgerEntry]) -> Table:
     """One row an entry: what is printed, what is wrong with it, what the project does."""
     columns = (("no.", ""), "where", "printed", "finding", "figures", "what we do")
     rows = [
-        (str(one.number), one.where, one.printed, one.finding, figures_text(one), one.project)
-        for one in entries
+        (str(e.number), e.where, e.printed, e.finding, figures_text(e), e.project) for e in entries
     ]
     return Table("misprints and contradictions of the report", columns, rows)

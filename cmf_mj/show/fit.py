@@ -1,7 +1,4 @@
-"""Tables and figures of what was fitted: machines to recordings, and identified linear models.
-
-Of a fit: what is known of each number, and the recordings beside the fitted machine.
-"""
+"""Figures of machines fitted to recordings; tables and figures of identified linear models."""
 
 from __future__ import annotations
 
@@ -19,49 +16,60 @@ from cmf_mj.studies.fit.doubt import FAR, StatedNumber
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
 
-_SHOWN = 4.0  #: Seconds of a recording.
+_SHOWN_SECONDS = 4.0  #: Of a recording.
+_SHOWN_PIECES = 4  #: Recordings in the figure.
 
 
-def figures(posterior: Posterior, rows: Sequence[StatedNumber]) -> dict[str, Figure]:
-    """Figures by file name; `rows` are what is stated."""
-    found = {"recordings.png": recordings(posterior)} if posterior.campaign.recordings else {}
-    return found | ({"stated.png": stated(rows)} if rows else {})
+def fit_figures(posterior: Posterior, statements: Sequence[StatedNumber]) -> dict[str, Figure]:
+    """Figures of a fit by file name."""
+    figures = dict[str, Figure]()
+    if posterior.campaign.recordings:
+        figures["recordings.png"] = recording_figure(posterior)
+    if statements:
+        figures["stated.png"] = statement_figure(statements)
+    return figures
 
 
-def recordings(posterior: Posterior) -> Figure:
+def recording_figure(posterior: Posterior) -> Figure:
     """A few seconds of each recording held back, else of each fitted, leg 1."""
-    held = bool(posterior.campaign.of(held_back=True))
-    model = Model(posterior.campaign, held_back=held)
-    machine, pieces = model.machine(posterior.z), model.pieces[:4]
+    held_back = bool(posterior.campaign.of(held_back=True))
+    model = Model(posterior.campaign, held_back=held_back)
+    machine, pieces = model.machine(posterior.z), model.pieces[:_SHOWN_PIECES]
     channel = next((name for name in pieces[0].measured if "pressure" in name), "leg_position")
     scale, unit = (1e-5, "bar") if channel != "leg_position" else (1e3, "mm")
-    label = f"{channel.replace('_', ' ')} 1 [{unit}]"
-    figure, rows = stack(7.0, 2.0 * len(pieces) + 1.0, *[label] * len(pieces))
-    for axes, piece in zip(rows, pieces, strict=True):
+    name = channel.replace("_", " ")
+    figure, axes = stack(7.0, 2.0 * len(pieces) + 1.0, *[f"{name} 1 [{unit}]"] * len(pieces))
+    for axis, piece in zip(axes, pieces, strict=True):
         simulated = model.simulate(piece, posterior.z, machine)
         time = piece.time - piece.time[0]
-        shown = time <= _SHOWN
-        axes.plot(time[shown], scale * piece.measured[channel][shown, 0], label="measured")
-        axes.plot(time[shown], scale * simulated[channel][shown, 0], "--", label="fitted machine")
-        axes.set_title(f"{channel.replace('_', ' ')} of leg 1, {piece.name.replace('_', ' ')}")
-    legend(rows[0])
+        is_shown = time <= _SHOWN_SECONDS
+        measured, fitted = (
+            history[channel][is_shown, 0] for history in (piece.measured, simulated)
+        )
+        axis.plot(time[is_shown], scale * measured, label="measured")
+        axis.plot(time[is_shown], scale * fitted, "--", label="fitted machine")
+        axis.set_title(f"{name} of leg 1, {piece.name.replace('_', ' ')}")
+    legend(axes[0])
     return figure
 
 
-def stated(rows: Sequence[StatedNumber]) -> Figure:
-    """What is stated: how far the fitted machine is off, with the spread of what is open."""
-    figure = new_figure(7.5, 1.3 + 0.21 * len(rows), gridded=False)
+def statement_figure(statements: Sequence[StatedNumber]) -> Figure:
+    """How far the fitted machine is from each statement, in its deviations."""
+    figure = new_figure(7.5, 1.3 + 0.21 * len(statements), gridded=False)
     axes = figure.add_subplot()
     axes.axvspan(-FAR, FAR, color="0.92")
     axes.axvline(0.0, color=GREY, linewidth=0.8)
-    known = [(place, one) for place, one in enumerate(rows) if np.isfinite(one.error)]
     for role, colour in (("fitted", BLUE), ("held back", ORANGE)):
-        mine = [(one.error, place) for place, one in known if one.role == role]
-        if mine:
-            axes.plot(*zip(*mine, strict=True), "o", color=colour, label=role)
-    axes.set_yticks(
-        range(len(rows)), [f"{one.evidence}, {one.quantity}" for one in rows], fontsize=8
-    )
+        places = [
+            place
+            for place, statement in enumerate(statements)
+            if statement.role == role and np.isfinite(statement.error)
+        ]
+        if places:
+            distances = [statements[place].error for place in places]
+            axes.plot(distances, places, "o", color=colour, label=role)
+    titles = [f"{statement.evidence}, {statement.quantity}" for statement in statements]
+    axes.set_yticks(range(len(titles)), titles, fontsize=8)
     axes.invert_yaxis()
     axes.set(xlabel="fitted machine less what is stated [deviations]")
     axes.set_title("What is stated of the machine")
@@ -75,14 +83,10 @@ def model_table(result: Identified) -> Table:
         ("fit, estimation", f"{result.estimation_fit:.2f} %", "", ""),
         ("fit, validation", f"{result.validation_fit:.2f} %", "", "NRMSE, simulated"),
     ]
-    rows += [
-        (
-            *("pole", f"{pole.hertz:.3f} Hz", f"{pole.error:.3f} Hz"),
-            f"damping ratio {number(pole.damping, '.3f')}",
-        )
-        for pole in result.box.poles()
-        if pole.value.imag >= 0.0
-    ]
+    for pole in result.box.poles():
+        if pole.value.imag >= 0.0:
+            damping = f"damping ratio {number(pole.damping, '.3f')}"
+            rows.append(("pole", f"{pole.hertz:.3f} Hz", f"{pole.error:.3f} Hz", damping))
     misfit = f"{100.0 * result.continuous.misfit:.2f} %"
     rows.append(("continuous model", misfit, "", "misfit to the discrete"))
     title = f"{result.axis}: ARX, orders {tuple(result.box.orders)}"

@@ -21,7 +21,8 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.published import Published
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import plain_path, whole_file, write_csv, write_json
+from cmf_mj.core.files import plain_path, whole_file, write_json
+from cmf_mj.core.tables import write_csv
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",

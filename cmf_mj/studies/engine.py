@@ -38,8 +38,9 @@ from threadpoolctl import ThreadpoolController
 
 from cmf_mj.core.arrays import whole
 from cmf_mj.core.errors import InputError, check_name, require
-from cmf_mj.core.files import write_parquet, write_text
+from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import parsed_json
+from cmf_mj.core.tables import write_parquet
 from cmf_mj.core.threads import MOST_JOBS
 from cmf_mj.machine import models
 from cmf_mj.studies.evaluation import error_row, evaluate

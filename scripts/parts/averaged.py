@@ -20,8 +20,8 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law, law_names, load_law
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.result import number
+from cmf_mj.core.tables import write_csv
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod

@@ -19,8 +19,9 @@ from cmf_mj.analysis.frequency_response import matrix_frequency_response
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Table
+from cmf_mj.core.tables import write_csv
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.geometry import DOFS, dof_unit

@@ -23,8 +23,8 @@ from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.modes import nominal_modes
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.result import Table
+from cmf_mj.core.tables import write_csv
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.look import legend

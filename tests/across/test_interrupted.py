@@ -18,7 +18,8 @@ from fuzzing import commands
 from lengths import examples
 from PIL import Image
 
-from cmf_mj.core.files import exclusive_folder, read_table
+from cmf_mj.core.files import exclusive_folder
+from cmf_mj.core.tables import read_table
 from cmf_mj.record.sources import REMARK, read_source
 
 ENDS = 1  #: How often the long search ends each command.

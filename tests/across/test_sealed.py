@@ -14,7 +14,7 @@ from cmf_mj import Hexapod, Linear, Record, simulate
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.control.law import load_law
-from cmf_mj.core.files import write_csv
+from cmf_mj.core.tables import write_csv
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.signals import faded_sines, stepped_sines

@@ -11,7 +11,8 @@ import pyarrow as pa
 import pytest
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import exclusive_folder, read_table, write_table
+from cmf_mj.core.files import exclusive_folder
+from cmf_mj.core.tables import read_table, write_table
 
 
 def test_only_half_written_files_of_processes_that_ended_go(tmp_path: Path) -> None:

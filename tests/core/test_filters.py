@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cmf_mj.core.filters import filtered, low_pass, settled_filter
+from cmf_mj.core.filters import filter_value, low_pass, settled_filter_state
 
 RATE = 2048.0
 
 
 def run(sections: np.ndarray, values: np.ndarray, state: np.ndarray) -> np.ndarray:
-    return np.array([filtered(sections, state, value) for value in values])
+    return np.array([filter_value(sections, state, value) for value in values])
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 7])
@@ -37,16 +37,16 @@ def test_gain_and_phase_are_the_analogue_filters_at_the_warped_frequency(
 def test_a_settled_filter_stays_at_rest() -> None:
     sections = low_pass(3, 100.0, RATE)
     values = np.array([0.0, -2.5, 7e6])
-    state = settled_filter(sections, values)
+    state = settled_filter_state(sections, values)
     for leg, value in enumerate(values):
         np.testing.assert_allclose(run(sections, np.full(50, value), state[leg]), value, rtol=1e-12)
 
 
 def test_no_filter_passes_bits() -> None:
     sections = low_pass(0, 100.0, RATE)
-    state = settled_filter(sections, np.zeros(1))
+    state = settled_filter_state(sections, np.zeros(1))
     for value in (0.1, -0.0, np.inf):
-        assert np.float64(filtered(sections, state[0], value)).tobytes() == (
+        assert np.float64(filter_value(sections, state[0], value)).tobytes() == (
             np.float64(value).tobytes()
         )
 

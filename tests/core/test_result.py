@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from cmf_mj import InputError
-from cmf_mj.core.files import read_table
 from cmf_mj.core.result import Field, Result, Table, column, groups, where
+from cmf_mj.core.tables import read_table
 
 
 class Load(NamedTuple):

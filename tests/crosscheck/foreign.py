@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
-from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.core.files import write_text
 from cmf_mj.core.settings import read_toml
+from cmf_mj.core.tables import write_csv
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknown import Unknown, nominal
 from cmf_mj.facility.unknowns import Unknowns

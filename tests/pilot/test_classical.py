@@ -6,7 +6,7 @@ import pytest
 from cab_motions import G, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import Held, hold
+from cmf_mj.core.filters import SampledSystem, hold
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
@@ -44,7 +44,7 @@ def matrices(dof: str):
     return rotation_filter(axis) if dof in DOFS[3:] else translation_filter(axis)
 
 
-def discrete_response(system: Held, omega: np.ndarray) -> np.ndarray:
+def discrete_response(system: SampledSystem, omega: np.ndarray) -> np.ndarray:
     """C (z - transition)^-1 (earlier + z later) + D at z = exp(j omega T), (K, p, m)."""
     result = []
     for z in np.exp(1j * omega * STEP):

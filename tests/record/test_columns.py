@@ -11,7 +11,7 @@ import tomlkit
 from scipy.io import savemat
 
 from cmf_mj import InputError, Record, load_machine
-from cmf_mj.core.files import write_table
+from cmf_mj.core.tables import write_table
 from cmf_mj.record.columns import ColumnMap, load_columns, read_mapped
 from cmf_mj.record.sources import even_clock
 

@@ -17,7 +17,7 @@ import pytest
 
 from cmf_mj import InputError
 from cmf_mj.control.dcu.play import Arrivals
-from cmf_mj.core.files import write_parquet
+from cmf_mj.core.tables import write_parquet
 from cmf_mj.facility.host.stream import read_arrivals, write_arrivals
 from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.record.record import Record

@@ -7,7 +7,7 @@ import pytest
 from guide_files import SHORT, written
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import read_table
+from cmf_mj.core.tables import read_table
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.pilot.omct import cueing
 from cmf_mj.studies.guide import (

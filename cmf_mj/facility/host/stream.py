@@ -26,7 +26,7 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core import units
 from cmf_mj.core.arrays import shaped
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
+from cmf_mj.core.tables import read_column, read_table, write_parquet, write_table
 from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import Machine

@@ -103,11 +103,8 @@ def sections_of(content: Content) -> tuple[Section, ...]:
         blocks: list[Block] = [
             result_table(runs, name) for name in entry["tables"] if name in content.tables
         ]
-        blocks += [
-            page_figure(figure, runs)
-            for figure in content.figures
-            if figure.number.startswith(entry["figures"])
-        ]
+        figures = [f for f in content.figures if f.number.startswith(entry["figures"])]
+        blocks += [page_figure(figure, runs) for figure in figures]
         sections.append(Section(entry["anchor"], entry["title"], blocks))
     sections.append(Section("provenance", "Models and versions", [provenance()]))
     return tuple(section for section in sections if section.blocks)
@@ -199,18 +196,11 @@ def agreement_of(
     deviation = values / np.array([row.printed for row in rows]) - 1.0
     known = deviation[np.isfinite(deviation)]
 
-    def share_within(limit: float) -> float:
-        return float(np.mean(np.abs(deviation) <= limit + 1e-9))
-
-    return Agreement(
-        number_class=number_class,
-        printed=len(rows),
-        within_5=share_within(0.05),
-        within_10=share_within(0.10),
-        within_15=share_within(0.15),
-        median=float(np.median(known)),
-        below=float(np.mean(known < 0.0)),
+    within_5, within_10, within_15 = (
+        float(np.mean(np.abs(deviation) <= limit + 1e-9)) for limit in (0.05, 0.10, 0.15)
     )
+    median, below = float(np.median(known)), float(np.mean(known < 0.0))
+    return Agreement(number_class, len(rows), within_5, within_10, within_15, median, below)
 
 
 def agreements(runs: Runs) -> Result[Agreement]:
@@ -226,15 +216,15 @@ def agreements(runs: Runs) -> Result[Agreement]:
         agreement_of("bandwidths", bandwidths),
         agreement_of("of them calibrated", [row for row in bandwidths if row.calibrated]),
         agreement_of("of them predicted", [row for row in bandwidths if not row.calibrated]),
-        *(
-            agreement_of(f"of them {name}", [row for row in bandwidths if row.quantity == name])
-            for name in BANDWIDTHS
-        ),
+    ]
+    for name in BANDWIDTHS:
+        of_quantity = [row for row in bandwidths if row.quantity == name]
+        classes.append(agreement_of(f"of them {name}", of_quantity))
+    damping = [row for row in as_read if row.quantity == RATIO]
+    classes += [
         agreement_of("bandwidths, sweeps that ring read too", bandwidths, from_sweeps=True),
         agreement_of("bandwidths, gains and filter as printed", as_printed),
-        agreement_of(
-            "damping ratios, all predicted", [row for row in as_read if row.quantity == RATIO]
-        ),
+        agreement_of("damping ratios, all predicted", damping),
     ]
     blank, met = not_available(all_rows)
     (note,) = texts("agreement", printed=blank, met=met)

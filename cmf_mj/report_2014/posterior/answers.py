@@ -6,6 +6,7 @@ out: a statement that holds under all of them does not depend on one reading of 
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import product
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -28,12 +29,8 @@ REFERENCE = "position_error_rate"
 _FEWEST_MACHINES = 5  #: That measures have an interval of.
 _ERROR_COUNT = 41  #: Errors of reading that a prediction is spread over.
 
-_GROUP_TITLES = {
-    "rows": "hardware rows",
-    "fits": "hardware fits",
-    "three_g": "3 g",
-    "flown": "flown",
-}
+_TITLES = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
+"""Titles of `GROUPS`."""
 
 
 def interval(span: Array, form: str = ".2f") -> str:
@@ -69,7 +66,7 @@ def _interval_field(name: str = "", title: str | None = None, form: str = ".2f")
 
 def _fields_without(form: Callable[[Array], str]) -> Iterator[Field]:
     """Fields of a statement with each group of evidence left out."""
-    for group, title in _GROUP_TITLES.items():
+    for group, title in _TITLES.items():
         yield Field(f"without_{group}", f"without {title}", form, of=f"without.{group}")
 
 
@@ -199,9 +196,8 @@ def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
 
 def _weights_without(results: Results) -> dict[str, Array]:
     """Weights with each group of evidence left out."""
-    return {
-        group: weights(results, [other for other in GROUPS if other != group]) for group in GROUPS
-    }
+    rest = {left_out: [group for group in GROUPS if group != left_out] for left_out in GROUPS}
+    return {left_out: weights(results, groups) for left_out, groups in rest.items()}
 
 
 def predicted(values: Array, deviation: float, weights: Array) -> Array:
@@ -236,9 +232,10 @@ def stability(results: Results) -> Result[Stability]:
             agreeing=int((simulated_unstable == linear_unstable).sum()),
         )
         rows.append(row)
-    drawn = f"{results.machines.num_rows} machines drawn"
-    title = f"how often each law is unstable: {drawn}, effective {effective_size(posterior):.0f}"
-    return Result(rows, STABILITY, title)
+    counts = (
+        f"{results.machines.num_rows} machines drawn, effective {effective_size(posterior):.0f}"
+    )
+    return Result(rows, STABILITY, f"how often each law is unstable: {counts}")
 
 
 def damping_changes(results: Results) -> Result[DampingChange]:
@@ -280,15 +277,13 @@ def law_measures(results: Results) -> Result[LawMeasures]:
 
 def sensitivities(results: Results) -> list[Sensitivity]:
     """Least damping ratio of each law at both ends of each unknown, the others at their medians."""
-    least = {(row["about"], row["law"]): row["least"] for row in results.points.to_pylist()}
+    damping = {(row["about"], row["law"]): row["least"] for row in results.points.to_pylist()}
     laws = [law.name for law in results.study.laws]
-    return [
-        Sensitivity(
-            name, law, least[f"{name} low", law], least["median", law], least[f"{name} high", law]
-        )
-        for name in results.study.settings.unknowns
-        for law in laws
-    ]
+    rows = []
+    for name, law in product(results.study.settings.unknowns, laws):
+        low, median, high = (damping[key, law] for key in (f"{name} low", "median", f"{name} high"))
+        rows.append(Sensitivity(name, law, low, median, high))
+    return rows
 
 
 def gain_steps(results: Results) -> Result[GainStep]:
@@ -308,16 +303,14 @@ def evidence_checks(results: Results) -> Result[EvidenceCheck]:
 
     What is predicted includes the error of what is printed.
     """
-    weights_of = {"prior": weights(results, ()), "posterior": weights(results)}
-    rows = []
+    before, after, rows = weights(results, ()), weights(results), []
     for stated in observations():
         values = stated.counted(column(results.machines, stated.name))
-        spans = {
-            name: predicted(values, stated.deviation, known) for name, known in weights_of.items()
-        }
+        prior = predicted(values, stated.deviation, before)
+        posterior = predicted(values, stated.deviation, after)
         if stated.relative:
-            spans = {name: np.exp(span) for name, span in spans.items()}
-        rows.append(EvidenceCheck(stated.name, stated.value, stated.deviation, **spans))
+            prior, posterior = np.exp(prior), np.exp(posterior)
+        rows.append(EvidenceCheck(stated.name, stated.value, stated.deviation, prior, posterior))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
     return Result(rows, (*fields_of(EvidenceCheck), inside))
 

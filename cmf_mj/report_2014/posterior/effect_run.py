@@ -251,8 +251,8 @@ def _posterior_verdicts(bank: Bank, population: _Population) -> list[Row]:
     cases, counts = list[Case](), list[int]()
     for plant in bank.single_plants:
         weights = bank.weights(plant, kinds=("three_g",))
-        resampled = sampling.resampled(weights, settings.kept, settings.seed)
-        numbers, times = np.unique(resampled, return_counts=True)
+        sample = sampling.resampled(weights, settings.kept, settings.seed)
+        numbers, times = np.unique(sample, return_counts=True)
         cases += [Case(population.machines[i], i, plant) for i in numbers.tolist()]
         counts += times.tolist()
     ask.every += len(cases) - settings.kept * len(bank.single_plants)

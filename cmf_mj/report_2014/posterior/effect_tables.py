@@ -63,28 +63,21 @@ def plant_evidence(bank: Bank) -> Result[PlantEvidence]:
         weights = bank.weights(plant)
         is_single = plant in shares and plant != NONE
         values = bank.effect(plant) if is_single else np.full(weights.size, np.nan)
-        edges = _distances_from_bounds(bank, weights)
-        nearest = min(edges, key=lambda name: (edges[name], name))
-        row = PlantEvidence(
-            plant=plant,
-            evidence=bank.log_evidence(plant) - bank.log_evidence(NONE),
-            error=float(np.sqrt(((weights - weights_of_none) ** 2).sum())),
-            share=shares.get(plant, np.nan),
-            size=effective_size(weights),
-            value=weighted_quantiles(values, weights, LEVELS),
-            edge=edges[nearest],
-            at=nearest,
-        )
-        rows.append(row)
+        evidence = bank.log_evidence(plant) - bank.log_evidence(NONE)
+        error = float(np.sqrt(((weights - weights_of_none) ** 2).sum()))
+        value, size = weighted_quantiles(values, weights, LEVELS), effective_size(weights)
+        edge, unknown = _nearest_bound(bank, weights)
+        share = shares.get(plant, np.nan)
+        rows.append(PlantEvidence(plant, evidence, error, share, size, value, edge, unknown))
     return Result(sorted(rows, key=lambda row: -row.evidence), fields_of(PlantEvidence))
 
 
-def _distances_from_bounds(bank: Bank, weights: Array) -> dict[str, float]:
-    """Distance of the median of each unknown from the nearer bound, in shares of its range."""
+def _nearest_bound(bank: Bank, weights: Array) -> tuple[float, str]:
+    """Least distance of a median from a bound, in shares of its range, and the unknown's name."""
     unknowns = bank.study.settings.unknowns
     shares = quantiles(bank.points[:, : len(unknowns)]).T
     medians = (float(weighted_quantiles(share, weights, np.array(0.5))) for share in shares)
-    return {name: min(u, 1.0 - u) for name, u in zip(unknowns, medians, strict=True)}
+    return min((min(u, 1.0 - u), name) for u, name in zip(medians, unknowns, strict=True))
 
 
 class LeftOut(NamedTuple):
@@ -178,8 +171,8 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
         rows.append(row | {f"found {other}": likeliest.count(other) for other in plants})
     shares = (Field(name, form=percent) for name in ("right", _THIRD, _MUCH))
     gain = Field("gain", "median ln Z over none", "+.2f")
-    found = (Field(f"found {plant}") for plant in plants)
-    return Result(rows, (Field("plant"), *shares, gain, *found))
+    counts = (Field(f"found {plant}") for plant in plants)
+    return Result(rows, (Field("plant"), *shares, gain, *counts))
 
 
 def _made_up_reports(bank: Bank, plant: str, generator: np.random.Generator) -> list[_MadeUp]:

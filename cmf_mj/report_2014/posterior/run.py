@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law
-from cmf_mj.core.files import read_table, write_parquet
+from cmf_mj.core.tables import read_table, write_parquet
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
@@ -145,11 +145,11 @@ def run_posterior(
         {"supply_pressure": psi, "g": g} for psi, g in zip(evidence.PRESSURES, force, strict=True)
     ]
     population = _sampled(study, ask, np.array(force))
-    machines, tables["damping"] = population.machines, population.damping
-    tables["machines"] = machines
+    machines = population.machines
+    tables |= {"machines": machines, "damping": population.damping}
     weights = np.array([machine["weight"] for machine in machines])
-    resampled = sampling.resampled(weights, settings.kept, settings.seed)
-    numbers, counts = (column.tolist() for column in np.unique(resampled, return_counts=True))
+    sample = sampling.resampled(weights, settings.kept, settings.seed)
+    numbers, counts = (column.tolist() for column in np.unique(sample, return_counts=True))
     ask.every -= settings.kept - len(numbers)
     kept = [Case(Unknowns(settings.unknowns).of(machines[number]), number) for number in numbers]
     for case, count, rows in zip(kept, counts, ask("kept", kept), strict=True):

@@ -61,7 +61,7 @@ class EffectSettings(PosteriorSettings):
     @property
     def used(self) -> dict[str, Unknown]:
         """Effects that are not skipped."""
-        return {name: one for name, one in self.effects.items() if name not in self.skipped}
+        return {name: self.effects[name] for name in self.effects if name not in self.skipped}
 
     @property
     def readings(self) -> dict[str, str]:

@@ -19,8 +19,9 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.core.files import plain_path, write_csv, write_parquet, write_text
+from cmf_mj.core.files import plain_path, write_text
 from cmf_mj.core.result import Table
+from cmf_mj.core.tables import write_csv, write_parquet
 from cmf_mj.core.units import si_unit
 from cmf_mj.facility.unknown import DERIVED
 from cmf_mj.facility.unknowns import Unknowns
