@@ -2,7 +2,7 @@
 
 `pip install 'cmf-mj[browser]'`, run this file, and open the address that it prints. The session
 runs in step with the clock; what the page asks for takes effect in the next control frame, and
-`done` returns all of it as a scenario that `cmf run` repeats bit for bit.
+`done_run` returns all of it as a scenario that `cmf run` repeats bit for bit.
 """
 
 import argparse
@@ -14,9 +14,9 @@ import viser
 from mjviser import ViserMujocoScene
 
 from cmf_mj import CmfError, law_names
-from cmf_mj.facility.run import SignalSession
+from cmf_mj.facility.changes import change_of
 from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.facility.settings import change_of
+from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hexapod import hexapod_model
@@ -27,15 +27,15 @@ parser.add_argument("--seconds", type=float, default=float("inf"), help="length 
 arguments = parser.parse_args()
 
 run = scenario_of({"machine": arguments.machine, "duration": "open", "record_every": 16}, "page")
-session = SignalSession(run, keep=60.0)
+session = SignalSession(run, kept_seconds=60.0)
 server = viser.ViserServer(host="127.0.0.1", port=8048, verbose=False)
-model = hexapod_model(run.carried)
+model = hexapod_model(run.loaded_cab)
 data = mujoco.MjData(model)
 scene = ViserMujocoScene(server, model, num_envs=1)
 
 gui, changes = server.gui, queue.SimpleQueue()
 status = gui.add_markdown("starting")
-law = gui.add_dropdown("law", law_names("all"), initial_value=session.look().law)
+law = gui.add_dropdown("law", law_names("all"), initial_value=session.law_in_force.name)
 dof = gui.add_dropdown("degree of freedom", DOFS, initial_value="heave")
 amplitude = gui.add_number("amplitude [in or deg]", 2.0, min=0.0, max=40.0, step=0.5)
 frequency = gui.add_number("frequency [Hz]", 0.5, min=0.05, max=10.0, step=0.05)
@@ -67,21 +67,22 @@ print(f"http://127.0.0.1:{server.get_port()}", flush=True)
 changes.put({"signal": [sine()]})
 clock = time.monotonic()
 try:
-    while (live := session.look()).time < arguments.seconds:
+    while (now := session.frame / session.rate) < arguments.seconds:
         while not changes.empty():
             try:
                 session.apply(change_of(changes.get()))
             except CmfError as refused:
                 print(refused)
-        behind = time.monotonic() - clock - live.time
+        behind = time.monotonic() - clock - now
         clock += max(behind - 0.25, 0.0)  # a slow computer shows slow motion
         session.run(max(int(min(behind, 0.25) * session.rate), 0))
-        data.qpos[:] = live.qpos
+        data.qpos[:] = session.plant.data.qpos
         mujoco.mj_kinematics(model, data)
         scene.update_from_mjdata(data)
-        fault = "" if live.fault is None else f", tripped: {live.fault.name}"
-        pressure = live.cap_pressure.max() / 1e5
-        status.content = f"{live.time:.1f} s, {live.law}, cap at most {pressure:.0f} bar{fault}"
+        fault = "" if session.fault is None else f", tripped: {session.fault.name}"
+        pressure = session.dynamics.state.pressure.max() / 1e5
+        name = session.law_in_force.name
+        status.content = f"{now:.1f} s, {name}, oil at most {pressure:.0f} bar{fault}"
         time.sleep(1 / 30)
 except CmfError as ended:  # the machine has left its physical bounds
     print(ended)

@@ -24,8 +24,8 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.electronics.chain import gravity_history
 from cmf_mj.facility.host import handover
 from cmf_mj.facility.replay import replay
-from cmf_mj.facility.run import SignalSession
 from cmf_mj.facility.scenario import load_scenario
+from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.motion import PilotMotion

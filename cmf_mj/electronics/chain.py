@@ -27,8 +27,8 @@ from cmf_mj.core.settings import Seed, Settings, name_or
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     ConverterSettings,
+    convert_all,
     converter_state,
-    digitise,
     load_converters,
     make_converters,
 )
@@ -52,7 +52,7 @@ from cmf_mj.plant.parameters import fitting
 
 
 class ElectronicsParts(NamedTuple):
-    """Settings of all parts."""
+    """Loaded settings of all parts."""
 
     sensors: SensorSettings
     converters: ConverterSettings
@@ -106,25 +106,26 @@ def load_electronics(choice: str | ElectronicsSettings | None) -> ElectronicsSet
     return ElectronicsSettings(sensors=load_sensors("noisy").model_copy(update=changes))
 
 
-_NAMED: Any = ElectronicsSettings | Literal["ideal", "noisy", "inertial"] | None
+_SettingsOrName: Any = ElectronicsSettings | Literal["ideal", "noisy", "inertial"] | None
 AnyElectronics = Annotated[
-    ElectronicsSettings | None, BeforeValidator(load_electronics, json_schema_input_type=_NAMED)
+    ElectronicsSettings | None,
+    BeforeValidator(load_electronics, json_schema_input_type=_SettingsOrName),
 ]
-"""A field that takes them by name too."""
+"""Electronics as settings or by name."""
 
 
 class Electronics(NamedTuple):
     """Compiled parameters, states and workspace."""
 
-    active: bool  #: Whether they act; readings and commands pass as they are otherwise.
+    active: bool  #: Whether they act; if not, readings and commands pass as they are.
     sensors: Sensors
     sensor_state: SensorState
     converters: LegFeedback  #: `Converter` of each channel.
     converter_state: LegFeedback  #: Filter states (n, s, 2).
     axes_state: LegAxesState  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]
-    """What the accelerometers feel of it, (n,) [m/s^2]; 0 where they feel none."""
-    inertial: NDArray[np.float64]  #: Measured accelerations without it, (n,) [m/s^2].
+    """Gravity that the accelerometers feel, (n,) [m/s^2]; 0 where they feel none."""
+    inertial: NDArray[np.float64]  #: Measured accelerations without gravity, (n,) [m/s^2].
     servo: ServoElectronics
     servo_state: ServoState
     reading: LegFeedback  #: What the sensors put out.
@@ -133,9 +134,9 @@ class Electronics(NamedTuple):
 @cache
 def ideal_electronics(legs: int) -> Electronics:
     """Electronics that are not active: nothing reads them or writes to them."""
-    choice = ElectronicsSettings(sensors="ideal", converters="off")
-    still = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
-    return make_electronics(choice, still)._replace(active=False)
+    settings = ElectronicsSettings(sensors="ideal", converters="off")
+    at_rest = LegFeedback(*np.zeros((len(LegFeedback._fields), legs)))
+    return make_electronics(settings, at_rest)._replace(active=False)
 
 
 def make_electronics(
@@ -179,7 +180,7 @@ def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def
 
 
 @allocating
-def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+def _find_gravity_history(axes, state, position, gravity):  # type: ignore[no-untyped-def]
     for frame in range(position.shape[0]):
         find_gravity(axes, state, position[frame], gravity[frame])
 
@@ -193,7 +194,7 @@ def gravity_history(
         raise InputError(f"position: shape is {shape}; gravity along the legs needs (6,)")
     axes, gravity = make_leg_axes(machine), np.empty(position.shape)
     position = np.ascontiguousarray(position)
-    _histories(axes, leg_axes_state(axes, position[0]), position, gravity)
+    _find_gravity_history(axes, leg_axes_state(axes, position[0]), position, gravity)
     return gravity
 
 
@@ -203,7 +204,7 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
     sense(electronics.sensors, electronics.sensor_state, frame, truth, reading)
     for leg in range(truth.position.shape[0]):
         reading.position[leg] = read_position(faults, leg, reading.position[leg])
-    digitise(electronics.converters, electronics.converter_state, reading, feedback)
+    convert_all(electronics.converters, electronics.converter_state, reading, feedback)
     if electronics.sensors.gravity:
         axes, state = electronics.sensors.axes, electronics.axes_state
         find_gravity(axes, state, feedback.position, electronics.gravity)
@@ -216,7 +217,7 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
 
 @inlined
 def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
-    """Write the feedback that the DCL reads of the truth; through ideal electronics the truth.
+    """Write the feedback that the DCL reads; through ideal electronics it is the truth.
 
     The number of the control frame chooses the noise; `compensated` says whether the law reads
     accelerations without gravity.
@@ -245,15 +246,15 @@ def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+def deliver(electronics, watches_lower, position, command):  # type: ignore[no-untyped-def]
     """Pass the DCL's commands on to the valves in place; whether a limit switch has tripped.
 
     Commands (n,) are fractions, positions (n,) true extensions [m]. The lower switches are watched
-    if `raised`.
+    if `watches_lower`.
     """
     if not electronics.active:
         return False
-    return servo.step(electronics.servo, electronics.servo_state, raised, command, position)
+    return servo.step(electronics.servo, electronics.servo_state, watches_lower, command, position)
 
 
 @inlined

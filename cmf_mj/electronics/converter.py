@@ -82,27 +82,26 @@ def make_converters(settings: ConverterSettings, frame: float = FRAME) -> LegFee
     """Derive the `Converter` of each channel for a control frame [s]."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
     if not corner < 0.5 / frame:
-        most = f"half the control rate, {0.5 / frame:g} Hz"
-        raise InputError(f"filter_corner: {corner:g} Hz must be below {most}")
+        text = f"half the control rate, {0.5 / frame:g} Hz"
+        raise InputError(f"filter_corner: {corner:g} Hz must be below {text}")
     sections = filters.low_pass(settings.filter_order, corner, 1.0 / frame)
     codes = 2.0 ** (settings.bits - 1)
 
     def channel(name: str) -> Any:
-        full = getattr(settings.full_scale, name).si
-        return Converter(sections, settings.quantise, full / codes, codes)
+        full_scale = getattr(settings.full_scale, name).si
+        return Converter(sections, settings.quantise, full_scale / codes, codes)
 
-    return LegFeedback(*map(channel, LegFeedback._fields))
+    return LegFeedback(**{name: channel(name) for name in LegFeedback._fields})
 
 
 def converter_state(converters: Any, feedback: LegFeedback) -> LegFeedback:
     """Filter states (n, s, 2) of `make_converters` that have seen the feedback for a long time."""
     pairs = zip(converters, feedback, strict=True)
-    states = (filters.settled_filter_state(one.low_pass, values) for one, values in pairs)
-    return LegFeedback(*states)
+    return LegFeedback(*(filters.settled_filter_state(x.low_pass, values) for x, values in pairs))
 
 
 @compiled
-def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def]
+def convert_channel(converter, state, analogue, digital):  # type: ignore[no-untyped-def]
     """One channel of all legs (n,) after filter, range and resolution [SI].
 
     `digital` may be `analogue` itself.
@@ -116,10 +115,10 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
 
 
 @compiled
-def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-def]
+def convert_all(converters, states, analogue, digital):  # type: ignore[no-untyped-def]
     """All channels of all legs, one frame; both are a `LegFeedback` and may be the same."""
     for channel in range(5):
-        convert(converters[channel], state[channel], analogue[channel], digital[channel])
+        convert_channel(converters[channel], states[channel], analogue[channel], digital[channel])
 
 
 @compiled

@@ -13,9 +13,10 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 
 _ROUNDS = 10
-_KEY_STEP = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)  #: What a round adds to both words of a key.
+_KEY_STEP_0, _KEY_STEP_1 = 0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B
+"""Numbers that a round adds to both words of a key."""
 _MULTIPLIER_0 = np.uint64(0xD2E7470EE14C6C93)  #: Of the first word of the counter.
-_MULTIPLIER_1 = np.uint64(0xCA5A826395121157)  #: Of the third.
+_MULTIPLIER_1 = np.uint64(0xCA5A826395121157)  #: Of the third word.
 _LOW_32 = np.uint64(0xFFFFFFFF)  #: Mask of a word's lower half.
 _SHIFT_32 = np.uint64(32)  #: Takes the upper half.
 _DROP_11 = np.uint64(11)  #: Bits to drop, 64 to 53 bits.
@@ -32,24 +33,24 @@ def stream_key(seed: int, channel: str) -> tuple[int, int]:
 
 def key_schedule(key: tuple[int, int]) -> NDArray[np.uint64]:
     """Philox keys of the ten rounds, (10, 2)."""
+    first, second = key
     rows = [
-        [(part + i * step) % 2**64 for part, step in zip(key, _KEY_STEP, strict=True)]
+        ((first + i * _KEY_STEP_0) % 2**64, (second + i * _KEY_STEP_1) % 2**64)
         for i in range(_ROUNDS)
     ]
     return np.array(rows, dtype=np.uint64)
 
 
 @compiled
-def _product(one, two):  # type: ignore[no-untyped-def]
+def _product(first, second):  # type: ignore[no-untyped-def]
     """High and low word of a product of two words, from products of halves: nothing overflows."""
-    a, b = one >> _SHIFT_32, one & _LOW_32
-    c, d = two >> _SHIFT_32, two & _LOW_32
-    low = b * d
-    cross = a * d + (low >> _SHIFT_32)
-    middle = b * c + (cross & _LOW_32)
-    return a * c + (cross >> _SHIFT_32) + (middle >> _SHIFT_32), (middle << _SHIFT_32) | (
-        low & _LOW_32
-    )
+    first_high, first_low = first >> _SHIFT_32, first & _LOW_32
+    second_high, second_low = second >> _SHIFT_32, second & _LOW_32
+    low = first_low * second_low
+    cross = first_high * second_low + (low >> _SHIFT_32)
+    middle = first_low * second_high + (cross & _LOW_32)
+    high = first_high * second_high + (cross >> _SHIFT_32) + (middle >> _SHIFT_32)
+    return high, (middle << _SHIFT_32) | (low & _LOW_32)
 
 
 @compiled
@@ -64,10 +65,10 @@ def philox(keys, first, second):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _box_muller(one, two):  # type: ignore[no-untyped-def]
+def _box_muller(first, second):  # type: ignore[no-untyped-def]
     """Two standard normals from two words."""
-    radius = np.sqrt(-2.0 * np.log((np.float64(one >> _DROP_11) + 1.0) * _ULP_53))
-    angle = 2.0 * np.pi * np.float64(two >> _DROP_11) * _ULP_53
+    radius = np.sqrt(-2.0 * np.log((np.float64(first >> _DROP_11) + 1.0) * _ULP_53))
+    angle = 2.0 * np.pi * np.float64(second >> _DROP_11) * _ULP_53
     return radius * np.cos(angle), radius * np.sin(angle)
 
 

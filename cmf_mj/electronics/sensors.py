@@ -51,8 +51,8 @@ from cmf_mj.machine.machine import Machine, load_machine
 SENSOR_SETS = ("ideal", "noisy")  #: Names of the shipped sets.
 
 
-def _size(zero: bool = False) -> AfterValidator:
-    """Validator of a size above 0, or from 0 on, in a unit that the channel checks."""
+def _magnitude(zero: bool = False) -> AfterValidator:
+    """Validator of a number above 0, or from 0 on, in a unit that the channel checks."""
     return AfterValidator(lambda quantity: Kind((quantity.unit,), zero=zero).check(quantity))
 
 
@@ -62,10 +62,10 @@ class ChannelSettings(Settings):
     lowest: Quantity | None = None  #: Least reading.
     highest: Quantity | None = None  #: Largest reading.
     bias: Quantity | None = None  #: Constant error, the same for all legs or axes.
-    noise_density: Annotated[Quantity, _size(zero=True)] | None = None
+    noise_density: Annotated[Quantity, _magnitude(zero=True)] | None = None
     """One-sided density of the white noise of the output, in the channel's unit per root hertz."""
     bandwidth: Corner | None = None  #: -3 dB corner of the first-order lag, below half the rate.
-    resolution: Annotated[Quantity, _size()] | None = None  #: Step between readings.
+    resolution: Annotated[Quantity, _magnitude()] | None = None  #: Step between readings.
     gain_errors: list[Bias] = []  #: Relative error e, one a leg or axis; empty: exact.
 
     @model_validator(mode="after")
@@ -79,23 +79,23 @@ class ChannelSettings(Settings):
         return {name: value for name, value in self if isinstance(value, Quantity)}
 
 
-def _channel(*units: str) -> AfterValidator:
+def _in_units(*units: str) -> AfterValidator:
     """Validator of a channel whose numbers are in one of these units."""
-    allowed = {field: units for field in ("lowest", "highest", "bias", "resolution")}
-    allowed["noise_density"] = tuple(f"{unit}/rtHz" for unit in units)
 
     def check(channel: ChannelSettings) -> ChannelSettings:
-        for field, known in allowed.items():
-            quantity = getattr(channel, field)
-            if quantity and quantity.unit not in known:
-                names = ", ".join(known)
+        for field, quantity in channel.quantities().items():
+            allowed = units
+            if field == "noise_density":
+                allowed = tuple(f"{unit}/rtHz" for unit in units)
+            if field != "bandwidth" and quantity.unit not in allowed:
+                names = ", ".join(allowed)
                 raise InputError(f"{field}: unit {quantity.unit!r} must be one of {names}")
         return channel
 
     return AfterValidator(check)
 
 
-_Pressure = Annotated[ChannelSettings, _channel("psi", "Pa")]
+_Pressure = Annotated[ChannelSettings, _in_units("psi", "Pa")]
 
 
 class SensorSettings(Settings):
@@ -106,9 +106,9 @@ class SensorSettings(Settings):
     """Whether the leg accelerometers sit on the rods and feel gravity and swing (Appendix C).
     Otherwise they read the second derivative of the leg extension, as the report's non-linear model
     has it."""
-    leg_position: Annotated[ChannelSettings, _channel("in", "m")] = ChannelSettings()
-    leg_velocity: Annotated[ChannelSettings, _channel("in/s", "m/s")] = ChannelSettings()
-    leg_acceleration: Annotated[ChannelSettings, _channel("g", "in/s/s", "m/s/s")] = (
+    leg_position: Annotated[ChannelSettings, _in_units("in", "m")] = ChannelSettings()
+    leg_velocity: Annotated[ChannelSettings, _in_units("in/s", "m/s")] = ChannelSettings()
+    leg_acceleration: Annotated[ChannelSettings, _in_units("g", "in/s/s", "m/s/s")] = (
         ChannelSettings()
     )
     cap_pressure: _Pressure = ChannelSettings()
@@ -116,8 +116,8 @@ class SensorSettings(Settings):
 
     def quantities(self) -> dict[str, Quantity]:
         """The numbers of all channels, by channel and name."""
-        numbers = {channel: getattr(self, channel).quantities() for channel in CHANNELS}
-        return {f"{of} {name}": one for of, given in numbers.items() for name, one in given.items()}
+        channels = [(channel, getattr(self, channel).quantities()) for channel in CHANNELS]
+        return {f"{name} {field}": x for name, numbers in channels for field, x in numbers.items()}
 
 
 CHANNELS = tuple(name if "pressure" in name else f"leg_{name}" for name in LegFeedback._fields)
@@ -151,25 +151,25 @@ class SensorChannel(NamedTuple):
 def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> SensorChannel:
     """Derive a channel from its settings for a rate of frames [Hz]; its name chooses the noise."""
 
-    def size(field: str, absent: float) -> float:
+    def number(field: str, default: float) -> float:
         quantity = getattr(settings, field)
-        return absent if quantity is None else float(quantity.si)
+        return default if quantity is None else float(quantity.si)
 
-    corner = size("bandwidth", 0.0) / (2.0 * np.pi)
+    corner = number("bandwidth", 0.0) / (2.0 * np.pi)
     return SensorChannel(
         low_pass=filters.low_pass(1 if corner else 0, corner, rate),
         gain=np.array([1.0 + error.si for error in settings.gain_errors]),
-        lowest=size("lowest", -np.inf),
-        highest=size("highest", np.inf),
-        bias=size("bias", 0.0),
-        deviation=size("noise_density", 0.0) * float(np.sqrt(rate / 2.0)),
-        resolution=size("resolution", 0.0),
+        lowest=number("lowest", -np.inf),
+        highest=number("highest", np.inf),
+        bias=number("bias", 0.0),
+        deviation=number("noise_density", 0.0) * float(np.sqrt(rate / 2.0)),
+        resolution=number("resolution", 0.0),
         keys=key_schedule(stream_key(seed, name)),
     )
 
 
 @compiled
-def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
+def read_channel(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
     """Readings (n,) of a frame, whose number chooses the noise; `reading` may be `truth` itself."""
     count = truth.shape[0]
     filters.filter_all(channel.low_pass, state, truth, reading)
@@ -205,7 +205,7 @@ class SensorState(NamedTuple):
 
     filters: LegFeedback  #: (n, s, 2) each.
     axes: LegAxesState
-    before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
+    direction_before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
 
 
 def make_sensors(
@@ -237,14 +237,14 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
         if gains not in (0, count):
             raise InputError(f"{name}.gain_errors: {gains} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
-        said = f"shape is {truth.position.shape}; gravity along the legs needs (6,)"
+        text = f"shape is {truth.position.shape}; gravity along the legs needs (6,)"
         allowed = "electronics 'inertial', which feel none"
-        raise InputError(f"position: {said}; allowed: {allowed}")
+        raise InputError(f"position: {text}; allowed: {allowed}")
     axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
-    felt = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
-    values = truth._replace(acceleration=truth.acceleration + felt)
-    pairs = zip(sensors.channels, values, strict=True)
-    settled = (filters.settled_filter_state(channel.low_pass, value) for channel, value in pairs)
+    gravity = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
+    inputs = truth._replace(acceleration=truth.acceleration + gravity)
+    pairs = zip(sensors.channels, inputs, strict=True)
+    settled = (filters.settled_filter_state(channel.low_pass, values) for channel, values in pairs)
     return SensorState(LegFeedback(*settled), axes, axes.direction.copy())
 
 
@@ -267,31 +267,35 @@ def gravity_along(axes, leg):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _feel_gravity(sensors, state, position, acceleration):  # type: ignore[no-untyped-def]
+    """Add what leg accelerometers feel of gravity and swing at the true positions."""
+    axes, direction_before = state.axes, state.direction_before
+    track(sensors.axes, axes, position)
+    for leg in range(6):
+        squared_turn_rate = 0.0
+        for i in range(3):
+            change = (axes.direction[leg, i] - direction_before[leg, i]) * sensors.rate
+            squared_turn_rate += change * change
+            direction_before[leg, i] = axes.direction[leg, i]
+        acceleration[leg] += gravity_along(axes, leg)
+        acceleration[leg] -= (axes.length[leg] - sensors.distance) * squared_turn_rate
+
+
+@compiled
 def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def]
     """One frame, whose number chooses the noise; `truth` and `reading` must be different arrays."""
-    channels, passed = sensors.channels, state.filters
-    read(channels.position, passed.position, frame, truth.position, reading.position)
-    read(channels.velocity, passed.velocity, frame, truth.velocity, reading.velocity)
-    felt = reading.acceleration
-    for leg in range(felt.shape[0]):
-        felt[leg] = truth.acceleration[leg]
+    channels, states = sensors.channels, state.filters
+    read_channel(channels.position, states.position, frame, truth.position, reading.position)
+    read_channel(channels.velocity, states.velocity, frame, truth.velocity, reading.velocity)
+    acceleration = reading.acceleration
+    for leg in range(acceleration.shape[0]):
+        acceleration[leg] = truth.acceleration[leg]
     if sensors.gravity:
-        track(sensors.axes, state.axes, truth.position)
-        for leg in range(6):
-            squared_turn_rate = 0.0
-            for i in range(3):
-                change = (state.axes.direction[leg, i] - state.before[leg, i]) * sensors.rate
-                squared_turn_rate += change * change
-                state.before[leg, i] = state.axes.direction[leg, i]
-            felt[leg] += gravity_along(state.axes, leg)
-            felt[leg] -= (state.axes.length[leg] - sensors.distance) * squared_turn_rate
-    read(channels.acceleration, passed.acceleration, frame, felt, felt)
-    read(
-        channels.cap_pressure, passed.cap_pressure, frame, truth.cap_pressure, reading.cap_pressure
-    )
-    read(
-        channels.rod_pressure, passed.rod_pressure, frame, truth.rod_pressure, reading.rod_pressure
-    )
+        _feel_gravity(sensors, state, truth.position, acceleration)
+    read_channel(channels.acceleration, states.acceleration, frame, acceleration, acceleration)
+    cap, rod = truth.cap_pressure, truth.rod_pressure
+    read_channel(channels.cap_pressure, states.cap_pressure, frame, cap, reading.cap_pressure)
+    read_channel(channels.rod_pressure, states.rod_pressure, frame, rod, reading.rod_pressure)
 
 
 @allocating
@@ -307,7 +311,7 @@ def at_frame(histories, frame):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def _histories(sensors, state, truth, reading):  # type: ignore[no-untyped-def]
+def _sense_frames(sensors, state, truth, reading):  # type: ignore[no-untyped-def]
     for frame in range(truth.position.shape[0]):
         sense(sensors, state, frame, at_frame(truth, frame), at_frame(reading, frame))
 
@@ -317,5 +321,5 @@ def sense_history(sensors: Sensors, truth: LegFeedback) -> LegFeedback:
     histories = LegFeedback(*(np.array(c, dtype=float, order="C") for c in truth))
     state = sensor_state(sensors, LegFeedback(*(channel[0] for channel in histories)))
     reading = LegFeedback(*(np.empty_like(channel) for channel in histories))
-    _histories(sensors, state, histories, reading)
+    _sense_frames(sensors, state, histories, reading)
     return reading

@@ -59,7 +59,7 @@ load_servo_settings = Loader(ServoSettings, Path(__file__).with_suffix(".toml"))
 class ServoElectronics(NamedTuple):
     """Compiled parameters, SI, commands as fractions."""
 
-    switch_position: float  #: Switch position either way [m].
+    switch_position: float  #: Position of the switches either way [m].
     velocity_clamp: float  #: Largest command that passes.
     change: float  #: Largest change of the command in one frame.
     full_command: float  #: F [V].
@@ -106,36 +106,38 @@ def convert(electronics, command):  # type: ignore[no-untyped-def]
     volts = command * electronics.full_command
     if np.isnan(volts):
         return 0.0, 0.0
-    top = electronics.dac_range
+    largest_volts = electronics.dac_range
     if electronics.quantum == 0.0:
-        return 0.0, min(max(volts, -top), top)
-    most = np.rint(top / electronics.quantum)
-    counts = min(max(np.rint(volts / electronics.quantum), -most), most - 1.0)
+        return 0.0, min(max(volts, -largest_volts), largest_volts)
+    largest_counts = np.rint(largest_volts / electronics.quantum)
+    counts = np.rint(volts / electronics.quantum)
+    counts = min(max(counts, -largest_counts), largest_counts - 1.0)
     return counts, counts * electronics.quantum
 
 
 @compiled
-def step(electronics, state, raised, command, position):  # type: ignore[no-untyped-def]
+def step(electronics, state, watches_lower, command, position):  # type: ignore[no-untyped-def]
     """Turn the law's commands (n,), fractions, into those of the valves in place, one frame.
 
-    The lower switches are watched if `raised`: in hold and engaged, not on the stops, in raise,
-    return and fault. A leg extension (n,) [m] that is no number trips the switches watched.
-    Returned is whether a switch has tripped, now or earlier.
+    The lower switches are watched if `watches_lower`: in hold and engaged, not on the stops, in
+    raise, return and fault. A leg extension (n,) [m] that is no number trips the watched switches.
+    Returns whether a switch has tripped, now or earlier.
     """
-    end = electronics.switch_position
+    switch = electronics.switch_position
     tripped = False
     for leg in range(command.shape[0]):
-        if raised and not position[leg] >= -end:
+        if watches_lower and not position[leg] >= -switch:
             state.tripped[leg, 0] = True
-        if not position[leg] <= end:
+        if not position[leg] <= switch:
             state.tripped[leg, 1] = True
         tripped |= state.tripped[leg, 0] | state.tripped[leg, 1]
+    clamp, change = electronics.velocity_clamp, electronics.change
     for leg in range(command.shape[0]):
         _, volts = convert(electronics, command[leg])
         target = 0.0 if tripped else volts / electronics.full_command
-        target = min(max(target, -electronics.velocity_clamp), electronics.velocity_clamp)
-        before, change = state.command[leg], electronics.change
-        # Bounds of the command: a bounded change added to `before` would round.
+        target = min(max(target, -clamp), clamp)
+        # Bounds of the command: a bounded change added to the command before would round.
+        before = state.command[leg]
         state.command[leg] = min(max(target, before - change), before + change)
         command[leg] = state.command[leg]
     return tripped

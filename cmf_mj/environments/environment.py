@@ -57,7 +57,9 @@ def of_cylinders(plant: Plant) -> tuple[ObservedQuantity, ...]:
 
     return (
         ObservedQuantity("leg_extension", "m", count, reach, lambda env: env.extension),
-        ObservedQuantity("leg_velocity", "m/s", count, 2.0, lambda env: env.running.memory.mean),
+        ObservedQuantity(
+            "leg_velocity", "m/s", count, 2.0, lambda env: env.running.memory.mean_velocity
+        ),
         ObservedQuantity("pressure_difference", "MPa", count, 50.0, across),
     )
 
@@ -168,7 +170,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             duration=self.steps * self.period,
             record_every=self.frames,
         )
-        self.session = run.session(keep=self.period)
+        self.session = run.session(kept_seconds=self.period)
         self._done = False
         return self.observation(), deepcopy(self.info)
 

@@ -274,7 +274,7 @@ def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
     duration = rows.shape[0] * frozen.plant.machine.frame
     source = LegDemand(rows) if frozen.run.law else ValveCommands(rows)
-    run = frozen.run.but(duration=duration, operation=None, source=source)
+    run = frozen.run.changed(duration=duration, operation=None, source=source)
     if not frozen.chain:
         return run.record()
     geometry = frozen.plant.machine.geometry
@@ -284,4 +284,4 @@ def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
         motion[0] = pose
         demand.step(geometry, motion, legs)
         table[frame] = legs[0]
-    return run.but(source=LegDemand(table), start=np.zeros(6)).record()
+    return run.changed(source=LegDemand(table), start=np.zeros(6)).record()

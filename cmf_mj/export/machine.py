@@ -23,10 +23,10 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.machine_code import leaves, machine_code
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import NEVER, make_log
+from cmf_mj.facility.host_chain import HostChain
 from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, run
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import HostChain
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.hexapod import PLANTS
@@ -175,11 +175,11 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
     of extensions, or without law one of valve commands.
     """
     run = _run(plant, law, electronics)
-    session = run.session(keep=plant.machine.frame)
+    session = run.session(kept_seconds=plant.machine.frame)
     first = session.dynamics.mechanics.sensordata.copy()
     session.run(1)
-    row = session.rows(0, 1)
-    session = run.session(keep=plant.machine.frame)
+    row = session.record_rows.rows(0, 1)
+    session = run.session(kept_seconds=plant.machine.frame)
     size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
     mechanics = np.empty(size)
     mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)

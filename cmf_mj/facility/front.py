@@ -1,4 +1,4 @@
-"""Where the leg reference comes from: a table made before the run, or the chain of Figure 2-5.
+"""Sources of the leg reference: a table made before the run, or the chain of Figure 2-5.
 
 host frames -> DCU -> platform limits -> demand -> operating states -> leg limits -> reference
 """
@@ -36,23 +36,23 @@ class Blocks(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Where the source is."""
+    """Present state of the chain, but for its blocks."""
 
-    arrival: int = 0  #: Next arrival.
+    arrival: int = 0  #: Number of the next arrival.
     collected: int = 0  #: Arrivals collected.
     request: int = Request.NONE.value  #: Request in force.
     state: int = State.OFF.value  #: Operating state.
-    cleared: int = 0  #: Whether a fault has just been left.
-    found: int = FaultCode.NONE.value  #: Code of a fault that was found here.
+    reset: int = 0  #: Whether a fault has just been reset.
+    fault: int = FaultCode.NONE.value  #: Code of a fault of operating states or DCU.
 
 
 class Source(NamedTuple):
-    """A table, and compiled parameters, states and workspace of the source."""
+    """A table, and compiled parameters, states and workspace of the chain."""
 
     hosted: bool  #: Whether the reference comes through the chain; from the table otherwise.
     table: NDArray[np.float64]
-    """Leg references [m], or valve commands as fractions in open loop, (N, n); read again from the
-    start after its last row."""
+    """Leg references [m], or valve commands as fractions in open loop, (N, n); its first row
+    follows its last."""
     poses: NDArray[np.float64]
     """Platform demand of the table's rows [m, rad], (N, 6); (1, 0) where there is none."""
     blocks: Blocks
@@ -61,7 +61,7 @@ class Source(NamedTuple):
     operating: states.OperatingState
     leg_state: limiter.LimiterState
     arrivals: Arrivals  #: Host frames, known before the run or collected while it goes.
-    live: bool  #: Whether they are collected from the ring.
+    live: bool  #: Whether the arrivals are collected from the ring.
     ring: Ring  #: Hand-over from the receiving thread.
     request_frame: NDArray[np.int64]  #: Control frames of the operator's requests, (m,).
     request: NDArray[np.int64]  #: What is requested, `states.Request`, (m,).
@@ -71,8 +71,8 @@ class Source(NamedTuple):
     reference: NDArray[np.float64]  #: Leg reference and its derivatives, (3, 6).
 
 
-def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A read-only view: whether the caller's array may be written makes no variant of the loop."""
+def _read_only(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A read-only view, so that one compiled loop takes writable and read-only arrays."""
     view = np.ascontiguousarray(rows).view()
     view.flags.writeable = False
     return view
@@ -80,9 +80,8 @@ def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def from_table(rows: NDArray[np.float64], poses: NDArray[np.float64] | None = None) -> Source:
     """References of the legs (N, n), and the platform demand (N, 6) that they are made of."""
-    return _at_rest()._replace(
-        hosted=False, table=_fixed(rows), poses=_fixed(np.empty((1, 0)) if poses is None else poses)
-    )
+    pose_rows = _read_only(np.empty((1, 0)) if poses is None else poses)
+    return _idle_chain()._replace(hosted=False, table=_read_only(rows), poses=pose_rows)
 
 
 def from_host(
@@ -102,12 +101,12 @@ def from_host(
     """
     operating = states.start(blocks.states, begin, position)
     reference = np.zeros((3, 6))
-    at_rest = begin in (State.OFF, State.SETTLED)
-    reference[0] = -blocks.states.travel if at_rest else operating.hold_position
+    on_stops = begin in (State.OFF, State.SETTLED)
+    reference[0] = -blocks.states.travel if on_stops else operating.hold_position
     return Source(
         hosted=True,
-        table=_fixed(reference[:1].copy()),
-        poses=_fixed(np.empty((1, 0))),
+        table=_read_only(reference[:1].copy()),
+        poses=_read_only(np.empty((1, 0))),
         blocks=blocks,
         dcu_state=resting(blocks.dcu, pose),
         pose_state=limiter.start(blocks.pose_limits, pose),
@@ -126,8 +125,8 @@ def from_host(
 
 
 @cache
-def _at_rest() -> Source:
-    """The chain as a table stands beside it: nothing reads it or writes to it."""
+def _idle_chain() -> Source:
+    """The chain of the source of a table: nothing reads it or writes to it."""
     blocks = Blocks(
         make_dcu(),
         limiter.make_pose_limiter(),
@@ -146,30 +145,33 @@ def _follow(source, frame, position, fault, tripped, reference):  # type: ignore
         if source.request_frame[i] == frame:
             progress.request = source.request[i]
             tripped = tripped or source.request[i] == Request.TRIP.value
-    request, before = progress.request, progress.state
-    leaving = request == Request.RESET.value and before == State.FAULT.value
-    if (fault != FaultCode.NONE.value or tripped) and not leaving:
+    request, state_before = progress.request, progress.state
+    was_in_fault = state_before == State.FAULT.value
+    resets = request == Request.RESET.value and was_in_fault
+    if (fault != FaultCode.NONE.value or tripped) and not resets:
         request = Request.TRIP.value
     if source.live:
         rate = round(1.0 / blocks.dcu.frame)
         progress.collected = collect(source.ring, source.arrivals, progress.collected, frame, rate)
     progress.arrival = feed(blocks.dcu, source.dcu_state, source.arrivals, progress.arrival, frame)
-    motion, legs, out = source.motion, source.legs, source.reference
+    motion, legs, leg_reference = source.motion, source.legs, source.reference
     play.step(blocks.dcu, source.dcu_state, motion)
     limiter.step(blocks.pose_limits, source.pose_state, motion)
     demand.step(blocks.geometry, motion, legs)
-    progress.state = states.step(blocks.states, source.operating, request, legs, position, out)
-    if before == State.FAULT.value and progress.state == State.OFF.value:
-        progress.cleared = 1
-    failed = progress.state == State.FAULT.value != before
-    late = failed and request != Request.TRIP.value
-    progress.found = FaultCode.NOT_ARRIVED.value if late else FaultCode.NONE.value
+    operating = source.operating
+    progress.state = states.step(blocks.states, operating, request, legs, position, leg_reference)
+    if was_in_fault and progress.state == State.OFF.value:
+        progress.reset = 1
+    progress.fault = FaultCode.NONE.value
+    enters_fault = progress.state == State.FAULT.value and not was_in_fault
+    if enters_fault and request != Request.TRIP.value:
+        progress.fault = FaultCode.NOT_ARRIVED.value
     if progress.state == State.ENGAGED.value and has_strayed(source.dcu_state):
-        progress.found = FaultCode.HOST_RANGE.value
-    limiter.step(blocks.leg_limits, source.leg_state, out)
+        progress.fault = FaultCode.HOST_RANGE.value
+    limiter.step(blocks.leg_limits, source.leg_state, leg_reference)
     for leg in range(6):
-        reference[leg] = out[0, leg]
-    return source.operating.phase[0].gain
+        reference[leg] = leg_reference[0, leg]
+    return operating.phase[0].gain
 
 
 @inlined
@@ -187,31 +189,31 @@ def follow(source, frame, position, fault, tripped, reference):  # type: ignore[
 
 
 @compiled
-def _record(source, row, at):  # type: ignore[no-untyped-def]
+def _record(source, row, columns):  # type: ignore[no-untyped-def]
     for i in range(6):
-        row[at.demand_pose + i] = source.motion[0, i]
-        row[at.demand_velocity + i] = source.motion[1, i]
-        row[at.demand_acceleration + i] = source.motion[2, i]
-    row[at.operating_state] = source.progress[0].state
-    row[at.host_stale] = source.dcu_state.stream[0].is_stale
-    row[at.host_late] = host_is_late(source.blocks.dcu, source.dcu_state)
-    row[at.host_clock] = 1.0 + source.dcu_state.clock[0].slew
-    row[at.valve_gain] = source.operating.phase[0].gain
+        row[columns.demand_pose + i] = source.motion[0, i]
+        row[columns.demand_velocity + i] = source.motion[1, i]
+        row[columns.demand_acceleration + i] = source.motion[2, i]
+    row[columns.operating_state] = source.progress[0].state
+    row[columns.host_stale] = source.dcu_state.stream[0].is_stale
+    row[columns.host_late] = host_is_late(source.blocks.dcu, source.dcu_state)
+    row[columns.host_clock] = 1.0 + source.dcu_state.clock[0].slew
+    row[columns.valve_gain] = source.operating.phase[0].gain
 
 
 @inlined
-def record_demand(source, frame, row, at):  # type: ignore[no-untyped-def]
-    """Write the demand into a row of the record, its first columns given by `at`."""
+def record_demand(source, frame, row, columns):  # type: ignore[no-untyped-def]
+    """Write the demand into a row of the record."""
     if source.hosted:
-        _record(source, row, at)
+        _record(source, row, columns)
         return
     poses = source.poses
     for i in range(poses.shape[1]):
-        row[at.demand_pose + i] = poses[frame % poses.shape[0], i]
+        row[columns.demand_pose + i] = poses[frame % poses.shape[0], i]
 
 
 @inlined
-def watched(source):  # type: ignore[no-untyped-def]
+def watches_switches(source):  # type: ignore[no-untyped-def]
     """Whether the lower limit switches are watched: in hold and engaged, and on a table."""
     state = source.progress[0].state
     return not source.hosted or state == State.HOLD.value or state == State.ENGAGED.value
@@ -230,16 +232,16 @@ def host_age(source):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def cleared(source):  # type: ignore[no-untyped-def]
-    """Whether the operator has just reset a fault, once."""
+def take_reset(source):  # type: ignore[no-untyped-def]
+    """Whether the operator has just reset a fault; a reset is taken once."""
     progress = source.progress[0]
-    reset = source.hosted and progress.cleared != 0
-    if reset:
-        progress.cleared = 0
-    return reset
+    has_reset = source.hosted and progress.reset != 0
+    if has_reset:
+        progress.reset = 0
+    return has_reset
 
 
 @inlined
-def found(source):  # type: ignore[no-untyped-def]
+def source_fault(source):  # type: ignore[no-untyped-def]
     """Code of a fault that operating states or DCU have found in this frame, 0 for none."""
-    return source.progress[0].found
+    return source.progress[0].fault

@@ -32,7 +32,7 @@ from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors import true_acceleration, true_velocity
-from cmf_mj.facility.front import Source, cleared, follow, found, host_age, record_demand, watched
+from cmf_mj.facility import front
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -46,13 +46,12 @@ FINITE, VACUUM, PROOF, STROKE, SOLUTION, WARNING = range(6)
 """Bounds a state may leave: finite numbers, absolute pressure above 0, proof pressure, mechanical
 stroke, a solvable stage, and what MuJoCo does not warn of."""
 
-_BEYOND_STOP = 0.05
+_STOP_TRAVEL = 0.05
 """Travel beyond the mechanical stroke at which a run is stopped [m]; the stops are elastic."""
 
-
-_TRUSTED = ("none", "host_watchdog", "frame_watchdog", "not_arrived", "host_range")
-_UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
-"""Faults after which the control law cannot be trusted to bring the machine down."""
+_HARMLESS_FAULTS = ("none", "host_watchdog", "frame_watchdog", "not_arrived", "host_range")
+_NEEDS_STOP = tuple(name not in _HARMLESS_FAULTS for name in FAULTS)
+"""By fault code, whether the control law cannot be trusted to bring the machine down after it."""
 
 
 class Dynamics(NamedTuple):
@@ -68,10 +67,10 @@ class Dynamics(NamedTuple):
 class Controller(NamedTuple):
     """What commands the valves."""
 
-    closed: bool  #: Whether the DCL does; the reference is the command otherwise.
+    closed: bool  #: Whether the DCL makes the command; if not, the reference is the command.
     dcl: control.Dcl  #: Compiled law.
-    state: control.DclState  #: Its state.
-    source: Source  #: What gives the reference.
+    state: control.DclState  #: State of the law.
+    source: front.Source  #: Source of the reference.
     delay: int  #: Frames from a DCL frame to its command at the valves.
     guarded: bool  #: Whether a detected fault makes an emergency stop.
     protection: Protection  #: Compiled thresholds.
@@ -98,25 +97,25 @@ class Progress(NamedTuple):
     event: int = 0  #: Next event on the time line.
     tripped: int = 0  #: Whether a limit switch has tripped.
     stopped: int = 0  #: Whether there is an emergency stop.
-    code: int = 0  #: Of the last fault that was reset.
-    leg: int = 0  #: Of the same.
-    frame: int = 0  #: Of the same.
+    reset_code: int = 0  #: Code of the last fault that was reset.
+    reset_leg: int = 0  #: Its leg.
+    reset_frame: int = 0  #: The frame in which it was detected.
 
 
 class Memory(NamedTuple):
     """What the loop keeps from frame to frame, so that it can be run in parts."""
 
     extension: NDArray[np.float64]  #: Extensions at the last step [m], (n,).
-    before: NDArray[np.float64]  #: Those of the step before, (n,).
-    mean: NDArray[np.float64]  #: Mean velocity between them [m/s], (n,).
-    mean_before: NDArray[np.float64]  #: That of the step before, (n,).
-    load: NDArray[np.float64]  #: Cylinder forces [N], (n,).
+    extension_before: NDArray[np.float64]  #: Extensions one step earlier [m], (n,).
+    mean_velocity: NDArray[np.float64]  #: Mean velocity between them [m/s], (n,).
+    mean_velocity_before: NDArray[np.float64]  #: Mean velocity one step earlier [m/s], (n,).
+    force: NDArray[np.float64]  #: Cylinder forces [N], (n,).
     truth: LegFeedback  #: True motion and pressures.
     feedback: LegFeedback  #: What the DCL reads.
     reference: NDArray[np.float64]  #: Leg reference [m], (n,).
     command: NDArray[np.float64]
     """Commands on their way to the valves, newest first, (delay + 1, n)."""
-    closure: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
+    gimbal_error: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
     progress: np.recarray[Any, Any]  #: `Progress`, (1,).
 
 
@@ -126,29 +125,29 @@ def make_memory(dynamics: Dynamics, delay: int) -> Memory:
     extension = mechanics.length[mechanics.motors] - mechanics.neutral
     legs = extension.size
 
-    def feedback() -> LegFeedback:
+    def feedback_at_rest() -> LegFeedback:
         pressure = dynamics.state.pressure
         cap, rod = pressure[:, CAP].copy(), pressure[:, ROD].copy()
         return LegFeedback(extension.copy(), np.zeros(legs), np.zeros(legs), cap, rod)
 
     return Memory(
-        extension,
-        extension.copy(),
-        np.zeros(legs),
-        np.zeros(legs),
-        np.zeros(legs),
-        feedback(),
-        feedback(),
-        extension.copy(),
-        np.zeros((delay + 1, legs)),
-        np.zeros(1),
-        record_array(Progress, [Progress()]),
+        extension=extension,
+        extension_before=extension.copy(),
+        mean_velocity=np.zeros(legs),
+        mean_velocity_before=np.zeros(legs),
+        force=np.zeros(legs),
+        truth=feedback_at_rest(),
+        feedback=feedback_at_rest(),
+        reference=extension.copy(),
+        command=np.zeros((delay + 1, legs)),
+        gimbal_error=np.zeros(1),
+        progress=record_array(Progress, [Progress()]),
     )
 
 
 @compiled
-def _bounds(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
-    """Which bound (-1: none) which leg is beyond."""
+def _bound_left(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
+    """The bound that is left, -1 for none, and the leg."""
     cylinders, proof_pressure = hydraulics.cylinder, hydraulics.proof_pressure
     for leg in range(extension.shape[0]):
         for side in range(2):
@@ -159,22 +158,22 @@ def _bounds(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
                 return VACUUM, leg
             if pressure > proof_pressure:
                 return PROOF, leg
-        if not abs(extension[leg]) < cylinders[leg].half_stroke + _BEYOND_STOP:
+        if not abs(extension[leg]) < cylinders[leg].half_stroke + _STOP_TRAVEL:
             return STROKE if np.isfinite(extension[leg]) else FINITE, leg
     return -1, 0
 
 
 @inlined
-def _warned(warnings):  # type: ignore[no-untyped-def]
+def _has_warned(warnings):  # type: ignore[no-untyped-def]
     """Whether MuJoCo has warned of anything."""
-    raised = 0
+    bits = 0
     for i in range(warnings.shape[0]):
-        raised |= warnings[i]
-    return raised != 0
+        bits |= warnings[i]
+    return bits != 0
 
 
 @compiled
-def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
+def _let_happen(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
     if apply_event(timeline, progress.event, faults, position):
         progress.stopped = 1
@@ -184,23 +183,23 @@ def _strike(timeline, faults, payload, bodies, progress, position):  # type: ign
 
 
 @inlined
-def _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed):  # type: ignore[no-untyped-def]
+def _move(mechanics, hydraulics, state, faults, memory, command, started, sensed):  # type: ignore[no-untyped-def]
     """Position stage of a step, and pressures up to it; whether they have a solution.
 
-    Position and velocity sensors are read here if they are `sensed`.
+    The command is that at the valves. Position and velocity sensors are read if `sensed`.
     """
     call(mechanics.position_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
-    extension, before = memory.extension, memory.before
+    extension, extension_before = memory.extension, memory.extension_before
     for leg in range(extension.shape[0]):
-        before[leg] = extension[leg]
+        extension_before[leg] = extension[leg]
         extension[leg] = mechanics.length[mechanics.motors[leg]] - mechanics.neutral[leg]
-        memory.mean_before[leg] = memory.mean[leg]
-        memory.mean[leg] = (extension[leg] - before[leg]) / hydraulics.step
+        memory.mean_velocity_before[leg] = memory.mean_velocity[leg]
+        memory.mean_velocity[leg] = (extension[leg] - extension_before[leg]) / hydraulics.step
     if started:
         stopped = memory.progress[0].stopped != 0
-        if not advance(hydraulics, state, faults, oldest, before, extension, stopped):
+        if not advance(hydraulics, state, faults, command, extension_before, extension, stopped):
             return False
-    write_loads(hydraulics.cylinder, state.pressure, state.friction, memory.load)
+    write_loads(hydraulics.cylinder, state.pressure, state.friction, memory.force)
     return True
 
 
@@ -211,10 +210,10 @@ def _sense(dynamics, controller, memory, frame):  # type: ignore[no-untyped-def]
     progress, truth, feedback = memory.progress[0], memory.truth, memory.feedback
     while progress.event < timeline.frame.shape[0] and timeline.frame[progress.event] <= frame:
         payload, bodies = mechanics.payload, mechanics.payload_bodies
-        _strike(timeline, faults, payload, bodies, progress, feedback.position)
+        _let_happen(timeline, faults, payload, bodies, progress, feedback.position)
     pressure, step = dynamics.state.pressure, dynamics.hydraulics.step
     for leg in range(memory.extension.shape[0]):
-        mean, mean_before = memory.mean[leg], memory.mean_before[leg]
+        mean, mean_before = memory.mean_velocity[leg], memory.mean_velocity_before[leg]
         truth.position[leg] = memory.extension[leg]
         truth.velocity[leg] = true_velocity(mean, mean_before)
         truth.acceleration[leg] = true_acceleration(mean, mean_before, step)
@@ -232,7 +231,8 @@ def _reset(electronics, guard, progress, integral, position):  # type: ignore[no
     """
     fault = guard.detection[0]
     if fault.code != FaultCode.NONE.value:
-        progress.code, progress.leg, progress.frame = fault.code, fault.leg, fault.frame
+        progress.reset_code, progress.reset_leg = fault.code, fault.leg
+        progress.reset_frame = fault.frame
     reset(guard, position)
     release(electronics)
     integral[:] = 0.0
@@ -240,21 +240,21 @@ def _reset(electronics, guard, progress, integral, position):  # type: ignore[no
 
 
 @inlined
-def _decide(controller, memory, frame):  # type: ignore[no-untyped-def]
+def _find_reference(controller, memory, frame):  # type: ignore[no-untyped-def]
     """Let the source give its reference; returns the gain on the valve command."""
     source, guard = controller.source, controller.guard
     progress, position = memory.progress[0], memory.feedback.position
     tripped = progress.tripped != 0 or progress.stopped != 0
-    gain = follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
-    latch_outside_fault(guard, found(source), frame)
-    if cleared(source):
+    gain = front.follow(source, frame, position, guard.detection[0].code, tripped, memory.reference)
+    latch_outside_fault(guard, front.source_fault(source), frame)
+    if front.take_reset(source):
         integral = controller.state.error.integral
         _reset(controller.electronics, guard, progress, integral, position)
     return gain
 
 
 @inlined
-def _command(controller, memory, gain):  # type: ignore[no-untyped-def]
+def _find_command(controller, memory, gain):  # type: ignore[no-untyped-def]
     """Put the frame's command behind those on their way to the valves."""
     command, reference = memory.command, memory.reference
     for age in range(controller.delay, 0, -1):
@@ -270,80 +270,82 @@ def _command(controller, memory, gain):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
+def _calls_for_stop(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
     """Whether this frame's readings call for an emergency stop."""
     code = check_frame(protection, guard, frame, reference, feedback, supply, age)
-    return code != FaultCode.NONE.value and (_UNTRUSTED[code] or not closed)
+    return code != FaultCode.NONE.value and (_NEEDS_STOP[code] or not closed)
 
 
 @inlined
-def _deliver(controller, memory, supply, frame):  # type: ignore[no-untyped-def]
+def _send_command(controller, memory, supply, frame):  # type: ignore[no-untyped-def]
     """Pass the command on through the servo electronics, and stop where the protection says so."""
     electronics, source, progress = controller.electronics, controller.source, memory.progress[0]
-    if deliver(electronics, watched(source), memory.truth.position, memory.command[0]):
+    if deliver(
+        electronics, front.watches_switches(source), memory.truth.position, memory.command[0]
+    ):
         progress.tripped = 1
     if controller.guarded and progress.stopped == 0:
         feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
         target = controller.dcl.workspace.limited_demand if closed else feedback.position
-        protection, guard, age = controller.protection, controller.guard, host_age(source)
+        protection, guard, age = controller.protection, controller.guard, front.host_age(source)
         pressure = supply[SUPPLY_PRESSURE]
-        if _stops(protection, guard, frame, target, feedback, pressure, age, closed):
+        if _calls_for_stop(protection, guard, frame, target, feedback, pressure, age, closed):
             progress.stopped = 1
 
 
 @inlined
-def _gap(gimbals, site, closure):  # type: ignore[no-untyped-def]
+def _note_gimbal_error(gimbals, site, gimbal_error):  # type: ignore[no-untyped-def]
     """Note the largest distance between the halves of a gimbal."""
     for i in range(gimbals.shape[0]):
         a, b = gimbals[i, 0], gimbals[i, 1]
         x, y, z = site[a, 0] - site[b, 0], site[a, 1] - site[b, 1], site[a, 2] - site[b, 2]
-        closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
+        gimbal_error[0] = max(gimbal_error[0], np.sqrt(x * x + y * y + z * z))
 
 
 @compiled
-def _write(row, at, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
-    """Write a row, its first columns given by `at`, but for demand and sensors."""
+def _write(row, columns, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
+    """Write a row, but for demand and sensors."""
     for leg in range(memory.extension.shape[0]):
         if closed:
-            row[at.leg_reference + leg] = work.limited_demand[leg]
-            row[at.compensator_output + leg] = work.output[leg]
-        row[at.leg_position + leg] = feedback.position[leg]
-        row[at.leg_velocity + leg] = feedback.velocity[leg]
-        row[at.leg_acceleration + leg] = feedback.acceleration[leg]
-        row[at.leg_extension + leg] = memory.extension[leg]
-        row[at.valve_command + leg] = memory.command[0, leg]
-        row[at.valve_opening + leg] = 0.5 * (state.spool[leg, 0] + state.spool[leg, 1])
-        row[at.cap_pressure + leg] = feedback.cap_pressure[leg]
-        row[at.rod_pressure + leg] = feedback.rod_pressure[leg]
-        row[at.leg_force + leg] = memory.load[leg]
-    row[at.gimbal_error] = memory.closure[0]
-    memory.closure[0] = 0.0
+            row[columns.leg_reference + leg] = work.limited_demand[leg]
+            row[columns.compensator_output + leg] = work.output[leg]
+        row[columns.leg_position + leg] = feedback.position[leg]
+        row[columns.leg_velocity + leg] = feedback.velocity[leg]
+        row[columns.leg_acceleration + leg] = feedback.acceleration[leg]
+        row[columns.leg_extension + leg] = memory.extension[leg]
+        row[columns.valve_command + leg] = memory.command[0, leg]
+        row[columns.valve_opening + leg] = 0.5 * (state.spool[leg, 0] + state.spool[leg, 1])
+        row[columns.cap_pressure + leg] = feedback.cap_pressure[leg]
+        row[columns.rod_pressure + leg] = feedback.rod_pressure[leg]
+        row[columns.leg_force + leg] = memory.force[leg]
+    row[columns.gimbal_error] = memory.gimbal_error[0]
+    memory.gimbal_error[0] = 0.0
     for i in range(state.supply.shape[0]):
-        row[at.supply_content + i] = state.supply[i]
+        row[columns.supply_content + i] = state.supply[i]
     for i in range(state.energy.shape[0]):
-        row[at.energy + i] = state.energy[i]
+        row[columns.energy + i] = state.energy[i]
     for i in range(qpos.shape[0]):
-        row[at.generalised_position + i] = qpos[i]
+        row[columns.generalised_position + i] = qpos[i]
 
 
 @inlined
-def _record(recorder, row, controller, mechanics, state, memory, frame):  # type: ignore[no-untyped-def]
+def _record(recorder, row_number, controller, mechanics, state, memory, frame):  # type: ignore[no-untyped-def]
     """Write a row of the record."""
-    out, at, closed = recorder.out[row], recorder.columns, controller.closed
-    record_demand(controller.source, frame, out, at)
+    row, columns, closed = recorder.out[row_number], recorder.columns, controller.closed
+    front.record_demand(controller.source, frame, row, columns)
     work = controller.dcl.workspace
-    _write(out, at, memory, work, memory.feedback, state, mechanics.qpos, closed)
+    _write(row, columns, memory, work, memory.feedback, state, mechanics.qpos, closed)
     for i in range(recorder.sensors.shape[0]):
-        out[at.sensors + i] = mechanics.sensordata[recorder.sensors[i]]
+        row[columns.sensors + i] = mechanics.sensordata[recorder.sensors[i]]
 
 
 @inlined
-def _accelerate(mechanics, load, sensed):  # type: ignore[no-untyped-def]
+def _accelerate(mechanics, force, sensed):  # type: ignore[no-untyped-def]
     """Force stage of a step; whether MuJoCo warns. It reads sensors of acceleration if `sensed`."""
-    for leg in range(load.shape[0]):
-        mechanics.ctrl[mechanics.motors[leg]] = load[leg]
+    for leg in range(force.shape[0]):
+        mechanics.ctrl[mechanics.motors[leg]] = force[leg]
     call(mechanics.force_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
-    return _warned(mechanics.warnings)
+    return _has_warned(mechanics.warnings)
 
 
 @compiled
@@ -353,28 +355,30 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
     Returns (frame, bound, leg) where the state left its physical bounds; frame -1 if it did not.
     """
     mechanics, hydraulics, state = dynamics.mechanics, dynamics.hydraulics, dynamics.state
-    faults, load, oldest = dynamics.faults, memory.load, memory.command[controller.delay]
+    faults, valve_command = dynamics.faults, memory.command[controller.delay]
     for frame in range(first, last):
         begin(controller.pace, frame)
         recorded = frame % recorder.every == 0
-        for inner in range(recorder.steps):
-            started, sensed = frame > 0 or inner > 0, inner == 0 and recorded
-            if not _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed):
+        for step in range(recorder.steps):
+            started, sensed = frame > 0 or step > 0, step == 0 and recorded
+            if not _move(
+                mechanics, hydraulics, state, faults, memory, valve_command, started, sensed
+            ):
                 return frame, SOLUTION, 0
-            if inner == 0:
+            if step == 0:
                 _sense(dynamics, controller, memory, frame)
-                gain = _decide(controller, memory, frame)
-                _command(controller, memory, gain)
-                _deliver(controller, memory, state.supply, frame)
-                bound, leg = _bounds(hydraulics, state.pressure, memory.extension)
+                gain = _find_reference(controller, memory, frame)
+                _find_command(controller, memory, gain)
+                _send_command(controller, memory, state.supply, frame)
+                bound, leg = _bound_left(hydraulics, state.pressure, memory.extension)
                 if bound >= 0:
                     return frame, bound, leg
-            _gap(recorder.gimbals, mechanics.site, memory.closure)
+            _note_gimbal_error(recorder.gimbals, mechanics.site, memory.gimbal_error)
             if sensed:
-                row = frame // recorder.every % recorder.out.shape[0]
-                _record(recorder, row, controller, mechanics, state, memory, frame)
-            ahead = inner == recorder.steps - 1 and (frame + 1) % recorder.every == 0
-            if _accelerate(mechanics, load, ahead):
+                row_number = frame // recorder.every % recorder.out.shape[0]
+                _record(recorder, row_number, controller, mechanics, state, memory, frame)
+            sensed_next = step == recorder.steps - 1 and (frame + 1) % recorder.every == 0
+            if _accelerate(mechanics, memory.force, sensed_next):
                 return frame, WARNING, 0
         end(controller.pace, frame)
     return -1, -1, 0

@@ -3,9 +3,8 @@
     host -> DCU -> platform limits -> demand -> operating states -> leg limits -> DCL
          -> servo electronics -> valves -> machine -> sensors -> ADC -> DCL
 
-`operate` runs recorded or made-up frames as fast as it can; `serve` runs the machine in real time
-on frames from the network. Both give an `Operation`: the record, what became of the host's frames,
-and the frames as they arrived, on which `operate` gives the same demand bit for bit.
+`operate` runs frames as fast as it can; `serve` runs the machine in real time on frames from the
+network. On the frames of an `Operation` `operate` gives the same demand bit for bit.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,17 +18,17 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import FRAME, LONGEST
-from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring
+from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, filled_log, make_log, make_ring
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
+from cmf_mj.facility.host_chain import HostChain, dcu_of
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import HostChain, dcu_of
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-CHAIN = {"requests", *HostChain.model_fields}  #: Options that are those of the chain.
+_CHAIN_OPTIONS, _WARM_UP_FRAMES = {"requests", *HostChain.model_fields}, 8
 
 
 class Timing(NamedTuple):
@@ -61,7 +60,7 @@ class Operation(NamedTuple):
     rejections: dict[str, int]  #: Frames the DCU refused, by reason.
     unused: dict[str, int]
     """Frames received that never came to the DCU, of a run in real time: `early` before the clock
-    started, `lost` between receiver and loop, `thinned` because newer ones came too fast."""
+    started, `lost` between receiver and loop, `thinned` because newer frames came too fast."""
     timing: Timing | None  #: Of a run in real time.
 
 
@@ -100,11 +99,10 @@ def operate(
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
     if seconds is None:
-        parts = dcu_of(plant.machine, options.get("dcu")).delay.parts(rate)
-        seconds = float(arrivals.frame[-1] / rate + sum(parts.values()))
-    run = _hosted(plant, law, arrivals, seconds, options)
-    session = run.session()
-    _advance(session, progress)
+        delays = dcu_of(plant.machine, options.get("dcu")).delay.parts(rate)
+        seconds = float(arrivals.frame[-1] / rate + sum(delays.values()))
+    session = _hosted_run(plant, law, arrivals, seconds, options).session()
+    _run_to_end(session, progress)
     return _operation(session, arrivals, {}, None)
 
 
@@ -123,33 +121,35 @@ def serve(
 
     Compiles and warms up first; the clock starts after that, when `progress` is called with 0. The
     ring is that of a `UdpReceiver`, or filled by `put`; the pose at the start is neutral. `attend`
-    is called with the session between parts of the run and returns the control frames until it
-    wants to be called again; if not `paced`, the run does not wait. `options` are those of
+    is called with the session between parts of the run and returns the control frames until its
+    next call; if not `paced`, the run does not wait. `options` are those of
     `operate`; every 16th frame is recorded by default. Raises `OSError` on systems without a
     monotonic clock to keep time by.
     """
-    machine, log = plant.machine, make_log(capacity_for(8, plant.machine.rate))
-    run = _hosted(plant, law, log, seconds, {"record_every": 16, **options})
-    warm = run.but(duration=8 / machine.rate)
-    warm.session(ring=make_ring(2), pace=make_pace(8, machine.frame)).run()
-    count = max(round(seconds * machine.rate), 1)
-    run = run.but(source=make_log(capacity_for(count, machine.rate)))
-    pace = make_pace(count, machine.frame) if paced else None
+    machine, log = plant.machine, make_log(capacity_for(_WARM_UP_FRAMES, plant.machine.rate))
+    run = _hosted_run(plant, law, log, seconds, {"record_every": 16, **options})
+    warm_up = run.changed(duration=_WARM_UP_FRAMES / machine.rate)
+    warm_up.session(ring=make_ring(2), pace=make_pace(_WARM_UP_FRAMES, machine.frame)).run()
+    frames = max(round(seconds * machine.rate), 1)
+    run = run.changed(source=make_log(capacity_for(frames, machine.rate)))
+    pace = make_pace(frames, machine.frame) if paced else None
     session = run.session(ring=ring, pace=pace)
     if progress is not None:
         progress(0.0)
-    started, lost, thinned = (int(count[0]) for count in (ring.written, ring.lost, ring.thinned))
-    unused = {"early": started - int(ring.read[0])}
-    ring.read[0] = started
-    _advance(session, progress, attend)
+    lost_before, thinned_before = int(ring.lost[0]), int(ring.thinned[0])
+    written = int(ring.written[0])
+    early = written - int(ring.read[0])
+    ring.read[0] = written
+    _run_to_end(session, progress, attend)
     log = session.source.arrivals
-    arrivals = logged(log, int((log.frame < NEVER).sum()))
-    unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
+    arrivals = filled_log(log, int((log.frame < NEVER).sum()))
+    lost, thinned = int(ring.lost[0]) - lost_before, int(ring.thinned[0]) - thinned_before
+    unused = {"early": early, "lost": lost, "thinned": thinned}
     timing = None if pace is None else Timing(pace.busy, pace.late, machine.frame)
     return _operation(session, arrivals, unused, timing)
 
 
-def _hosted(
+def _hosted_run(
     plant: Hexapod,
     law: str | Path | Law,
     frames: Arrivals,
@@ -159,24 +159,25 @@ def _hosted(
     """A run on a host's frames, by default with noisy electronics and the protection."""
     if not 0.0 < seconds <= LONGEST:
         raise InputError(f"seconds: {seconds} is refused; allowed: above 0, up to {LONGEST:g}")
-    chain = {name: options[name] for name in options if name in CHAIN}
-    others = {name: options[name] for name in options if name not in CHAIN}
-    usual: dict[str, Any] = {"electronics": {}, "protection": "default", "duration": seconds}
-    usual["operation"] = {"begin": "engaged", "requests": ()} | chain
-    run = Run(plant=plant, law=law, source=frames, **usual | others)
+    chain: dict[str, Any] = {"begin": "engaged", "requests": ()}
+    settings: dict[str, Any] = {"electronics": {}, "protection": "default", "duration": seconds}
+    for name, option in options.items():
+        (chain if name in _CHAIN_OPTIONS else settings)[name] = option
+    run = Run(plant=plant, law=law, source=frames, **{"operation": chain} | settings)
     assert run.operation is not None
-    return run.but(start=run.operation.starting_pose(plant.machine, frames))
+    return run.changed(start=run.operation.starting_pose(plant.machine, frames))
 
 
-def _advance(
+def _run_to_end(
     session: Session, progress: Callable[[float], None] | None, attend: Attendant | None = None
 ) -> None:
     """Run a session to its end, by default a second at a time."""
-    shown = 0
+    reported_frame = 0
     while session.frame < session.frames:
         session.run(session.rate if attend is None else attend(session))
-        if progress is not None and session.frame >= min(shown + session.rate, session.frames):
-            shown = session.frame
+        report_frame = min(reported_frame + session.rate, session.frames)
+        if progress is not None and session.frame >= report_frame:
+            reported_frame = session.frame
             progress(session.frame / session.rate)
 
 
@@ -184,14 +185,12 @@ def _operation(
     session: Session, arrivals: Arrivals, unused: dict[str, int], timing: Timing | None
 ) -> Operation:
     time, channels, units = session.history()
-    state = session.source.dcu_state
-    late = float(channels["host_late"].mean()) * session.frame / session.rate
-    context: dict[str, Any] = {
-        "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
-        "host_late": late,
-    }
-    record = Record(time, channels, units, session.describe() | context)
-    return Operation(record, arrivals, state.counts, state.rejections, unused, timing)
+    dcu = session.source.dcu_state
+    metadata = session.describe()
+    metadata["command"] = {"signal": "host frames", "frames": int(arrivals.frame.size)}
+    metadata["host_late"] = float(channels["host_late"].mean()) * session.frame / session.rate
+    record = Record(time, channels, units, metadata)
+    return Operation(record, arrivals, dcu.counts, dcu.rejections, unused, timing)
 
 
 def account(
@@ -202,25 +201,25 @@ def account(
     Every frame a host sends is in exactly one line of the account:
 
         received = early + lost + thinned + after the end + at the DCU
-        at the DCU = accepted + refused, by reason + the one that waits for confirmation at the end
+        at the DCU = accepted + refused, by reason + waiting for confirmation at the end
 
     `received` counts what the receiver put into its ring until it was closed, by default what came
     to the DCU; `datagrams` counts what it dropped, by reason. Both together are all datagrams that
     came to its port.
     """
-    counts, refused = dict(operation.counts), dict(operation.rejections)
-    arrived = operation.arrivals.frame.size
+    other_counts, refused = dict(operation.counts), dict(operation.rejections)
+    accepted = other_counts.pop("accepted")
+    frames_at_dcu = operation.arrivals.frame.size
     unused = {name: operation.unused.get(name, 0) for name in ("early", "lost", "thinned")}
-    before = arrived + sum(unused.values())
-    all_frames = before if received is None else received
-    accepted = counts.pop("accepted")
+    frames_in_run = frames_at_dcu + sum(unused.values())
+    all_frames = frames_in_run if received is None else received
     return {
         "received": all_frames,
         **unused,
-        "after_end": all_frames - before,
+        "after_end": all_frames - frames_in_run,
         "accepted": accepted,
-        "waiting": arrived - accepted - sum(refused.values()),
+        "waiting": frames_at_dcu - accepted - sum(refused.values()),
         **refused,
         **(datagrams or {}),
-        **counts,
+        **other_counts,
     }

@@ -1,8 +1,4 @@
-"""The layout of a record: which channels a row has, and which columns hold each.
-
-A session makes its layout once. The compiled loop writes a row through `columns`, and `history`
-takes the rows apart through `channels`.
-"""
+"""Rows of a record: their `Layout` in channels, and `RecordRows`, which the loop writes into."""
 
 from collections import namedtuple
 from typing import NamedTuple
@@ -10,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.facility.front import Source
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.plant import Plant
 
@@ -25,7 +22,9 @@ CHAIN = {
 }
 """Channels of the chain, name to unit and kind; the pose is also that of a table."""
 
-LAW = ("leg_reference", "compensator_output")  #: Channels that an open loop has not.
+_LAW = ("leg_reference", "compensator_output")  #: Channels that an open loop has not.
+
+_WINDOW_ROWS = 2048  #: Rows that the loop writes before the channels are taken out of them.
 
 _CHANNELS = CHAIN | {
     "leg_reference": ("m", "legs"),
@@ -84,8 +83,8 @@ class Layout(NamedTuple):
     width: int  #: Columns of a row.
 
 
-def make_layout(plant: Plant, absent: set[str]) -> Layout:
-    """The layout of a plant's records without some of the channels."""
+def make_layout(plant: Plant, *, has_law: bool, source: Source) -> Layout:
+    """The layout of a plant's records, for a closed or open loop on a source."""
     widths = {
         "platform": 6,
         "scalar": None,
@@ -93,15 +92,57 @@ def make_layout(plant: Plant, absent: set[str]) -> Layout:
         "energies": len(ENERGIES),
         "positions": plant.model.nq,
     }
-    channels, starts, first = list[Channel](), dict.fromkeys(_CHANNELS, -1), 0
+    absent = set[str]() if has_law else {*_LAW}
+    if not source.hosted:
+        absent |= {*CHAIN} - ({"demand_pose"} if source.poses.size else set())
+    channels, starts, width = list[Channel](), dict.fromkeys(_CHANNELS, -1), 0
     for name, (unit, kind) in _CHANNELS.items():
         if name not in absent:
-            starts[name], width = first, widths[kind]
-            channels.append(Channel(name, unit, first, width))
-            first += 1 if width is None else width
-    columns = Columns(**starts, sensors=first)  # type: ignore[call-arg]
+            starts[name] = width
+            channels.append(Channel(name, unit, width, widths[kind]))
+            width += widths[kind] or 1
+    columns = Columns(**starts, sensors=width)  # type: ignore[call-arg]
     for name, indices in plant.sensors.items():
         unit = _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2")
-        channels.append(Channel(name, unit, first, indices.size))
-        first += indices.size
-    return Layout(tuple(channels), columns, first)
+        channels.append(Channel(name, unit, width, indices.size))
+        width += indices.size
+    return Layout(tuple(channels), columns, width)
+
+
+class RecordRows:
+    """Rows of a record: all of them by channel, or the latest in a window."""
+
+    def __init__(self, layout: Layout, count: int, *, keeps_all: bool) -> None:
+        """Make room for a number of rows."""
+        self._channels = layout.channels
+        self._written_rows = 0
+        self._histories: dict[str, NDArray[np.float64]] = {}  # none where only the latest are kept
+        if keeps_all:
+            for name, _, _, width in layout.channels:
+                self._histories[name] = np.empty(count if width is None else (count, width))
+            count = min(count, _WINDOW_ROWS)
+        self.window = np.empty((count, layout.width))
+        """The latest rows; after the last the loop writes the first again, (N, columns)."""
+
+    def take(self, written_rows: int) -> None:
+        """Copy the rows that are new into the histories; a history that is full is read-only."""
+        first, self._written_rows = self._written_rows, written_rows
+        start = first % self.window.shape[0]
+        new_rows = self.window[start : start + written_rows - first]
+        for channel in self._channels if self._histories and new_rows.size else ():
+            history = self._histories[channel.name]
+            history[first:written_rows] = channel.of(new_rows)
+            history.setflags(write=written_rows < history.shape[0])
+
+    def rows(self, first: int, last: int) -> NDArray[np.float64]:
+        """Copy of the rows from `first` to before `last`, which the window still holds."""
+        return self.window[np.arange(first, last) % self.window.shape[0]]
+
+    def histories(self) -> tuple[int, dict[str, NDArray[np.float64]]]:
+        """Number of the first row that is kept, and the histories of the channels from there on."""
+        last = self._written_rows
+        if self._histories:
+            return 0, {name: history[:last] for name, history in self._histories.items()}
+        first = max(last - self.window.shape[0], 0)
+        rows = self.rows(first, last)
+        return first, {channel.name: channel.of(rows) for channel in self._channels}

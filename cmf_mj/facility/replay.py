@@ -38,13 +38,13 @@ FEEDBACK = {
 }
 """Feedback of the DCL and the channels it is recorded in."""
 
-_NEEDS = {
+_SIGNALS = {
     "velocity": ("velocity", "velocity_error"),
     "acceleration": ("acceleration",),
     "cap_pressure": ("cap_pressure", "force"),
     "rod_pressure": ("rod_pressure", "force"),
 }
-"""Signals of the compensator that a feedback acts through; the position always acts."""
+"""Signals of the compensator that a kind of feedback acts through; the position always acts."""
 
 
 class Replay(NamedTuple):
@@ -88,50 +88,51 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
     The record has `leg_reference`, `leg_position` and whatever else the law reads, at the control
     rate or a whole fraction of it.
     """
-    made = record.metadata
-    cab = recorded_cab(made)
-    carrier = recorded_machine(made)
+    metadata = record.metadata
+    machine, cab = recorded_machine(metadata), recorded_cab(metadata)
     if law is None:
-        if "law_parameters" not in made:
-            raise InputError("law: the recording does not say which law made it; name one")
-        law = validated(Law, made["law_parameters"], "law_parameters")
-    loaded = bound(load_law(law, carrier), cab.assumed if cab else str(made.get("plant", "")))
-    loaded, ratio = loaded.for_machine(carrier), carrier.rate / record.rate
+        if "law_parameters" not in metadata:
+            raise InputError("law: the recording does not say which law metadata it; name one")
+        law = validated(Law, metadata["law_parameters"], "law_parameters")
+    carrier = cab.assumed if cab else str(metadata.get("plant", ""))
+    loaded = bound(load_law(law, machine), carrier).for_machine(machine)
+    ratio = machine.rate / record.rate
     if not (ratio >= 1.0 and ratio.is_integer()):
-        allowed = f"allowed: {carrier.rate} Hz over an integer"
+        allowed = f"allowed: {machine.rate} Hz over an integer"
         raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
     frames_per_row = int(ratio)
-    histories = _feedback(record, loaded)
-    reference = _legs(record, "leg_reference")
+    feedback = _feedback(record, loaded)
+    reference = _leg_histories(record, "leg_reference")
     if frames_per_row > 1:
         reference = _interpolated(reference, frames_per_row)
-        histories = LegFeedback(*(_interpolated(h, frames_per_row) for h in histories))
+        feedback = LegFeedback(*(_interpolated(history, frames_per_row) for history in feedback))
     frames, legs = reference.shape
     dcl = make_dcl(loaded, legs)
-    first = LegFeedback(*(history[0].copy() for history in histories))
-    state = _begun(record, loaded, legs) or engaged_state(dcl, reference[0], first)
-    output = np.empty((frames, legs))
-    factor = np.empty((frames, legs))
-    _run(dcl, state, reference, histories, output, factor)
+    first_feedback = LegFeedback(*(history[0].copy() for history in feedback))
+    state = _recorded_state(record, loaded, legs) or engaged_state(
+        dcl, reference[0], first_feedback
+    )
+    output, factor = np.empty((frames, legs)), np.empty((frames, legs))
+    _run(dcl, state, reference, feedback, output, factor)
     known = "compensator_output" in record.channels
-    recorded = _legs(record, "compensator_output") if known else None
+    recorded = _leg_histories(record, "compensator_output") if known else None
     rows = slice(None, None, frames_per_row)
-    picked = np.ascontiguousarray(output[rows])
-    return Replay(loaded.name, record.time, picked, recorded, frames_per_row > 1, factor[rows])
+    row_output = np.ascontiguousarray(output[rows])
+    return Replay(loaded.name, record.time, row_output, recorded, frames_per_row > 1, factor[rows])
 
 
-def _begun(record: Record, law: Law, legs: int) -> DclState | None:
-    """The state in which the law began; none where the record does not say, or of another law."""
-    said = record.metadata.get("law_state")
-    if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
+def _recorded_state(record: Record, law: Law, legs: int) -> DclState | None:
+    """The state in which the law began; None where the record has none, or that of another law."""
+    table = record.metadata.get("law_state")
+    if not table or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
-    known = DclState.zeros(legs).arrays()
-    begun = {name: real(f"law_state: {name}", values) for name, values in said.items()}
-    fits = begun.keys() == known.keys() and all(v.shape == (legs,) for v in begun.values())
-    return DclState.of(begun) if fits else None
+    names = DclState.zeros(legs).arrays().keys()
+    state = {name: real(f"law_state: {name}", values) for name, values in table.items()}
+    has_all = state.keys() == names and all(x.shape == (legs,) for x in state.values())
+    return DclState.of(state) if has_all else None
 
 
-def _legs(record: Record, channel: str) -> NDArray[np.float64]:
+def _leg_histories(record: Record, channel: str) -> NDArray[np.float64]:
     """A copy of a channel with a column for each leg, (N, n), finite and as long as positions."""
     rows, legs = shaped("leg_position", record["leg_position"], None, None).shape
     if rows < 2:
@@ -146,32 +147,38 @@ def _feedback(record: Record, law: Law) -> LegFeedback:
     record read them without gravity and this law reads them with it, and subtracted in the
     opposite case.
     """
-    histories = []
+    histories = {}
     for field, channel in FEEDBACK.items():
-        acting = field == "position" or (field == "velocity" and law.reads_velocity)
-        acting |= field.endswith("_pressure") and law.load_feedback is not None
-        for gains in (law.direct_gain, law.input_gain):
-            acting |= any(np.any(getattr(gains, name)) for name in _NEEDS.get(field, ()))
-        present = channel in record.channels
-        if acting and not present:
-            said = f"is not recorded, and the law {law.name} reads it"
-            raise InputError(f"{channel}: {said}; recorded: {', '.join(record.channels)}")
-        still = np.zeros(record["leg_position"].shape)
-        histories.append(_legs(record, channel) if present else still)
-    read = LegFeedback(*histories)
-    made = record.metadata
-    sensors = (made.get("electronics") or {}).get("sensors", {})
-    compensated = made.get("law_parameters", {}).get("gravity_compensation", True)
-    shift = int(bool(compensated)) - int(law.gravity_compensation)
-    recorded = FEEDBACK["acceleration"] in record.channels
-    if shift and recorded and sensors.get("gravity", False):
-        felt = gravity_history(_legs(record, "leg_position"), recorded_machine(made))
-        read.acceleration[:] += shift * felt
-    return read
+        if channel in record.channels:
+            histories[field] = _leg_histories(record, channel)
+        elif _reads(law, field):
+            text = f"is not recorded, and the law {law.name} reads it"
+            raise InputError(f"{channel}: {text}; recorded: {', '.join(record.channels)}")
+        else:
+            histories[field] = np.zeros(record["leg_position"].shape)
+    metadata = record.metadata
+    sensors = (metadata.get("electronics") or {}).get("sensors", {})
+    compensated = metadata.get("law_parameters", {}).get("gravity_compensation", True)
+    sign = int(bool(compensated)) - int(law.gravity_compensation)
+    is_recorded = FEEDBACK["acceleration"] in record.channels
+    if sign and is_recorded and sensors.get("gravity", False):
+        position = _leg_histories(record, "leg_position")
+        histories["acceleration"] += sign * gravity_history(position, recorded_machine(metadata))
+    return LegFeedback(**histories)
+
+
+def _reads(law: Law, field: str) -> bool:
+    if field.endswith("_pressure") and law.load_feedback is not None:
+        return True
+    gains = [
+        getattr(g, x) for g in (law.direct_gain, law.input_gain) for x in _SIGNALS.get(field, ())
+    ]
+    is_read = field == "position" or (field == "velocity" and law.reads_velocity)
+    return is_read or any(map(np.any, gains))
 
 
 def _interpolated(values: NDArray[np.float64], frames_per_row: int) -> NDArray[np.float64]:
     """Cubic splines through the rows (M, n), with a row for each frame from first to last row."""
-    coarse = np.arange(values.shape[0])
-    fine = np.arange((values.shape[0] - 1) * frames_per_row + 1) / frames_per_row
-    return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))
+    rows = np.arange(values.shape[0])
+    frames = np.arange((values.shape[0] - 1) * frames_per_row + 1) / frames_per_row
+    return np.ascontiguousarray(CubicSpline(rows, values, axis=0)(frames))

@@ -1,16 +1,7 @@
-"""What a run demands: signals, made block by block as it goes, or a table that was made before.
+"""Demands of a run: signals of scenario files and their sum, and tables that were made before.
 
-The module has three parts. `ScenarioSignal` is the signals of scenario files: those of
-`cmf_mj.signals`, and host files. Here a step and a pulse need no `duration`, a sine without
-`cycles` goes on for ever, and a multisine is faded. `added` is the sum of several.
-
-`LayeredDemand` lets motions take over from each other as a run goes, and a feed makes blocks of
-it: `TableFeed` a table, `HostFeed` the frames of a host that sends the demand every so many control
-frames. Their derivatives are central differences at the control rate, at 2048 Hz exact to T^2/6
-of the third and T^2/12 of the fourth.
-
-`as_source` is what a run makes of a demand that is there from the start: a `Command`, poses,
-`LegDemand` or `ValveCommands`.
+As `ScenarioSignal` a step and a pulse need no `duration`, a sine without `cycles` goes on for ever,
+and a multisine is faded.
 """
 
 from collections.abc import Sequence
@@ -27,10 +18,8 @@ from cmf_mj.core.arrays import real, shaped
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import check_file
 from cmf_mj.facility.front import Source, from_table
-from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.host.stream import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import composite, single
 from cmf_mj.signals.signal import Command, Duration, Motion, Signal, Wait, as_command, check_length
@@ -76,10 +65,11 @@ class HostFile(Signal):
         stream = read_stream(self.file, derivatives=self.derivatives)
         if stream.time.size < 2:
             raise InputError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
-        since = stream.time - stream.time[0]
-        check_length(float(since[-1]), self.rate)
-        time = np.arange(int(np.floor(since[-1] * self.rate + 1e-9)) + 1) / self.rate
-        return Command(BPoly.from_derivatives(since, stream.values)(time), self)
+        host_time = stream.time - stream.time[0]
+        length = float(host_time[-1])
+        check_length(length, self.rate)
+        time = np.arange(int(np.floor(length * self.rate + 1e-9)) + 1) / self.rate
+        return Command(BPoly.from_derivatives(host_time, stream.values)(time), self)
 
 
 ScenarioSignal = Annotated[
@@ -100,9 +90,9 @@ ScenarioSignal = Annotated[
 """Any signal of a scenario file, by its `kind`."""
 
 
-def added(parts: Sequence[Signal], seed: int, rate: int) -> Motion:
+def added(signals: Sequence[Signal], seed: int, rate: int) -> Motion:
     """The sum of signals at a control rate [Hz]; at rest at neutral without any."""
-    motions = [part.at_rate(rate).motion(seed) for part in parts]
+    motions = [signal.at_rate(rate).motion(seed) for signal in signals]
 
     def total(frames: NDArray[np.int64]) -> NDArray[np.float64]:
         poses = np.zeros((frames.size, 6))
@@ -114,13 +104,15 @@ def added(parts: Sequence[Signal], seed: int, rate: int) -> Motion:
 
 
 class _Layer(NamedTuple):
-    start: int
-    fade: int
+    """A motion from a frame on."""
+
+    start: int  #: Control frame in which it begins.
+    fade: int  #: Control frames over which it takes over.
     motion: Motion
 
 
 class LayeredDemand:
-    """Motions one on top of the other."""
+    """Motions that take over from each other."""
 
     def __init__(self, motion: Motion) -> None:
         """Begin with one, in force since frame 0."""
@@ -140,69 +132,19 @@ class LayeredDemand:
         that of the last call, but the last block may be asked for again.
         """
         frames = np.arange(first, first + count)
-        done = [i for i, layer in enumerate(self._layers) if layer.start + layer.fade <= first]
-        del self._layers[: max(done, default=0)]
-        bottom, *above = self._layers
+        while any(layer.start + layer.fade <= first for layer in self._layers[1:]):
+            del self._layers[0]
+        bottom, *upper_layers = self._layers
         poses = bottom.motion(frames - bottom.start)
-        for layer in above:
-            since = frames - layer.start
-            new = layer.motion(since)
-            s = np.clip(since / max(layer.fade, 1), 0.0, 1.0)
-            weight = single.quintic(s)[:, None]
-            blend = poses + weight * (new - poses)
-            begun, over = (since >= 0)[:, None], (since >= layer.fade)[:, None]
-            poses = np.where(over, new, np.where(begun, blend, poses))
+        for layer in upper_layers:
+            own_frames = frames - layer.start
+            own_poses = layer.motion(own_frames)
+            weight = single.quintic(np.clip(own_frames / max(layer.fade, 1), 0.0, 1.0))[:, None]
+            blend = poses + weight * (own_poses - poses)
+            has_begun = (own_frames >= 0)[:, None]
+            has_taken_over = (own_frames >= layer.fade)[:, None]
+            poses = np.where(has_taken_over, own_poses, np.where(has_begun, blend, poses))
         return poses
-
-
-BLOCK = 1024  #: Control frames of a block.
-
-
-class TableFeed:
-    """A table of one block, for a source that reads it again from the start."""
-
-    def __init__(self, demand: LayeredDemand, machine: Machine) -> None:
-        """Make the first block."""
-        self._demand, self._machine = demand, machine
-        self.poses, self.legs = np.zeros((BLOCK, 6)), np.zeros((BLOCK, 6))
-        self.fill(0)
-
-    def fill(self, first: int) -> None:
-        """Make the block of frames from `first` on."""
-        self.poses[:] = self._demand.poses(first, BLOCK)
-        self.legs[:] = pose_to_legs(self.poses, self._machine)
-
-
-class HostFeed:
-    """The frames of a host that sends the demand every so many control frames."""
-
-    def __init__(self, demand: LayeredDemand, rate: int, every: int, frames: int | None) -> None:
-        """Make those of the first block; of an open run the log grows."""
-        self._demand, self._rate, self._every = demand, rate, every
-        self.log = make_log((frames or BLOCK) // every + BLOCK)
-        self.fill(0)
-
-    def fill(self, first: int) -> None:
-        """Make the host frames that arrive in the block of frames from `first` on.
-
-        Where they do not fit, a larger `log` replaces the present one. The caller passes `log` on
-        to the loop after each call.
-        """
-        poses, every = self._demand.poses(first - 1, BLOCK + 2), self._every
-        numbers = np.arange(-(-first // every), -(-(first + BLOCK) // every))
-        if numbers.size and numbers[-1] >= self.log.frame.size:
-            larger = make_log(2 * (int(numbers[-1]) + 1))
-            for new, old in zip(larger, self.log, strict=True):
-                new[: old.shape[0]] = old
-            self.log = larger
-        log, frames = self.log, numbers * every
-        at = frames - first + 1
-        before, here, after = poses[at - 1], poses[at], poses[at + 1]
-        log.frame[numbers], log.sequence[numbers] = frames, numbers
-        log.time[numbers] = frames / self._rate
-        log.values[numbers, 0] = here
-        log.values[numbers, 1] = (after - before) * (self._rate / 2.0)
-        log.values[numbers, 2] = (after - 2.0 * here + before) * float(self._rate) ** 2
 
 
 class LegDemand(NamedTuple):
@@ -217,39 +159,34 @@ class ValveCommands(NamedTuple):
     rows: ArrayLike  #: Fractions, -1 to 1, positive extending, each held over its frame, (N, n).
 
 
-class RunSource(NamedTuple):
-    """A demand as a session takes it."""
-
-    source: Any  #: A `Source`, or `Arrivals` of a host.
-    start: ArrayLike | None  #: Where the run starts, as `Plant.start` takes it.
-    context: dict[str, Any]  #: What a record says of the demand.
-
-
-def as_source(given: Any, plant: Plant, start: ArrayLike | None) -> RunSource:
-    """Make a source of what a run was given, to begin at `start` or at the first pose given."""
-    said = "table"
-    match given:
-        case Source() | Arrivals() as source:
-            pass
+def as_source(
+    demand: Any, plant: Plant, start: ArrayLike | None
+) -> tuple[Any, ArrayLike | None, dict[str, Any]]:
+    """Make a source of a demand, a start, by default its first pose, and metadata of a record."""
+    match demand:
+        case Source() | Arrivals():
+            return demand, start, _described("table")
         case LegDemand(rows):
-            source, said = from_table(_rows("command", rows, plant)), "leg extensions"
+            table = _checked_table("command", rows, plant)
+            return from_table(table), start, _described("leg extensions")
         case ValveCommands(rows):
-            table, said = _rows("valves", rows, plant), "valve commands"
+            table = _checked_table("valves", rows, plant)
             if (np.abs(table) > 1.0).any():
                 row, leg = np.argwhere(np.abs(table) > 1.0)[0]
-                where = f"{table[row, leg]} of leg {leg + 1} in row {row}"
-                raise InputError(f"valves: {where} is not between -1 and 1")
-            source = from_table(table)
-        case command:
-            demanded = as_command(command, plant.machine.rate)
-            legs = pose_to_legs(demanded.pose, plant.machine)
-            source = from_table(legs, demanded.pose)
-            context = {"command": demanded.description, "seed": demanded.seed}
-            return RunSource(source, demanded.pose[0] if start is None else start, context)
-    return RunSource(source, start, {"command": {"signal": said}, "seed": None})
+                text = f"{table[row, leg]} of leg {leg + 1} in row {row}"
+                raise InputError(f"valves: {text} is not between -1 and 1")
+            return from_table(table), start, _described("valve commands")
+    command = as_command(demand, plant.machine.rate)
+    source = from_table(pose_to_legs(command.pose, plant.machine), command.pose)
+    context = {"command": command.description, "seed": command.seed}
+    return source, command.pose[0] if start is None else start, context
 
 
-def _rows(name: str, rows: ArrayLike, plant: Plant) -> NDArray[np.float64]:
+def _described(signal: str) -> dict[str, Any]:
+    return {"command": {"signal": signal}, "seed": None}
+
+
+def _checked_table(name: str, rows: ArrayLike, plant: Plant) -> NDArray[np.float64]:
     table = shaped(name, np.atleast_2d(real(name, rows)), None, plant.legs)
     if not table.size:
         raise InputError(f"{name}: has no rows; allowed: at least one")

@@ -36,12 +36,12 @@ LIMIT = 2.0
 LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
 
 DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
-"""What goes with another number too, and the number of the set that it changes."""
+"""Names in paths of what also depends on another number, and the field that each changes."""
 
 LEADS = {"supply": "supply_pressure", "friction": "coulomb_friction"}
-"""What stands for several numbers of the set, and the first of them."""
+"""Names in paths of several numbers of the set, and the first field of each."""
 
-_FACTORS = re.compile(
+_FACTOR_PATHS = re.compile(
     r"hydraulics\.actuators\..*\.(valve_gain|leakage)|(cab|platform)\.(inertia|density)"
     r"|payload\.density|legs\.mass|model\.body\..*\.inertia"
 )
@@ -55,7 +55,7 @@ _UNITS = {
 """Units of numbers that are no quantity of the hydraulic set."""
 
 
-def _units(path: str) -> tuple[str, ...]:
+def _allowed_units(path: str) -> tuple[str, ...]:
     """Units that a number of bodies or hydraulics may have; of other parts none are known.
 
     Those of a hydraulic set are the units of the `Kind` by which the field is checked.
@@ -112,31 +112,31 @@ class Unknown(Settings):
                 "hydraulics.actuators.*.FIELD, hydraulics.actuators.*.valve_*.FIELD, cab.mass "
                 "and the others at the head of cmf_mj/facility/unknowns.py, with fields of theirs"
             )
-        if self.effect != "factor" and _FACTORS.fullmatch(self.path):
+        if self.effect != "factor" and _FACTOR_PATHS.fullmatch(self.path):
             raise InputError(f"effect: {self.effect!r} is refused: {self.path} takes a factor")
         if self.deviation is None and "normal" not in self.distribution:
             self._check_bounds()
         else:
             self._check_deviation()
-        known = () if self.effect == "factor" else _units(self.path)
-        if known and units.si_unit(self.unit) not in {*known, *map(units.si_unit, known)}:
-            allowed = f"allowed for {self.path}: {', '.join(known)}"
-            raise InputError(f"unit: {self.unit!r} is refused: {allowed}")
+        allowed = () if self.effect == "factor" else _allowed_units(self.path)
+        if allowed and units.si_unit(self.unit) not in {*allowed, *map(units.si_unit, allowed)}:
+            text = f"allowed for {self.path}: {', '.join(allowed)}"
+            raise InputError(f"unit: {self.unit!r} is refused: {text}")
         return self
 
     def _check_bounds(self) -> None:
         """Refuse bounds that do not rise, or of a factor with a unit."""
-        least = 0.0 if self.distribution == "loguniform" else -np.inf
-        if self.low is None or self.high is None or not least < self.low < self.high:
+        lower_limit = 0.0 if self.distribution == "loguniform" else -np.inf
+        if self.low is None or self.high is None or not lower_limit < self.low < self.high:
             ends = "low must be less than high, and greater than 0 on a log scale"
             raise InputError(f"{self.low} to {self.high} is refused; {ends}")
         if self.effect == "factor" and self.unit != "1":
             raise InputError(f"unit: {self.unit!r} of a factor between bounds must be '1'")
 
     def _check_deviation(self) -> None:
-        """Refuse what goes with no deviation, and one that makes factors of 0 or less."""
-        alone = self.deviation is not None and (self.low, self.high) == (None, None)
-        if not alone or self.distribution == "loguniform" or self.effect == "value":
+        """Refuse fields that no deviation goes with, and one that makes factors of 0 or less."""
+        has_only_deviation = self.deviation is not None and self.low is self.high is None
+        if not has_only_deviation or self.distribution == "loguniform" or self.effect == "value":
             allowed = "uniform, normal or lognormal and the effects factor or offset"
             raise InputError(f"deviation: goes with {allowed}, without low and high")
         if self.effect == "offset":
@@ -145,10 +145,10 @@ class Unknown(Settings):
             return
         if self.unit not in ("1", "%"):
             raise InputError(f"unit: {self.unit!r} of a factor's deviation must be % or 1")
-        most = {"normal": 1.0 / LIMIT, "lognormal": np.inf}.get(self.distribution, 1.0)
-        if self.half >= most:
-            said = f"{self.deviation:g} {self.unit} must be less than {most:g}"
-            raise InputError(f"deviation: {said}: factors are positive")
+        bound = {"normal": 1.0 / LIMIT, "lognormal": np.inf}.get(self.distribution, 1.0)
+        if self.half >= bound:
+            text = f"{self.deviation:g} {self.unit} must be less than {bound:g}"
+            raise InputError(f"deviation: {text}: factors are positive")
 
     @property
     def half(self) -> float:
@@ -156,7 +156,7 @@ class Unknown(Settings):
         return units.to_si(self.unit, self.deviation or 0.0)
 
     def shape(self, actuators: int = len(LEGS)) -> tuple[int, ...]:
-        """Shape of its values on a machine of so many actuators."""
+        """Shape of its values on a machine with a number of actuators."""
         legs = (actuators,) if "*" in self.path.split(".") else ()
         valves = (len(VALVES),) if ".valve_*." in self.path else ()
         return legs + valves + ((3,) if self.path.endswith(".centre_of_mass") else ())
@@ -171,11 +171,11 @@ class Unknown(Settings):
                 value = self.low + (self.high - self.low) * share
             return units.to_si(self.unit, value) if self.effect == "offset" else np.asarray(value)
         if self.distribution == "uniform":
-            off = self.half * (2.0 * share - 1.0)
+            offset = self.half * (2.0 * share - 1.0)
         else:
-            off = self.half * stats.truncnorm.ppf(share, -LIMIT, LIMIT)
-        off = np.expm1(off) if self.distribution == "lognormal" else off
-        return np.asarray(1.0 + off if self.effect == "factor" else off)
+            offset = self.half * stats.truncnorm.ppf(share, -LIMIT, LIMIT)
+        offset = np.expm1(offset) if self.distribution == "lognormal" else offset
+        return np.asarray(1.0 + offset if self.effect == "factor" else offset)
 
     def number(self, nominal: Any, value: Any) -> Any:
         """A number in SI with a value of the unknown."""

@@ -99,26 +99,27 @@ class Unknowns(dict[str, Unknown]):
 
     def on(self, plant: Plant) -> Self:
         """The same with the actuators of a plant."""
-        made = type(self)(self)
-        made.legs = plant.actuators
-        return made
+        unknowns = type(self)(self)
+        unknowns.legs = plant.actuators
+        return unknowns
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the values by name."""
-        return {name: one.shape(len(self.legs)) for name, one in self.items()}
+        return {name: unknown.shape(len(self.legs)) for name, unknown in self.items()}
 
     def numbers(self) -> list[tuple[str, Unknown, str]]:
         """Name, as `speed 3` of several, what is known, and path of each coordinate of a point."""
-        found = []
-        for name, one in self.items():
-            parts = one.path.split(".")
-            legs = self.legs if "*" in parts else ("*",)
-            valves = VALVES if "valve_*" in parts else ("valve_*",)
-            axes = (".x", ".y", ".z") if parts[-1] == "centre_of_mass" else ("",)
-            for i, (leg, valve, axis) in enumerate(product(legs, valves, axes), start=1):
-                path = one.path.replace("valve_*", valve).replace(".*", f".{leg}") + axis
-                found.append((f"{name} {i}" if one.shape() else name, one, path))
-        return found
+        coordinates = []
+        for name, unknown in self.items():
+            keys = unknown.path.split(".")
+            legs = self.legs if "*" in keys else ("*",)
+            valves = VALVES if "valve_*" in keys else ("valve_*",)
+            axes = (".x", ".y", ".z") if keys[-1] == "centre_of_mass" else ("",)
+            for number, (leg, valve, axis) in enumerate(product(legs, valves, axes), start=1):
+                path = unknown.path.replace("valve_*", valve).replace(".*", f".{leg}") + axis
+                title = f"{name} {number}" if unknown.shape() else name
+                coordinates.append((title, unknown, path))
+        return coordinates
 
     def split(self, points: Array) -> dict[str, Array]:
         """Coordinates of points (..., n) by name, (..., numbers of it)."""
@@ -128,16 +129,16 @@ class Unknowns(dict[str, Unknown]):
 
     def at(self, point: Array) -> dict[str, Any]:
         """Values at a point of the unit cube, (n,)."""
-        parts = self.split(point).items()
-        return self.shaped({name: self[name].at(part) for name, part in parts})
+        shares = self.split(point).items()
+        return self.shaped({name: self[name].at(share) for name, share in shares})
 
     def shaped(self, parts: Mapping[str, Array]) -> dict[str, Any]:
         """Values of one machine in the shapes that `apply` takes."""
         shapes = self.shapes()
-        return {k: v.reshape(shapes[k]) if shapes[k] else v.item() for k, v in parts.items()}
+        return {n: x.reshape(shapes[n]) if shapes[n] else x.item() for n, x in parts.items()}
 
     def draw(self, sampler: str, count: int, seed: Any) -> list[dict[str, Any]]:
-        """Values of so many machines; see `cube`."""
+        """Values of a number of machines; see `cube`."""
         return [self.at(point) for point in cube(sampler, count, len(self.numbers()), seed)]
 
     def streams(self, seed: int, draw: int) -> dict[str, Any]:
@@ -164,33 +165,33 @@ class Unknowns(dict[str, Unknown]):
         if isinstance(part, Plant):
             return cast("Part", self.on(part)._plant(values, part))
         roots = next(roots for kind, roots in _ROOTS.items() if isinstance(part, kind))
-        given = self._given(values, roots)
-        if all(one.effect == "factor" and np.all(x == 1.0) for one, x in given.values()):
+        entries = self._entries(values, roots)
+        if all(unknown.effect == "factor" and np.all(x == 1.0) for unknown, x in entries.values()):
             return part
         match part:
             case HydraulicParameters():
-                made: Any = _hydraulics(given, part, name or part.name, self.legs)
+                changed: Any = _hydraulics(entries, part, name or part.name, self.legs)
             case Cab():
-                made = _cab(given, part, name or f"{part.name}_drawn")
+                changed = _cab(entries, part, name or f"{part.name}_drawn")
             case _:
-                made = part if name is None else part.model_copy(update={"name": name})
-                for path, (one, value) in given.items():
-                    made = _replaced(made, path.split(".")[1:], one, value)
-        return cast("Part", made)
+                changed = part if name is None else part.model_copy(update={"name": name})
+                for path, (unknown, value) in entries.items():
+                    changed = _replaced(changed, path.split(".")[1:], unknown, value)
+        return cast("Part", changed)
 
     def _plant(self, values: Values, plant: Plant) -> Plant:
         oil, cab = self.apply(values, plant.parameters), plant.cab_parameters
         if isinstance(plant, Hexapod) and cab is not None:
-            carried = self.apply(values, cab)
-            if carried is not cab:
-                plant = Hexapod(carried, oil, timestep=plant.model.opt.timestep)
-        given = self._given(values, ("model",))
-        return plant.changed(oil, lambda model: _edit(model, given))
+            changed_cab = self.apply(values, cab)
+            if changed_cab is not cab:
+                plant = Hexapod(changed_cab, oil, timestep=plant.model.opt.timestep)
+        entries = self._entries(values, ("model",))
+        return plant.changed(oil, lambda model: _edit(model, entries))
 
-    def _given(self, values: Values, roots: Sequence[str]) -> "_Given":
-        """What is known, and the value, of each path that begins with one of these words."""
-        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
-        return {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
+    def _entries(self, values: Values, roots: Sequence[str]) -> "_Entries":
+        """Unknown and value of each path that begins with one of the roots."""
+        entries = {x.path: (x, values[name]) for name, x in self.items() if name in values}
+        return {path: entry for path, entry in entries.items() if path.partition(".")[0] in roots}
 
 
 _ROOTS: dict[type[Settings], tuple[str, ...]] = {
@@ -200,137 +201,137 @@ _ROOTS: dict[type[Settings], tuple[str, ...]] = {
     Machine: ("machine",),
     SensorSettings: ("electronics",),
 }
-_Given = Mapping[str, tuple[Unknown, Any]]
+_Entries = Mapping[str, tuple[Unknown, Any]]
 
 
-def _edit(model: mujoco.MjModel, given: _Given) -> None:
+def _edit(model: mujoco.MjModel, entries: _Entries) -> None:
     """Change the numbers of a MuJoCo model; a mass with its inertia, which may be unknown too."""
-    for path, (one, value) in given.items():
-        _, kind, name, field = path.split(".")
+    for path, (unknown, value) in entries.items():
+        _root, kind, name, field = path.split(".")
         try:
-            entry = getattr(model, kind)(name)
+            element = getattr(model, kind)(name)
         except KeyError as error:
             raise InputError(f"{path}: {error.args[0]}") from None
-        number = getattr(entry, field)[: 1 if field == "friction" else None]
-        before = number.copy()
-        number[:] = one.number(before, value)
-        if field == "mass" and f"model.body.{name}.inertia" not in given:
-            entry.inertia[:] *= number / before
+        number = getattr(element, field)[: 1 if field == "friction" else None]
+        nominal = number.copy()
+        number[:] = unknown.number(nominal, value)
+        if field == "mass" and f"model.body.{name}.inertia" not in entries:
+            element.inertia[:] *= number / nominal
 
 
 def _hydraulics(
-    given: _Given, base: HydraulicParameters, name: str, legs: Sequence[str]
+    entries: _Entries, base: HydraulicParameters, name: str, legs: Sequence[str]
 ) -> HydraulicParameters:
     """A hydraulic set: first what all have in common, then what actuators have of their own."""
     table = base.model_dump(exclude_none=True)
-    ratio = {"supply_pressure": 1.0, "bulk_modulus": 1.0}
-    own = {path: entry for path, entry in given.items() if ".actuators." in path}
-    _friction(given, base, table)
-    for path, (one, value) in given.items():
-        if path not in own and path not in _FRICTION:
-            asked = path.split(".")[1]
-            field = LEADS.get(asked, asked)
-            before: Quantity = getattr(base, field)
-            table[field] = one.changed(before, float(value))
-            factor = one.effect == "factor"
-            if field in ratio:
-                ratio[field] = value if factor else Quantity(**table[field]).si / before.si
-            for other in OF_THE_SUPPLY if asked == "supply" else ():
-                table[other] |= {"value": float(table[other]["value"] * ratio[field])}
-    scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}
-    for path, (one, value) in own.items():
-        _, _, who, *valve, asked = path.split(".")
-        names = legs if who == "*" else (who,)
-        valves = VALVES if "valve_*" in valve else valve
-        rows = np.reshape(value, (len(names), max(1, len(valves)))) * scale.get(asked, 1.0)
-        field = DERIVED.get(asked, asked)
-        for actuator, row in zip(names, rows, strict=True):
-            changes = table["actuators"].setdefault(actuator, {})
-            for which, x in zip(valves or [""], row, strict=True):
-                before = base.actuator(actuator, VALVES.index(which) if which else None)[field]
-                if before == getattr(base, field, None):
-                    before = Quantity(**table[field])  # that all have in common, changed above
-                at = changes.setdefault(which, {}) if which else changes
-                at[field] = one.changed(before, float(x))
+    ratios = {"supply_pressure": 1.0, "bulk_modulus": 1.0}  # changed over nominal
+    own_entries = {path: entry for path, entry in entries.items() if ".actuators." in path}
+    _friction(entries, base, table)
+    for path, (unknown, value) in entries.items():
+        if path not in own_entries and path not in _FRICTION:
+            name_in_path = path.split(".")[1]
+            field = LEADS.get(name_in_path, name_in_path)
+            nominal: Quantity = getattr(base, field)
+            table[field] = unknown.changed(nominal, float(value))
+            is_factor = unknown.effect == "factor"
+            if field in ratios:
+                ratios[field] = value if is_factor else Quantity(**table[field]).si / nominal.si
+            for pressure in OF_THE_SUPPLY if name_in_path == "supply" else ():
+                table[pressure] |= {"value": float(table[pressure]["value"] * ratios[field])}
+    scales = {"valve_gain": np.sqrt(ratios["supply_pressure"]), "leakage": ratios["bulk_modulus"]}
+    for path, (unknown, value) in own_entries.items():
+        _root, _actuators, actuator, *valve, name_in_path = path.split(".")
+        actuators = legs if actuator == "*" else (actuator,)
+        valves = VALVES if valve == ["valve_*"] else tuple(valve) or ("",)
+        values = np.reshape(value, (len(actuators), len(valves))) * scales.get(name_in_path, 1.0)
+        field = DERIVED.get(name_in_path, name_in_path)
+        for (own, of_valve), x in zip(product(actuators, valves), values.ravel(), strict=True):
+            nominal = base.actuator(own, VALVES.index(of_valve) if of_valve else None)[field]
+            if nominal == getattr(base, field, None):
+                nominal = Quantity(**table[field])  # that of the set, changed above
+            changes = table["actuators"].setdefault(own, {})
+            changes = changes.setdefault(of_valve, {}) if of_valve else changes
+            changes[field] = unknown.changed(nominal, float(x))
     return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
 
 
 _FRICTION = ("hydraulics.friction", "hydraulics.stiction")
 
 
-def _friction(given: _Given, base: HydraulicParameters, table: dict[str, Any]) -> None:
-    """Coulomb friction, and breakaway friction as many times it as before."""
-    if not given.keys() & set(_FRICTION):
+def _friction(entries: _Entries, base: HydraulicParameters, table: dict[str, Any]) -> None:
+    """Coulomb friction, and breakaway friction in the nominal or a changed ratio."""
+    coulomb, stiction = map(entries.get, _FRICTION)
+    if coulomb is None and stiction is None:
         return
-    size, over = base.coulomb_friction, 1.0
-    if size.si > 0.0:
-        over = base.breakaway_friction.si / size.si
-    if (found := given.get(_FRICTION[0])) is not None:
-        size = Quantity(**found[0].changed(size, float(found[1])))
-    if (found := given.get(_FRICTION[1])) is not None:
-        over = max(1.0, float(found[0].number(over, found[1])))
-    table["coulomb_friction"] = size.model_dump()
-    table["breakaway_friction"] = size.model_dump() | {"value": size.value * over}
+    friction, ratio = base.coulomb_friction, 1.0
+    if friction.si > 0.0:
+        ratio = base.breakaway_friction.si / friction.si
+    if coulomb is not None:
+        friction = Quantity(**coulomb[0].changed(friction, float(coulomb[1])))
+    if stiction is not None:
+        ratio = max(1.0, float(stiction[0].number(ratio, stiction[1])))
+    table["coulomb_friction"] = friction.model_dump()
+    table["breakaway_friction"] = friction.model_dump() | {"value": friction.value * ratio}
 
 
-def _cab(given: _Given, base: Cab, name: str) -> Cab:
-    cab, platform = _body("cab", base, given), _body("platform", base.platform, given)
-    legs = given.get("legs.mass", _SAME)[1]
+def _cab(entries: _Entries, base: Cab, name: str) -> Cab:
+    cab, platform = _body("cab", base, entries), _body("platform", base.platform, entries)
+    legs = entries.get("legs.mass", _UNCHANGED)[1]
     return base.changed(name, platform=platform, leg_mass_factor=legs, nominal=base.assumed, **cab)
 
 
-_SAME: tuple[Any, float] = (None, 1.0)  #: Of a factor that is not given.
+_UNCHANGED: tuple[Any, float] = (None, 1.0)  #: Entry of a factor that is not given.
 
 
-def _body(name: str, part: RigidBody, given: _Given) -> dict[str, Any]:
-    """What changes of a body: densities scale mass and inertia, before what else is given."""
-    own = {path.removeprefix(f"{name}."): entry for path, entry in given.items()}
+def _body(name: str, body: RigidBody, entries: _Entries) -> dict[str, Any]:
+    """Changed fields of a body: densities scale mass and inertia, before its other unknowns."""
+    own = {path.removeprefix(f"{name}."): entry for path, entry in entries.items()}
     changes: dict[str, Any] = {}
-    dense = own.get("density", _SAME)[1] * own.get("payload.density", _SAME)[1]
+    density = own.get("density", _UNCHANGED)[1] * own.get("payload.density", _UNCHANGED)[1]
     if own.keys() & {"inertia", "density", "payload.density"}:
-        changes["inertia"] = dense * own.get("inertia", _SAME)[1] * part.tensor
-    spread = 0.5 * np.trace(part.tensor) * np.eye(3) - part.tensor
-    place = np.array(part.centre_of_mass.si)
+        changes["inertia"] = density * own.get("inertia", _UNCHANGED)[1] * body.tensor
+    moments = 0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor
+    centre = np.array(body.centre_of_mass.si)
     if "centre_of_mass" in own:
-        place[:] = own["centre_of_mass"][0].number(place, own["centre_of_mass"][1])
-        changes["centre_of_mass"] = place
+        centre[:] = own["centre_of_mass"][0].number(centre, own["centre_of_mass"][1])
+        changes["centre_of_mass"] = centre
     for axis, letter in enumerate("xyz"):
-        if (found := own.get(f"centre_of_mass.{letter}")) is not None:
-            place[axis] = found[0].number(place[axis], found[1])
-            changes["centre_of_mass"] = place
-        if (found := own.get(f"second_moment.{letter}")) is not None:
+        if (entry := own.get(f"centre_of_mass.{letter}")) is not None:
+            centre[axis] = entry[0].number(centre[axis], entry[1])
+            changes["centre_of_mass"] = centre
+        if (entry := own.get(f"second_moment.{letter}")) is not None:
             if "inertia" in own:
                 raise InputError(f"{name}.inertia: allowed: it or second moments, not both")
-            spread[axis, axis] = found[0].number(spread[axis, axis], found[1])
-            changes["inertia"] = dense * (np.trace(spread) * np.eye(3) - spread)
-    mass = dense * part.mass.si
+            moments[axis, axis] = entry[0].number(moments[axis, axis], entry[1])
+            changes["inertia"] = density * (np.trace(moments) * np.eye(3) - moments)
+    mass = density * body.mass.si
     if "mass" in own:
         mass = own["mass"][0].number(mass, own["mass"][1])
-    if mass != part.mass.si:
+    if mass != body.mass.si:
         changes["mass"] = mass
     return changes
 
 
-def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
+def _replaced(part: Any, path: Sequence[str], unknown: Unknown, value: Any) -> Any:
     """Settings with the number at a path changed."""
-    name, *rest = path
+    name, *deeper = path
     field = getattr(part, name, None)
-    if rest and isinstance(field, list):
-        chosen = dict(enumerate(value)) if rest == ["*"] else {int(rest[0]) - 1: value}
+    changed: Any
+    if deeper and isinstance(field, list):  # gain errors of sensors: of one from 1, or of each
+        values = dict(enumerate(value)) if deeper == ["*"] else {int(deeper[0]) - 1: value}
         exact = Quantity(value=0.0, unit="1", status="assumed", source="ideal")
-        every = list(field) or [exact] * (len(chosen) if rest == ["*"] else len(LEGS))
-        for index, x in chosen.items():
-            every[index] = Quantity(**one.changed(every[index], float(x)))
-        new: Any = every
-    elif rest:
-        new = _replaced(field, rest, one, value)
+        changed = list(field) or [exact] * (len(values) if deeper == ["*"] else len(LEGS))
+        for index, x in values.items():
+            changed[index] = Quantity(**unknown.changed(changed[index], float(x)))
+    elif deeper:
+        changed = _replaced(field, deeper, unknown, value)
     elif isinstance(field, Quantity):
-        new = Quantity(**one.changed(field, float(value)))
+        changed = Quantity(**unknown.changed(field, float(value)))
     elif isinstance(field, float):
-        new = one.number(field, value) if one.effect != "value" else float(value)
+        changed = float(value) if unknown.effect == "value" else unknown.number(field, value)
     else:
-        raise InputError(f"{one.path}: is not a number that is given")
-    return validated(type(part), dict(part) | {name: new}, one.path)
+        raise InputError(f"{unknown.path}: is not a number that is given")
+    return validated(type(part), dict(part) | {name: changed}, unknown.path)
 
 
 class _File(Settings):

@@ -41,8 +41,8 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
+from cmf_mj.facility.host_chain import dcu_of
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.settings import dcu_of
 from cmf_mj.facility.unknowns import load_unknowns, with_valve_gains
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs

@@ -1,9 +1,9 @@
-"""Maps from the columns of a recording to channels in SI: whose names, units, signs, offsets.
+"""Maps from the columns of a recording to channels in SI, with names, units, signs and offsets.
 
     machine = "mine.toml"               # whose recording it is: a name, or a file beside this one
     bridge = 0.02                       # gaps up to this long [s] are filled with straight lines
     whole = false                       # true refuses all gaps and files that may be cut off
-    legs = [1, 2, 3, 4, 5, 6]           # what stands for {leg} in names, of our leg 1 first
+    legs = [1, 2, 3, 4, 5, 6]           # replace {leg} in names, for our leg 1 first
 
     [time]
     column = "t"                        # or `rate` [Hz] alone, where no column has the time
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 FACILITY = Path(__file__).with_name("facility.toml")
 """Map of the facility's CSV files."""
 
-STROKES = ("leg_position", "leg_reference")  #: Channels that are within the stroke.
+_STROKE_CHANNELS = ("leg_position", "leg_reference")  #: Channels that are within the stroke.
 POSES = ("demand_pose", "platform_pose")  #: Channels of six axes, m and rad.
 
 CHANNELS = {
@@ -75,7 +75,7 @@ class TimeColumn(Settings):
     resample: _Rate | None = None  #: Samples a second [Hz] of the record, straight lines between.
 
     @model_validator(mode="after")
-    def _one(self) -> "TimeColumn":
+    def _consistent(self) -> "TimeColumn":
         if (self.column is None) == (self.rate is None):
             raise InputError("needs either column or rate")
         _check_unit(self.unit, "s")
@@ -88,7 +88,7 @@ class ChannelColumns(Settings):
     columns: str | _Names  #: A pattern with {leg}, or six names.
     unit: str | _Names  #: Of the columns; one, or six.
     scale: float = 1.0  #: Units that one of the file's counts is.
-    sign: _Sign | _Signs = 1  #: Of what the file calls positive.
+    sign: _Sign | _Signs = 1  #: Our sign of what the file calls positive.
     offset: float | _Numbers = 0.0  #: What the file shows where the channel is zero [unit].
 
 
@@ -101,59 +101,62 @@ class MappedColumn(NamedTuple):
     scale: float
     offset: float
 
-    def si(self, raw: Array) -> Array:
-        """Its values in SI."""
-        return units.to_si(self.unit, self.sign * (self.scale * raw - self.offset))
+    def to_si(self, raw_values: Array) -> Array:
+        """Values of the file in SI."""
+        return units.to_si(self.unit, self.sign * (self.scale * raw_values - self.offset))
 
 
 class ColumnMap(Settings):
-    """What the columns of a recording are, as heads this module.
+    """What the columns of a recording are; the head of this module shows its file.
 
     >>> position = {"columns": "x{leg}", "unit": "mm"}
-    >>> made = ColumnMap(time={"rate": 500.0}, channels={"leg_position": position})
-    >>> made.columns("leg_position")[0].name
+    >>> column_map = ColumnMap(time={"rate": 500.0}, channels={"leg_position": position})
+    >>> column_map.columns("leg_position")[0].name
     'x1'
     """
 
     machine: str | None = None  #: Whose recording it is, by name or TOML file.
     bridge: Time = 0.0  #: Gaps up to this long are filled with straight lines [s].
     legs: Annotated[tuple[int | str, ...], BeforeValidator(as_tuples), _Six] = (1, 2, 3, 4, 5, 6)
-    """What stands for {leg} in names, of leg 1 first; of poses, of surge first."""
+    """Replacements of {leg} in names, for leg 1 first; in poses, for surge first."""
     whole: bool = False
-    """Whether a channel has all columns, with a number in each row, or is left out; without it
+    """Whether each channel has all columns, with a number in each row, or is left out; if not,
     `cmf recording check` names the gaps."""
     time: TimeColumn
     channels: dict[str, ChannelColumns] = Field(min_length=1)  #: By names of `CHANNELS`.
 
     @model_validator(mode="after")
-    def _known(self) -> "ColumnMap":
-        for name, one in self.channels.items():
-            check_name("channels", name, CHANNELS)
-            with within(f"channels.{name}"):
-                if isinstance(one.columns, str) and "{leg}" not in one.columns:
+    def _consistent(self) -> "ColumnMap":
+        for channel, channel_columns in self.channels.items():
+            check_name("channels", channel, CHANNELS)
+            with within(f"channels.{channel}"):
+                names = channel_columns.columns
+                if isinstance(names, str) and "{leg}" not in names:
                     allowed = "allowed: a pattern with {leg}, or six names"
-                    raise InputError(f"columns: {one.columns!r} is refused; {allowed}")
-                for column, si in zip(self.columns(name), _si(name), strict=True):
-                    _check_unit(column.unit, si)
+                    raise InputError(f"columns: {names!r} is refused; {allowed}")
+                for column, si_unit in zip(self.columns(channel), si_units(channel), strict=True):
+                    _check_unit(column.unit, si_unit)
         return self
 
     def columns(self, channel: str) -> list[MappedColumn]:
         """The six columns of a channel."""
-        one = self.channels[channel]
-        names = one.columns
+        channel_columns = self.channels[channel]
+        names = channel_columns.columns
         if isinstance(names, str):
             names = tuple(names.replace("{leg}", str(leg)) for leg in self.legs)
-        parts = map(_six, (names, one.unit, one.sign, one.scale, one.offset))
-        return list(map(MappedColumn, *parts))
+        unit, sign = _six(channel_columns.unit), _six(channel_columns.sign)
+        scale, offset = channel_columns.scale, _six(channel_columns.offset)
+        return [MappedColumn(names[k], unit[k], sign[k], scale, offset[k]) for k in range(6)]
 
 
-def _si(channel: str) -> list[str]:
-    return ["m"] * 3 + ["rad"] * 3 if channel in POSES else [CHANNELS[channel]] * 6
+def si_units(channel: str) -> tuple[str, ...]:
+    """SI units of the six columns of a channel."""
+    return ("m",) * 3 + ("rad",) * 3 if channel in POSES else (CHANNELS[channel],) * 6
 
 
-def _check_unit(unit: str, si: str) -> None:
-    if units.si_unit(unit) != si:
-        raise InputError(f"unit: {unit!r} is {units.si_unit(unit)}; allowed: a unit of {si}")
+def _check_unit(unit: str, si_unit: str) -> None:
+    if units.si_unit(unit) != si_unit:
+        raise InputError(f"unit: {unit!r} is {units.si_unit(unit)}; allowed: a unit of {si_unit}")
 
 
 def _six(value: Any) -> tuple[Any, ...]:
@@ -161,7 +164,7 @@ def _six(value: Any) -> tuple[Any, ...]:
 
 
 def load_columns(source: "str | Path | ColumnMap" = FACILITY) -> ColumnMap:
-    """A map from its TOML file, whose machine counts from there, or as it is."""
+    """A map as it is, or of its TOML file; a machine's file in it is beside that file."""
     if isinstance(source, ColumnMap):
         return source
     table = read_toml(Path(source))
@@ -195,43 +198,48 @@ def read_mapped(
     >>> file = Path("log.csv")
     >>> size = file.write_text(chr(10).join(rows))
     >>> position = {"columns": "x{leg}", "unit": "mm"}
-    >>> made = ColumnMap(time={"column": "t", "unit": "ms"}, channels={"leg_position": position})
-    >>> read_mapped(file, made, cmf_mj.load_machine("lab"))["leg_position"][1, 0].item()
+    >>> columns = ColumnMap(time={"column": "t", "unit": "ms"}, channels={"leg_position": position})
+    >>> read_mapped(file, columns, cmf_mj.load_machine("lab"))["leg_position"][1, 0].item()
     0.005
     >>> file.unlink()
     """
-    on = load_machine(machine)
+    default = load_machine(machine)
     if columns is None and Path(path).suffix == ".parquet":
         record = Record.load(path)
-        return replace(record, metadata=_known(record.metadata, on))
-    chosen, source = load_columns(columns or FACILITY), read_source(path)
+        return replace(record, metadata=_with_machine(record.metadata, default))
+    column_map, source = load_columns(columns or FACILITY), read_source(path)
     with within(source.path):
-        known = _known(source.metadata, on)
-        if chosen.whole:
-            chosen = _whole(source, chosen, recorded_machine(known).half_stroke)
-        return _mapped(source, chosen, known)
+        metadata = _with_machine(source.metadata, default)
+        if column_map.whole:
+            column_map = _whole_map(source, column_map, recorded_machine(metadata).half_stroke)
+        return _record(source, column_map, metadata)
 
 
-def _known(metadata: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
-    """Metadata with a machine, where they have none."""
-    return {**metadata} | ({} if "machine" in metadata else machine.metadata())
+def _with_machine(metadata: Mapping[str, Any], default: Machine) -> dict[str, Any]:
+    return {**metadata} | ({} if "machine" in metadata else default.metadata())
 
 
-def _whole(source: Source, chosen: ColumnMap, stroke: float) -> ColumnMap:
+def _whole_map(source: Source, column_map: ColumnMap, half_stroke: float) -> ColumnMap:
     """A map without the channels that a file has not; the others have a number in every cell."""
-    names = {one: {column.name for column in chosen.columns(one)} for one in chosen.channels}
-    there = {one: chosen.channels[one] for one in names if names[one] & {*source.columns}}
-    for channel in there:
-        most = stroke if channel in STROKES else np.inf
-        for one in chosen.columns(channel):
-            odd = ~(np.abs(one.si(source.column(one.name))) < most)
-            if odd.any():
-                allowed = f"allowed: a number within {units.from_si(one.unit, most):.6g} {one.unit}"
-                allowed += f" of {one.offset:g}" if one.offset else ""
-                raise InputError(f"{one.name}: row {int(odd.argmax()) + 1} has no such; {allowed}")
+    present = {}
+    for channel, channel_columns in column_map.channels.items():
+        columns, is_travel = column_map.columns(channel), channel in _STROKE_CHANNELS
+        if any(column.name in source.columns for column in columns):
+            present[channel] = channel_columns
+            for column in columns:
+                _check_cells(source, column, half_stroke if is_travel else np.inf)
     if not source.ended:
         raise InputError("the last row has no line end and may be cut off; if it is whole, add one")
-    return chosen.model_copy(update={"channels": there or chosen.channels})
+    return column_map.model_copy(update={"channels": present}) if present else column_map
+
+
+def _check_cells(source: Source, column: MappedColumn, bound: float) -> None:
+    """Refuse a column with a cell that has no number below a bound in SI."""
+    is_odd, unit = ~(np.abs(column.to_si(source.column(column.name))) < bound), column.unit
+    if is_odd.any():
+        allowed = f"allowed: a number within {units.from_si(unit, bound):.6g} {unit}"
+        allowed += f" of {column.offset:g}" if column.offset else ""
+        raise InputError(f"{column.name}: row {int(is_odd.argmax()) + 1} has no such; {allowed}")
 
 
 def write_facility_csv(record: Record, path: str | Path) -> Path:
@@ -239,80 +247,87 @@ def write_facility_csv(record: Record, path: str | Path) -> Path:
 
     The rate stays; the facility's recorder has 128 Hz.
     """
-    chosen, columns, target = load_columns(), {}, Path(path)
-    for channel in (name for name in chosen.channels if name in record.channels):
-        legs = shaped(channel, record[channel], None, 6).T
-        for one, leg in zip(chosen.columns(channel), legs, strict=True):
-            columns[one.name] = units.from_si(one.unit, leg)
+    column_map, columns, target = load_columns(), {}, Path(path)
+    for channel in column_map.channels:
+        if channel in record.channels:
+            histories = shaped(channel, record[channel], None, 6)
+            for leg, column in enumerate(column_map.columns(channel)):
+                columns[column.name] = units.from_si(column.unit, histories[:, leg])
     rows = np.column_stack([record.time, *columns.values()])
-    header = ",".join([str(chosen.time.column), *columns])
+    header = ",".join([str(column_map.time.column), *columns])
     footer = REMARK + json.dumps(dict(record.metadata) | {"sample_rate": record.rate})
-    how: dict[str, Any] = {"delimiter": ",", "header": header, "footer": footer, "comments": ""}
+    formats = ["%.9f"] + ["%.6f"] * len(columns)
     with whole_file(target) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        np.savetxt(file, rows, ["%.9f"] + ["%.6f"] * len(columns), **how)
+        np.savetxt(file, rows, formats, ",", header=header, footer=footer, comments="")
     return target
 
 
-def _mapped(source: Source, chosen: ColumnMap, known: dict[str, Any]) -> Record:
-    when = chosen.time
-    stamps: Array = np.arange(next(iter(source.columns.values())).size, dtype=float)
-    rate = when.resample or when.rate
-    if when.column is not None:
-        stamps = units.to_si(when.unit, source.column(when.column))
-        if np.isnan(stamps).any():
-            row = int(np.isnan(stamps).argmax()) + 1
-            raise InputError(f"time: {when.column}: row {row} has none; allowed: a time")
-    elif when.rate is not None:
-        stamps = stamps / when.rate
-    time, spacing = stamps, np.median(np.diff(stamps)) if stamps.size > 1 else 0.0
-    if spacing * _SLOWEST > 1.0:
-        by = f"{1.0 / spacing:.3g} samples a second by unit {when.unit!r}"
-        raise InputError(f"time: {by} is refused; allowed: at least {_SLOWEST:g}")
+def _record(source: Source, column_map: ColumnMap, metadata: dict[str, Any]) -> Record:
+    clock, bridge = column_map.time, column_map.bridge
+    stamps = _stamps(source, clock)
+    time, rate = stamps, clock.resample or clock.rate
     if rate is None:
         time, rate = even_clock(stamps)
-    channels: dict[str, Array] = {}
-    missing: list[str] = []
-    counts: dict[str, int] = {}
-    for channel in chosen.channels:
-        legs, absent = _legs(source, chosen, channel)
+    channels, missing, filled = dict[str, Array](), list[str](), dict[str, int]()
+    for channel in column_map.channels:
+        histories, absent = _histories(source, column_map, channel)
         missing += absent
-        if when.resample is not None:
-            time, legs = resampled(stamps, legs, rate, chosen.bridge)
-        for k, leg in enumerate(legs):
-            legs[k], count = bridged(leg, round(chosen.bridge * rate))
-            counts |= {f"{channel}/{k}": count} if count else {}
-        channels[channel] = legs.T
-    said: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": counts}
-    said["units"] = {name: _six(one.unit)[0] for name, one in chosen.channels.items()}
-    said["last_place"] = _last_place(source, chosen, "leg_reference")
-    metadata = {"command": {"kind": "recording"}, **known, "sample_rate": rate, "recording": said}
-    return Record(time, channels, {name: CHANNELS[name] for name in channels}, metadata)
+        if clock.resample is not None:
+            time, histories = resampled(stamps, histories, rate, bridge)
+        for k, history in enumerate(histories):
+            histories[k], samples = bridged(history, round(bridge * rate))
+            filled |= {f"{channel}/{k}": samples} if samples else {}
+        channels[channel] = histories.T
+    recording: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": filled}
+    recording["units"] = {name: column_map.columns(name)[0].unit for name in channels}
+    recording["last_place"] = _last_place(source, column_map, "leg_reference")
+    metadata = {"command": {"kind": "recording"}, **metadata, "sample_rate": rate}
+    si = {name: CHANNELS[name] for name in channels}
+    return Record(time, channels, si, metadata | {"recording": recording})
 
 
-def _last_place(source: Source, chosen: ColumnMap, channel: str) -> float:
+def _stamps(source: Source, clock: TimeColumn) -> Array:
+    """Times of the samples [s], (N,), as the file has them; refused where they are too slow."""
+    if clock.column is None:
+        rows = next(iter(source.columns.values())).size
+        stamps = np.arange(rows, dtype=float) / (clock.rate or 1.0)
+    else:
+        stamps = units.to_si(clock.unit, source.column(clock.column))
+        if np.isnan(stamps).any():
+            row = int(np.isnan(stamps).argmax()) + 1
+            raise InputError(f"time: {clock.column}: row {row} has none; allowed: a time")
+    interval = np.median(np.diff(stamps)) if stamps.size > 1 else 0.0
+    if interval * _SLOWEST > 1.0:
+        text = f"{1.0 / interval:.3g} samples a second by unit {clock.unit!r}"
+        raise InputError(f"time: {text} is refused; allowed: at least {_SLOWEST:g}")
+    return stamps
+
+
+def _last_place(source: Source, column_map: ColumnMap, channel: str) -> float:
     """What the last decimal of a channel's columns is in SI, 0 where they fill a double.
 
     Columns with no number but zero do not tell.
     """
     places = [0.0]
-    for one in chosen.columns(channel) if channel in chosen.channels else ():
-        raw = source.columns.get(one.name, np.zeros(0))
+    for column in column_map.columns(channel) if channel in column_map.channels else ():
+        raw = source.columns.get(column.name, np.zeros(0))
         raw = raw[np.isfinite(raw) & (raw != 0.0)]
-        fits = (n for n in range(10) if raw.size and np.array_equal(np.round(raw, n), raw))
-        count = units.factor(one.unit) * abs(one.scale)
-        places.append(next((count * 10.0**-n for n in fits), 0.0))
+        decimals = (n for n in range(10) if raw.size and np.array_equal(np.round(raw, n), raw))
+        count = units.factor(column.unit) * abs(column.scale)
+        places.append(next((count * 10.0**-n for n in decimals), 0.0))
     return max(places)
 
 
-def _legs(source: Source, chosen: ColumnMap, channel: str) -> tuple[Array, list[str]]:
+def _histories(source: Source, column_map: ColumnMap, channel: str) -> tuple[Array, list[str]]:
     """Histories of a channel in SI, (6, N), NaN for legs not recorded, and the names of these."""
-    columns, made, missing = chosen.columns(channel), [], []
+    columns, histories, missing = column_map.columns(channel), [], []
     lost = np.full(next(iter(source.columns.values())).size, np.nan)
-    pattern = isinstance(chosen.channels[channel].columns, str)
-    if pattern and not any(column.name in source.columns for column in columns):
+    has_pattern = isinstance(column_map.channels[channel].columns, str)
+    if has_pattern and not any(column.name in source.columns for column in columns):
         raise unknown_name(f"channels.{channel}: column", columns[0].name, source.columns)
-    for k, column in enumerate(columns):
-        absent = not column.name or (pattern and column.name not in source.columns)
-        missing += [column.name or f"{channel} of leg {k + 1}"] if absent else []
-        made.append(column.si(lost if absent else source.column(column.name)))
-    return np.array(made), missing
+    for leg, column in enumerate(columns, start=1):
+        is_missing = not column.name or (has_pattern and column.name not in source.columns)
+        if is_missing:
+            missing.append(column.name or f"{channel} of leg {leg}")
+        histories.append(column.to_si(lost if is_missing else source.column(column.name)))
+    return np.array(histories), missing

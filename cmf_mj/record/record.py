@@ -34,10 +34,10 @@ _SI = re.compile(rf"{_SYMBOL}((, |/| ){_SYMBOL})*")
 """Units that a channel may have: of SI, with powers, products, quotients and one a column."""
 
 _TABLES = "command machine_parameters cab_parameters law_parameters law_state electronics".split()
-"""Metadata that are tables, where they are there."""
+"""Optional metadata that are tables."""
 
-_OFF = 1e-6
-"""How far a sample may lie from its instant [s]; the facility's files tell a time to 1e-7 s."""
+_MAX_TIME_ERROR = 1e-6
+"""Largest distance of a sample from its instant [s]; the facility's files tell a time to 1e-7 s."""
 
 AnySignal = TypeVar("AnySignal", bound=Signal)
 
@@ -69,7 +69,7 @@ class Record:
 
     def __post_init__(self) -> None:
         """Freeze the histories, copying those that may be written, and check that they match."""
-        histories = {n: frozen(real(n, values)) for n, values in self.channels.items()}
+        histories = {name: frozen(real(name, values)) for name, values in self.channels.items()}
         object.__setattr__(self, "time", frozen(real("time", self.time)))
         if self.time.ndim != 1:
             raise InputError(f"time: shape is {self.time.shape}; allowed: (N,)")
@@ -79,20 +79,21 @@ class Record:
                 allowed = f"({count},) or ({count}, k) as times are, k above 0"
                 raise InputError(f"{name}: shape is {values.shape}; allowed: {allowed}")
         if set(self.units) != set(self.channels):
-            odd = sorted(set(self.units) ^ set(self.channels))
-            raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
+            unmatched = sorted(set(self.units) ^ set(self.channels))
+            raise InputError(f"units: every channel needs one unit; check {', '.join(unmatched)}")
         for name, unit in self.units.items():
             if not _SI.fullmatch(unit):
                 raise InputError(f"units: {name}: {unit!r} is refused; allowed: of SI, such as m/s")
         for name in _TABLES:
-            if not isinstance(value := self.metadata.get(name), Mapping | None):
+            value = self.metadata.get(name)
+            if not isinstance(value, Mapping | None):
                 raise InputError(f"metadata: {name}: {value!r} is refused; allowed: a table")
         object.__setattr__(self, "channels", FrozenDict(histories))
         object.__setattr__(self, "units", FrozenDict(self.units))
         object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))
 
     def __eq__(self, other: object) -> bool:
-        """Whether times, channels, units and metadata are the same; a NaN is its own equal."""
+        """Whether times, channels, units and metadata are the same; a NaN equals itself."""
         if not isinstance(other, Record):
             return NotImplemented
         if (self.units, self.metadata) != (other.units, other.metadata):
@@ -101,7 +102,7 @@ class Record:
         return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
 
     def __hash__(self) -> int:
-        """Of its samples."""
+        """Hash of the samples."""
         return hash(self.digest)
 
     @staticmethod
@@ -117,7 +118,7 @@ class Record:
             time: even times [s], (N,); refused with the row where they are not.
             channels: name to (N,) or (N, k) values.
             units: name to unit, of SI or known to `core.units`.
-            metadata: what else is known; the rate is found.
+            metadata: what else is known; the rate is added.
 
         >>> record = cmf_mj.Record.from_arrays([0, 0.5], {"speed": [1, 2]}, {"speed": "in/s"})
         >>> record["speed"].tolist(), record.units["speed"], record.rate
@@ -125,35 +126,36 @@ class Record:
         """
         stamps = shaped("time", time, None)
         even, rate = even_clock(stamps)
-        made = {name: real(name, v) for name, v in channels.items()}
+        histories = {name: real(name, values) for name, values in channels.items()}
         si = {name: unit if _SI.fullmatch(unit) else si_unit(unit) for name, unit in units.items()}
-        for name in set(made) & {name for name, unit in units.items() if unit != si[name]}:
-            made[name] = to_si(units[name], made[name])
-        known = {"command": {"kind": "recording"}} | dict(metadata or {})
-        return Record(even, made, si, known | {"sample_rate": rate})
+        for name, unit in units.items():
+            if name in histories and unit != si[name]:
+                histories[name] = to_si(unit, histories[name])
+        described = {"command": {"kind": "recording"}} | dict(metadata or {})
+        return Record(even, histories, si, described | {"sample_rate": rate})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How to make it again: frozen, as arrays alone would not be."""
+        """What pickle makes the record of again, so that its arrays are frozen."""
         return Record, (self.time, dict(self.channels), dict(self.units), dict(self.metadata))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """A channel by name; refused with a list of those there are."""
+        """A channel by name; an unknown name is refused with the list of the channels."""
         return self.channels[check_name("channel", name, self.channels)]
 
     def __repr__(self) -> str:
         """What was run, for how long, and the channels."""
-        about = [str(self.metadata[name]) for name in ("plant", "law") if self.metadata.get(name)]
-        about += [name for name in (self.signal.kind, self.signal.axis) if name]
+        words = [str(self.metadata[name]) for name in ("plant", "law") if self.metadata.get(name)]
+        words += [name for name in (self.signal.kind, self.signal.axis) if name]
         size = f"{self.time.size} samples at {self.metadata.get('sample_rate', '?')} Hz"
-        return f"<Record: {', '.join([*about, size])}; {', '.join(self.channels)}>"
+        return f"<Record: {', '.join([*words, size])}; {', '.join(self.channels)}>"
 
     @property
     def digest(self) -> str:
-        """Of its samples."""
-        found = hashlib.sha256(np.ascontiguousarray(self.time).tobytes())
+        """Eight digits of the SHA-256 of the samples."""
+        checksum = hashlib.sha256(np.ascontiguousarray(self.time).tobytes())
         for name in sorted(self.channels):
-            found.update(name.encode() + np.ascontiguousarray(self[name]).tobytes())
-        return found.hexdigest()[:8]
+            checksum.update(name.encode() + np.ascontiguousarray(self[name]).tobytes())
+        return checksum.hexdigest()[:8]
 
     @property
     def signal(self) -> Signal:
@@ -162,16 +164,13 @@ class Record:
 
     @property
     def excitation(self) -> Signal:
-        """The signal, refused where the record is too slow to hold it.
-
-        What lies above half the sampling rate appears below it, as if it were the response there.
-        """
+        """The signal, refused where it has more than half the sampling rate."""
         signal = self.signal
-        lines = (*(signal.band or ()), *(dwell.frequency for dwell in signal.dwells))
-        top = max(lines, default=0.0)
+        frequencies = (*(signal.band or ()), *(dwell.frequency for dwell in signal.dwells))
+        top = max(frequencies, default=0.0)
         if top > 0.5 * self.rate:
-            said = f"{self.rate:g} samples a second cannot hold {top:g} Hz of the {signal.kind}"
-            raise InputError(f"record_every: {said}; allowed: at least {2.0 * top:g} a second")
+            text = f"{self.rate:g} samples a second cannot hold {top:g} Hz of the {signal.kind}"
+            raise InputError(f"record_every: {text}; allowed: at least {2.0 * top:g} a second")
         return signal
 
     def signal_as(self, kind: type[AnySignal]) -> AnySignal:
@@ -187,37 +186,31 @@ class Record:
     def rate(self) -> float:
         """Sampling rate [Hz]; refused where there is none, or the times do not have it."""
         rate, time = self.metadata.get("sample_rate", np.nan), self.time
-        known = isinstance(rate, int | float) and not isinstance(rate, bool)
-        if not (known and 0.0 < rate < np.inf):
+        is_number = isinstance(rate, int | float) and not isinstance(rate, bool)
+        if not (is_number and 0.0 < rate < np.inf):
             raise InputError(f"sample_rate: {rate!r} Hz is refused; allowed: a number above 0")
         if time.size == 0:
             raise InputError("record: has no samples; allowed: at least 1")
-        off = np.abs(time - time[0] - np.arange(time.size) / rate) < _OFF
-        if not off.all():
-            sample = int(np.argmin(off))
+        is_on_time = np.abs(time - time[0] - np.arange(time.size) / rate) < _MAX_TIME_ERROR
+        if not is_on_time.all():
+            sample = int(np.argmin(is_on_time))
             raise InputError(f"time: sample {sample} at {time[sample]} s is not at {rate} Hz")
         return float(rate)
 
     def save(self, path: str | Path) -> Path:
         """Write the record to `path` as Parquet; the file appears only when it is complete."""
         target = check_target(Path(path))
-        columns = {"time": self.time}
+        columns, widths = {"time": np.ascontiguousarray(self.time)}, dict[str, int]()
         for name, values in self.channels.items():
-            parts = {name: values}
-            if values.ndim == 2:
-                parts = {f"{name}_{i + 1}": leg for i, leg in enumerate(values.T)}
-            taken = sorted(set(parts) & set(columns))
-            if taken:
-                raise InputError(f"{name}: its column {taken[0]} belongs to another channel")
-            columns |= parts
-        header = {
-            "units": dict(self.units),
-            "widths": {n: v.shape[1] if v.ndim > 1 else 0 for n, v in self.channels.items()},
-            "metadata": dict(self.metadata),
-        }
-        table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
-        how = {"column_encoding": "BYTE_STREAM_SPLIT"}
-        return write_parquet(table, target, (_SCHEMA_KEY, header), **how)
+            widths[name] = values.shape[1] if values.ndim > 1 else 0
+            histories = values.T if widths[name] else [values]
+            for column, history in zip(_column_names(name, widths[name]), histories, strict=True):
+                if column in columns:
+                    raise InputError(f"{name}: its column {column} belongs to another channel")
+                columns[column] = np.ascontiguousarray(history)
+        header = {"units": dict(self.units), "widths": widths, "metadata": dict(self.metadata)}
+        encoding = {"column_encoding": "BYTE_STREAM_SPLIT"}
+        return write_parquet(pa.table(columns), target, (_SCHEMA_KEY, header), **encoding)
 
     @staticmethod
     def load(path: str | Path) -> "Record":
@@ -231,11 +224,14 @@ class Record:
         def column(name: str) -> NDArray[np.float64]:
             return read_column(source, table, name, None)
 
-        channels = {
-            name: np.column_stack([column(f"{name}_{i + 1}") for i in range(width)])
-            if width
-            else column(name)
-            for name, width in header.widths.items()
-        }
+        channels = {}
+        for name, width in header.widths.items():
+            histories = [column(column_name) for column_name in _column_names(name, width)]
+            channels[name] = np.column_stack(histories) if width else histories[0]
         with within(source):
             return Record(column("time"), channels, header.units, header.metadata)
+
+
+def _column_names(channel: str, width: int) -> list[str]:
+    """Names of the columns of a channel in a file; 0 is the width of a channel with no leg axis."""
+    return [f"{channel}_{number}" for number in range(1, width + 1)] or [channel]

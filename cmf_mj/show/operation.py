@@ -14,7 +14,7 @@ from cmf_mj.control.states import State
 from cmf_mj.core import units
 from cmf_mj.core.result import Table
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.host.handover import MOST_RATE
+from cmf_mj.facility.host.handover import LARGEST_RATE
 from cmf_mj.facility.host.stream import write_arrivals
 from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.facility.replay import Replay
@@ -72,7 +72,7 @@ def overview_figure(
 
 def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
     """Write the scenario, with absolute names of the files in it, its record and a figure."""
-    changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
+    changes = [change.at_frame(scenario.rate) / scenario.rate for change in scenario.change]
     events = [event.at for event in scenario.events]
     files = {
         "scenario.toml": partial(save_scenario, scenario),
@@ -106,7 +106,7 @@ _MEANINGS = {
     "received": "good datagrams of the host",
     "early": "before the clock started",
     "lost": "between receiver and loop",
-    "thinned": f"faster than {MOST_RATE} a second: only the newest went on",
+    "thinned": f"faster than {LARGEST_RATE} a second: only the newest went on",
     "after_end": "after the last control frame",
     "accepted": "taken by the DCU",
     "waiting": "neither: held at the end until confirmed",

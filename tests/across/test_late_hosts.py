@@ -33,10 +33,10 @@ from cmf_mj.control.states import State
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.moog import MoogServer
 from cmf_mj.facility.host.stream import HostStream, HostTiming, arrivals, from_command
+from cmf_mj.facility.host_chain import HostChain
 from cmf_mj.facility.operation import Operation, operate, serve
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.facility.settings import HostChain
 from cmf_mj.pilot import telemetry as live
 from cmf_mj.pilot.washout import Washout
 

@@ -70,7 +70,7 @@ def pushed(
 ) -> NDArray[np.float64]:
     """Motion (N,) along an axis in the simulation, of a wrench (N,) about the centroid."""
     run = Run(plant=plant, law=law, source=from_table(np.zeros((1, 6))), record_every=HELD)
-    session = run.but(duration=force.size * HELD / 2048).session()
+    session = run.changed(duration=force.size * HELD / 2048).session()
     body = plant.model.body("platform").id
     data, wrench = plant.data, np.zeros(6)
     for now in force:

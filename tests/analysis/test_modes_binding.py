@@ -104,6 +104,6 @@ def test_scenarios_take_files_counted_from_their_folder(tmp_path: Path) -> None:
     table = {"cab": "mine.toml", "law": "modal_plan"}
     scenario = scenario_of(table, "test", tmp_path)
     assert scenario.cab == str(tmp_path / "mine.toml")
-    assert scenario.begun_law().modes == bound(MODAL, load_cab(scenario.cab)).modes
+    assert scenario.first_law().modes == bound(MODAL, load_cab(scenario.cab)).modes
     with pytest.raises(ValueError, match="test: cab: 'bus' is not one of gfd"):
         scenario_of({"cab": "bus"}, "test")

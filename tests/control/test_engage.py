@@ -11,10 +11,11 @@ from cmf_mj.control.engage import engaged_state, handed_over_state
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.units import FRAME
+from cmf_mj.facility.changes import change_of
 from cmf_mj.facility.front import from_table
-from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.facility.settings import change_of
+from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.machine import kinematics
 
 INCH = 0.0254
@@ -121,16 +122,16 @@ def test_the_valve_command_is_continuous_between_all_laws_in_a_moving_run() -> N
     )
     run.run(1024)
     for name in way[1:]:
-        earlier = run.look().valve_command
+        earlier = run.memory.command[0].copy()
         run.run(1)
-        before = run.look().valve_command
+        before = run.memory.command[0].copy()
         run.apply(change_of({"law": name}))
         run.run(1)
-        jump = np.abs(run.look().valve_command - 2.0 * before + earlier).max()
+        jump = np.abs(run.memory.command[0].copy() - 2.0 * before + earlier).max()
         assert jump < 0.005, (name, run.frame)
         run.run(1023 if name == "modal_plan" else 162)
-    assert run.look().fault is None
-    assert np.abs(run.look().reference - run.look().extension).max() < 0.03
+    assert run.fault is None
+    assert np.abs(run.memory.reference - run.plant.extensions()).max() < 0.03
 
 
 def kick(*laws: str, hertz: float = 10.0) -> float:

@@ -108,7 +108,7 @@ def record(folder: Path, lacking: Lacking) -> None:
     kept = {}
     for number, name in enumerate(RECORDINGS):
         said = table["recordings"][name]
-        run = load_scenario(folder / said["source"]).but(plant=plant, seed=number)
+        run = load_scenario(folder / said["source"]).changed(plant=plant, seed=number)
         kept[name] = said | {"file": recorded(run, machine).save(folder / f"{name}.parquet").name}
     unknowns = {name: one | {"source": "data sheet"} for name, one in KNOWN.items()}
     table |= {"recordings": kept, "unknowns": unknowns}

@@ -12,7 +12,7 @@ from cmf_mj.control import dcl
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.compiled import compiled
 from cmf_mj.electronics.chain import deliver, measure
-from cmf_mj.facility.front import follow, watched
+from cmf_mj.facility.front import follow, watches_switches
 from cmf_mj.facility.run import Run
 from cmf_mj.record.record import Record
 from cmf_mj.studies.fit.plan import demand
@@ -33,7 +33,7 @@ def decide(controller, faults, frame, truth, feedback, reference, command):  # t
     dcl.step(controller.dcl, controller.state, reference, feedback)
     for leg in range(command.shape[0]):
         command[leg] = controller.dcl.workspace.command[leg]
-    deliver(controller.electronics, watched(controller.source), truth.position, command)
+    deliver(controller.electronics, watches_switches(controller.source), truth.position, command)
 
 
 def recorded(run: Run, machine: Machine) -> Record:
@@ -56,7 +56,7 @@ def recorded(run: Run, machine: Machine) -> Record:
         read, command = memory.feedback, commands[frame + controller.delay]
         faults = session.dynamics.faults
         decide(controller, faults, frame, truth, read, memory.reference, command)
-        if frame % session.every == 0:
+        if frame % session.record_every == 0:
             limited = controller.dcl.workspace.limited_demand
             row = limited, read.position, *read[3:5], commands[frame]
             for name, value in zip(KEPT, row, strict=True):
@@ -64,7 +64,7 @@ def recorded(run: Run, machine: Machine) -> Record:
         return commands[frame]
 
     machine.control(control, frames, session.plant.machine.frame)
-    time = np.arange(0, frames, session.every) / session.rate
+    time = np.arange(0, frames, session.record_every) / session.rate
     channels = {name: np.array(rows) for name, rows in kept.items()}
     described = session.describe()
     return Record(time, channels, KEPT, {key: described[key] for key in ("sample_rate", "law")})

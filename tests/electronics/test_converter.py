@@ -5,9 +5,9 @@ import pytest
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
-    convert,
+    convert_all,
+    convert_channel,
     converter_state,
-    digitise,
     load_converters,
     make_converters,
 )
@@ -30,7 +30,7 @@ def test_off_passes_bits_and_is_the_default() -> None:
     converters = make_converters(settings)
     analogue, digital = feedback(), blank()
     analogue.position[0] = -0.0
-    digitise(converters, converter_state(converters, analogue), analogue, digital)
+    convert_all(converters, converter_state(converters, analogue), analogue, digital)
     for one, two in zip(analogue, digital, strict=True):
         assert one.tobytes() == two.tobytes()
 
@@ -43,7 +43,7 @@ def test_readings_are_whole_codes_within_the_range(bits: int) -> None:
     step = 80.0 * INCH / 2**bits
     values = np.linspace(-45.0, 45.0, 997) * INCH
     read = np.empty_like(values)
-    convert(converter, np.zeros((values.size, 0, 2)), values, read)
+    convert_channel(converter, np.zeros((values.size, 0, 2)), values, read)
     codes = read / step
     np.testing.assert_allclose(codes, np.rint(codes), rtol=0.0, atol=1e-9)
     inside = np.abs(values) < 39.0 * INCH
@@ -58,7 +58,7 @@ def test_quantisation_error_is_uniform_noise_of_a_twelfth() -> None:
     converter = make_converters(settings).velocity
     values = np.random.default_rng(3).normal(size=20000) * 0.2
     read = np.empty_like(values)
-    convert(converter, np.zeros((values.size, 0, 2)), values, read)
+    convert_channel(converter, np.zeros((values.size, 0, 2)), values, read)
     assert np.var(read - values) == pytest.approx(converter.step**2 / 12, rel=0.03)
 
 
@@ -68,7 +68,7 @@ def test_the_filter_takes_in_place_and_starts_settled() -> None:
     state = converter_state(converters, analogue)
     for _ in range(5):
         same = LegFeedback(*(array.copy() for array in analogue))
-        digitise(converters, state, same, same)
+        convert_all(converters, state, same, same)
         for name, read, true in zip(LegFeedback._fields, same, analogue, strict=True):
             step = getattr(converters, name).step
             assert np.abs(read - true).max() <= 0.5001 * step

@@ -15,7 +15,7 @@ from cmf_mj.control.dcu.state import make_dcu
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.front import Blocks, Source, follow, from_host
-from cmf_mj.facility.host.handover import logged, make_log, make_ring, put
+from cmf_mj.facility.host.handover import filled_log, make_log, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.facility.host.udp import (
     DATAGRAM_REASONS,
@@ -119,7 +119,7 @@ def run(
 
 def logged_datagrams(source: Source) -> list[bytes]:
     """What reached the DCU, as datagrams: NaN compare like any octets."""
-    log = logged(source.arrivals, int(source.progress[0].collected))
+    log = filled_log(source.arrivals, int(source.progress[0].collected))
     return [
         encode_frame(HostFrame(int(s), float(t), *v))
         for s, t, v in zip(log.sequence, log.time, log.values, strict=True)

@@ -271,7 +271,7 @@ def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
         handover.put(ring, frame(number, float(number)))
     filled = handover.collect(ring, log, filled, 9)
     assert (filled, ring.lost[0]) == (7, 3)
-    kept = handover.logged(log, filled)
+    kept = handover.filled_log(log, filled)
     assert kept.sequence.tolist() == [0, 1, 2, 6, 7, 8, 9]
     assert kept.frame.tolist() == [5, 5, 5, 9, 9, 9, 9]
     assert (kept.values[0] == np.array(frame()[2:])).all()
@@ -289,7 +289,7 @@ def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted
     for now in range(2 * RATE):
         handover.put(ring, frame(now, now / RATE))
         filled = handover.collect(ring, log, filled, now)
-    kept = handover.logged(log, filled)
+    kept = handover.filled_log(log, filled)
     waiting = int(ring.written[0] - ring.read[0])
     assert filled == pytest.approx(256 + 2 * 200, abs=1)
     assert filled + ring.thinned[0] + ring.lost[0] + waiting == 2 * RATE
@@ -311,7 +311,7 @@ def test_a_host_of_80_hz_is_never_thinned_and_a_burst_keeps_its_newest() -> None
         handover.put(ring, frame(number))
     filled = handover.collect(ring, log, filled, 0)
     assert (filled, ring.thinned[0]) == (256, 144)
-    assert handover.logged(log, filled).sequence.tolist() == list(range(144, 400))
+    assert handover.filled_log(log, filled).sequence.tolist() == list(range(144, 400))
 
 
 def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
@@ -345,7 +345,7 @@ def test_writer_and_reader_at_once_tear_no_frame() -> None:
         for sent in frames:
             handover.put(ring, sent)
         filled = reader.result(timeout=60)
-    kept = handover.logged(log, filled)
+    kept = handover.filled_log(log, filled)
     assert filled + ring.lost[0] == count
     assert filled > 0
     assert (np.diff(kept.sequence) > 0).all()
@@ -375,7 +375,7 @@ def test_frames_cross_the_loopback_in_real_time() -> None:
         assert handover.collect(receiver.ring, log, 0, 0) == 24
     assert report.frames == 24
     assert report.duration + report.worst_lateness >= 23 / 80.0 - 1e-9
-    kept = handover.logged(log, 24)
+    kept = handover.filled_log(log, 24)
     assert kept.values.tobytes() == stream.values.tobytes()
     assert kept.time.tobytes() == stream.time.tobytes()
     assert not any(receiver.refused.values())

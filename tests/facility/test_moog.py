@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmf_mj import Hexapod, pose_to_legs, signals
+from cmf_mj.control.dcu.acceptance import POSES_HOLD
 from cmf_mj.control.states import State, StateSettings, load_state_settings
 from cmf_mj.facility.host.moog import MoogBase, MoogServer
 from cmf_mj.facility.host.stream import from_command
@@ -305,6 +306,13 @@ def check_lag(ridden: list[Answer], delay: float, law: str) -> None:
     assert lag == pytest.approx(delay + late(reference, legs), abs=1 / 60)
 
 
+def delay_of(session: Session) -> float:
+    """From a command to the demand: the DCU's delay of 60 poses a second [s]."""
+    dcu = session.source.blocks.dcu
+    wait = POSES_HOLD * dcu.hold + dcu.smoothing_delay
+    return 1.0 / 60.0 + wait + session.plant.machine.frame * dcu.line_frames
+
+
 @pytest.mark.parametrize("law", ["velocity", "acceleration"])
 def test_the_feedback_lags_by_the_configured_delay(law: str, swift: StateSettings) -> None:
     def host(ask: Ask, *_: Any) -> list[Answer | None]:
@@ -318,7 +326,7 @@ def test_the_feedback_lags_by_the_configured_delay(law: str, swift: StateSetting
         patch.setattr(
             MoogServer,
             "attend",
-            lambda self, session: delays.append(self.delay(session)) or plain(self, session),
+            lambda self, session: delays.append(delay_of(session)) or plain(self, session),
         )
         ridden, _, _ = over_udp(host, 20.0, law, states=swift)
     check_lag(ridden, delays[-1], law)

@@ -17,9 +17,9 @@ from cmf_mj import Hexapod, Record, SingleLegs, drive, simulate
 from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import make_log
+from cmf_mj.facility.host_chain import HostChain
 from cmf_mj.facility.pace import make_pace
 from cmf_mj.facility.run import Run
-from cmf_mj.facility.settings import HostChain
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.record.columns import read_mapped
 from cmf_mj.studies.engine import Workers
@@ -40,7 +40,7 @@ def test_whole_numbers_of_numpy_become_python_s(kind: type) -> None:
     """A number of another type would compile a loop of its own, for 14 to 29 s."""
     run = Run(plant=PLANT, source=from_table(STILL), record_every=kind(2), command_delay=kind(1))
     session = run.session()
-    numbers = session.every, session.controller.delay, session.frames
+    numbers = session.record_every, session.controller.delay, session.frames
     assert numbers == (2, 1, 8) and {type(number) for number in numbers} == {int}
     one, other = (simulate(PLANT, "velocity", STILL, record_every=every) for every in (2, kind(2)))
     assert one["leg_position"].tobytes() == other["leg_position"].tobytes()
@@ -61,11 +61,11 @@ def test_all_runs_share_one_compiled_loop() -> None:
     """On a table, in open loop, on a host with electronics in real time: the same types."""
     bare = Run(plant=Hexapod(), source=from_table(STILL))
     chain = HostChain(begin="off")
-    hosted = bare.but(source=make_log(4), operation=chain, electronics={}, protection="default")
+    hosted = bare.changed(source=make_log(4), operation=chain, electronics={}, protection="default")
     runs = (
         bare.session(),
-        bare.but(law=None, source=ValveCommands(STILL)).session(),
-        hosted.but(duration=8 / 2048).session(pace=make_pace(8)),
+        bare.changed(law=None, source=ValveCommands(STILL)).session(),
+        hosted.changed(duration=8 / 2048).session(pace=make_pace(8)),
     )
     assert len({str(typeof(run.parts)) for run in runs}) == 1
 

@@ -11,12 +11,14 @@ import tomlkit
 from shared import cmf
 
 from cmf_mj import Hexapod, load_law, load_machine, signals, simulate
+from cmf_mj.control.states import State
 from cmf_mj.core import units
 from cmf_mj.core.units import FRAME, RATE
-from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.changes import change_of
+from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import load_scenario, save_scenario, scenario_names, scenario_of
-from cmf_mj.facility.settings import change_of
 from cmf_mj.facility.signal import LayeredDemand, added
+from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import motion_of_table
 
@@ -46,9 +48,9 @@ def test_a_run_saved_to_another_folder_reads_back_as_the_same(
     Path("mine.toml").write_text(f'base = "gfd"\n[mine]\nmass = {mass}\n')
     run = Run(cab="mine.toml", duration=0.5)
     again = load_scenario(save_scenario(run, tmp_path / "elsewhere" / "run.toml"))
-    assert again.carried == run.carried
+    assert again.loaded_cab == run.loaded_cab
     assert again.cab == str(tmp_path / "mine.toml")
-    assert again == run.but(cab=again.cab)
+    assert again == run.changed(cab=again.cab)
     assert load_scenario(save_scenario(again, tmp_path / "again.toml")) == again
 
 
@@ -60,8 +62,10 @@ def test_the_law_survives_the_file_on_every_machine(machine: str, tmp_path: Path
         run = Run(machine=machine, law=law)
         assert load_scenario(save_scenario(run, tmp_path / "run.toml")).law == law
     assert Run(machine=machine).law == own
-    assert Run().but(machine=machine).law == own == Run(machine="cmf").but(machine=machine).law
-    assert Run(machine="cmf", law="velocity").but(machine=machine).law == "velocity"
+    assert (
+        Run().changed(machine=machine).law == own == Run(machine="cmf").changed(machine=machine).law
+    )
+    assert Run(machine="cmf", law="velocity").changed(machine=machine).law == "velocity"
 
 
 def test_every_field_survives_the_file(tmp_path: Path) -> None:
@@ -197,32 +201,30 @@ def live() -> Iterator[SignalSession]:
 
 
 def test_what_was_done_live_runs_again_bit_for_bit(live: SignalSession, tmp_path: Path) -> None:
-    path = save_scenario(live.done(), tmp_path / "done.toml")
+    path = save_scenario(live.done_run(), tmp_path / "done.toml")
     cmf("run", path, "--out", tmp_path / "out")
     assert live.record() == Record.load(tmp_path / "out" / "record.parquet")
-    assert load_scenario(tmp_path / "out" / "scenario.toml") == live.done()
+    assert load_scenario(tmp_path / "out" / "scenario.toml") == live.done_run()
 
 
-def test_the_look_at_a_run_is_its_record(live: SignalSession) -> None:
-    full = SignalSession(live.done().model_copy(update={"record_every": 1}))
+def test_the_state_of_a_run_is_the_last_row_of_its_record(live: SignalSession) -> None:
+    full = SignalSession(live.done_run().model_copy(update={"record_every": 1}))
     full.run(live.frame)
-    look, record = full.look(), full.record()
-    assert look.time == full.frame * FRAME
-    np.testing.assert_array_equal(look.valve_command, record["valve_command"][-1])
-    np.testing.assert_array_equal(look.reference, record["leg_reference"][-1])
-    np.testing.assert_array_equal(look.demand, record["demand_pose"][-1])
-    assert look.law == "velocity"
-    assert look.fault is None
-    np.testing.assert_array_equal(live.look().qpos, look.qpos)
+    record = full.record()
+    np.testing.assert_array_equal(full.memory.command[0], record["valve_command"][-1])
+    np.testing.assert_array_equal(full.memory.reference, record["leg_reference"][-1])
+    assert full.law_in_force is not None and full.law_in_force.name == "velocity"
+    assert full.fault is None
+    np.testing.assert_array_equal(live.plant.data.qpos, full.plant.data.qpos)
 
 
 def test_each_change_acts(live: SignalSession) -> None:
     """A scenario without one of the changes is another run."""
-    done = live.done()
+    done = live.done_run()
     for number in range(len(done.change) - 1):
         fewer = done.change[:number] + done.change[number + 1 :]
         other = done.model_copy(update={"change": fewer}).record()
-        frame = done.change[number].when() // 3
+        frame = done.change[number].at_frame() // 3
         own = live.record()["generalised_position"]
         np.testing.assert_array_equal(own[:frame], other["generalised_position"][:frame])
         assert (own[-1] != other["generalised_position"][-1]).any(), done.change[number]
@@ -244,12 +246,12 @@ def test_a_push_lifts_what_it_pushes() -> None:
 
 
 def test_an_open_run_keeps_only_the_last_seconds() -> None:
-    run = SignalSession(scenario(duration="open", record_every=4), keep=0.5)
+    run = SignalSession(scenario(duration="open", record_every=4), kept_seconds=0.5)
     run.run(3 * 1024 + 512)
     record = run.record()
     assert record.time.size == 1024 // 4
     assert record.time[0] == 1.25
-    whole = run.done().record()
+    whole = run.done_run().record()
     for name in record.channels:
         np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
 
@@ -263,7 +265,7 @@ def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
         run.run(300)
         run.apply(change_of(change))
     run.run(100)
-    done = run.done()
+    done = run.done_run()
     assert [change.law for change in done.change] == ["modal_plan", None, law]
     assert run.record() == done.record()
 
@@ -298,7 +300,7 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
         run.apply(change_of({"law": "velocity"}))
     run.apply(change_of({"law": "modal_plan"}))
     run.run(1000)
-    assert run.frame == run.frames and run.look().law == "mine"
+    assert run.frame == run.frames and run.law_in_force.name == "mine"
 
 
 def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
@@ -309,11 +311,11 @@ def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
         run.run(700)
         run.apply(change_of(change))
     run.run(500)
-    assert run.look().state == "hold"
+    assert run.source.progress[0].state == State.HOLD
     record = run.record()
     assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
     assert not any(record.metadata["host_rejections"].values())
-    assert record == run.done().record()
+    assert record == run.done_run().record()
 
 
 # Command line
@@ -326,7 +328,7 @@ def shortened(full: Run, seconds: float) -> Run:
     fields: dict[str, Any] = {"duration": seconds}
     fields["events"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.events)
     fields["change"] = tuple(
-        c.model_copy(update={"at": None, "frame": round(c.when() * share)}) for c in full.change
+        c.model_copy(update={"at": None, "frame": round(c.at_frame() * share)}) for c in full.change
     )
     if full.operation is not None:
         requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.requests)

@@ -12,9 +12,10 @@ from numpy.random import Generator
 
 from cmf_mj import InputError, RunError
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.run import Run, SignalSession
+from cmf_mj.facility.changes import change_of
+from cmf_mj.facility.run import Run
 from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.facility.settings import change_of
+from cmf_mj.facility.signal_session import SignalSession
 
 LONGEST_RUN = 10_240  #: Frames of a run in random operation.
 
@@ -43,7 +44,7 @@ def tried(table: dict[str, Any]) -> str:
     except RunError as error:
         assert " at " in str(error) and str(error).endswith(" s")
     record = run.record()
-    assert record.time.size == -(-run.frame // run.done().record_every)
+    assert record.time.size == -(-run.frame // run.done_run().record_every)
     for name, values in record.channels.items():
         assert np.isfinite(values).all(), name
     return "run"
@@ -107,8 +108,8 @@ def test_three_thousand_changes_are_done() -> None:
     ] + [{"frame": 20, "push": {"force": [float(number), 0.0, 0.0]}} for number in range(2900)]
     run = SignalSession(scenario_of({"duration": 0.02, "change": changes}, "test"))
     run.run(400)
-    assert run.frame == run.frames and len(run.done().change) == 3000
-    assert run.look().law == "force"
+    assert run.frame == run.frames and len(run.done_run().change) == 3000
+    assert run.law_in_force.name == "force"
 
 
 # Live
@@ -143,18 +144,18 @@ def operated(seed: int, frames: int) -> dict[str, int]:
     laws = set()
     while counts["frames"] < frames:
         try:
-            run = SignalSession(machine(draw), keep=5.0)
+            run = SignalSession(machine(draw), kept_seconds=5.0)
         except InputError:  # a law that is not for this machine
             counts["refused"] += 1
             continue
         counts["runs"] += 1
         most = min(LONGEST_RUN, frames - counts["frames"])
-        chain = run.look().state != ""
+        chain = run.source.hosted
         try:
             while run.frame < most:
                 run.run(int(min(draw.integers(1, 1500), most - run.frame)))
                 counts["changes"] += 1
-                laws.add(run.look().law)
+                laws.add(run.law_in_force.name)
                 try:
                     run.apply(change_of(random_change(draw, chain)))
                 except InputError as error:
@@ -166,7 +167,7 @@ def operated(seed: int, frames: int) -> dict[str, int]:
         ended = run.frame < most  # the step of the frame that ended it is made, its row is not
         assert abs(run.plant.data.time - (run.frame + ended) * FRAME) < 1e-6 + 2 * FRAME * ended
         check_kept(run)
-        counts["faults"] += run.look().fault is not None
+        counts["faults"] += run.fault is not None
         counts["frames"] += max(run.frame, 1)
     return counts | {"laws": len(laws)}
 

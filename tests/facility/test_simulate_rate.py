@@ -12,9 +12,9 @@ from cmf_mj.analysis.identification import experiment, identify
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.facility.host_chain import dcu_of
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.facility.settings import dcu_of
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record

@@ -21,10 +21,10 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.host.stream import from_command
+from cmf_mj.facility.host_chain import dcu_of
 from cmf_mj.facility.operation import operate
-from cmf_mj.facility.run import SignalSession
 from cmf_mj.facility.scenario import scenario_of
-from cmf_mj.facility.settings import dcu_of
+from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import paired_circles
@@ -254,7 +254,7 @@ def test_a_session_runs_a_machine_with_edited_gimbals(tmp_path: Path) -> None:
     before, after = (
         np.linalg.norm(shape[0] @ turn(0.0, 0.0, yaw).T - shape[1], axis=1) for yaw in (0.0, 0.1)
     )
-    np.testing.assert_allclose(run.look().reference, after - before, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.memory.reference, after - before, rtol=0, atol=1e-9)
 
 
 def test_the_design_point_of_single_legs() -> None:

@@ -1,9 +1,9 @@
 """From the receiving thread to the frame loop without a lock: a ring of the latest frames.
 
 One writer, one reader. The writer marks a slot as being written, fills it, marks it with the
-frame's count and only then raises `written`. The reader copies a slot between two looks at the
-mark; where they differ from what it expects, the writer has lapped it and the frame is lost, which
-is counted. Of frames faster than `MOST_RATE` it takes the newest and counts the rest. Neither
+frame's count and only then raises `written`. The reader checks the mark before and after it copies
+a slot; if a mark is another one, the writer has lapped the reader and the frame is lost, which is
+counted. Of frames faster than `LARGEST_RATE` it takes the newest and counts the rest. Neither
 waits. A slot's mark and the counters are aligned 8-octet words.
 """
 
@@ -20,12 +20,12 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import HostFrame
 
-NEVER = np.iinfo(np.int64).max  #: Control frame of a place in a log that is not filled.
+NEVER = np.iinfo(np.int64).max  #: Control frame of an empty place in a log.
 
-MOST_RATE = 200
+LARGEST_RATE = 200
 """Frames a second that are handed over [Hz]: the DCU refuses what is faster than 100."""
 
-SPARE = 256  #: Frames that may come sooner than that.
+SPARE_FRAMES = 256  #: Frames that may come before `LARGEST_RATE` allows them.
 
 
 class Ring(NamedTuple):
@@ -40,26 +40,28 @@ class Ring(NamedTuple):
     lost: NDArray[np.int64]
     """Frames the reader came too late for or could not keep, (1,); the reader's."""
     thinned: NDArray[np.int64]
-    """Frames left out because newer ones came faster than `MOST_RATE`, (1,); the reader's."""
+    """Frames left out because newer ones came faster than `LARGEST_RATE`, (1,); the reader's."""
 
 
 def make_ring(slots: int = 256) -> Ring:
     """An empty ring; 256 slots are three seconds of an 80 Hz host."""
     if slots < 2:
         raise InputError(f"slots: {slots} must be at least 2")
-    counters = (np.zeros(1, dtype=np.int64) for _ in range(4))
     return Ring(
-        np.full(slots, -1),
-        np.zeros(slots, dtype=np.int64),
-        np.zeros(slots),
-        np.zeros((slots, 3, 6)),
-        *counters,
+        mark=np.full(slots, -1),
+        sequence=np.zeros(slots, dtype=np.int64),
+        time=np.zeros(slots),
+        values=np.zeros((slots, 3, 6)),
+        written=np.zeros(1, dtype=np.int64),
+        read=np.zeros(1, dtype=np.int64),
+        lost=np.zeros(1, dtype=np.int64),
+        thinned=np.zeros(1, dtype=np.int64),
     )
 
 
 def capacity_for(frames: int, rate: int = RATE) -> int:
     """Frames that are handed over at most in a number of control frames."""
-    return SPARE + frames * MOST_RATE // rate
+    return SPARE_FRAMES + frames * LARGEST_RATE // rate
 
 
 def make_log(capacity: int) -> Arrivals:
@@ -97,26 +99,26 @@ def collect(ring, log, filled, frame, rate=RATE):  # type: ignore[no-untyped-def
     afterwards, and keep it as the session.
     """
     slots = ring.mark.shape[0]
-    end = ring.written[0]
-    if end - ring.read[0] > slots:
-        ring.lost[0] += end - slots - ring.read[0]
-        ring.read[0] = end - slots
-    room = SPARE + frame * MOST_RATE // rate - filled
+    written = ring.written[0]
+    if written - ring.read[0] > slots:
+        ring.lost[0] += written - slots - ring.read[0]
+        ring.read[0] = written - slots
+    room = SPARE_FRAMES + frame * LARGEST_RATE // rate - filled
     if room <= 0:
         return filled
-    if end - ring.read[0] > room:
-        ring.thinned[0] += end - room - ring.read[0]
-        ring.read[0] = end - room
-    while ring.read[0] < end:
+    if written - ring.read[0] > room:
+        ring.thinned[0] += written - room - ring.read[0]
+        ring.read[0] = written - room
+    while ring.read[0] < written:
         count = ring.read[0]
         slot = count % slots
-        whole = filled < log.frame.shape[0] and ring.mark[slot] == count
-        if whole:
+        intact = filled < log.frame.shape[0] and ring.mark[slot] == count
+        if intact:
             log.sequence[filled] = ring.sequence[slot]
             log.time[filled] = ring.time[slot]
             copy(ring.values[slot], log.values[filled])
-            whole = ring.mark[slot] == count
-        if whole:
+            intact = ring.mark[slot] == count
+        if intact:
             log.frame[filled] = frame
             filled += 1
         else:
@@ -125,6 +127,6 @@ def collect(ring, log, filled, frame, rate=RATE):  # type: ignore[no-untyped-def
     return filled
 
 
-def logged(log: Arrivals, filled: int) -> Arrivals:
+def filled_log(log: Arrivals, filled: int) -> Arrivals:
     """The part of a log that is in use, as copies."""
-    return Arrivals._make(part[:filled].copy() for part in log)
+    return Arrivals._make(column[:filled].copy() for column in log)

@@ -16,7 +16,7 @@ The host has no clock. A command is stamped where one is expected, with T the me
 
 so that a host of any steady rate is taken as steady and jitter is averaged; one that comes more
 than four intervals late is stamped with its arrival, and of commands that pile up the newest
-counts. Positions come without derivatives, so that the DCU filters them: `MoogBase.delay`.
+counts. Positions come without derivatives, so that the DCU filters them.
 """
 
 import math
@@ -28,7 +28,6 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcu.acceptance import POSES_HOLD
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.facility.host.handover import make_ring, put
@@ -46,21 +45,21 @@ ORDER = (3, 4, 2, 0, 5, 1)  #: Degree of freedom of each of the six numbers.
 POWER_UP = 1.0  #: Time from the start to idle [s]; assumed.
 
 REFUSALS = ("wrong_sender", "wrong_length", "wrong_word", "not_finite", "out_of_range", "disabled")
-"""Why a datagram is dropped: nothing moves by it."""
+"""Reasons for which a datagram is dropped: nothing moves by it."""
 
-_POLL = 4  #: Control frames between two looks at the network in real time: 2 ms.
+_POLL_FRAMES = 4  #: Control frames between two looks at the network in real time: 2 ms.
 
-_FOLLOW, _LEARN = 1.0 / 2.0, 1.0 / 64.0
+_STAMP_SHARE, _INTERVAL_SHARE = 1.0 / 2.0, 1.0 / 64.0
 """Shares of a command's lateness by which its stamp and the mean interval follow it."""
 
 _INTERVALS = (1.0 / 150.0, 1.0 / 30.0)  #: Least and largest mean interval of commands [s].
 
-_MOST = 64  #: Datagrams taken at one look, so that a flood does not hold up the machine.
+_POLL_DATAGRAMS = 64  #: Datagrams taken at one look, so that a flood does not hold up the machine.
 
-_PATIENCE = 10.0
+_LOCKSTEP_WAIT = 10.0
 """Longest wait for a command in lockstep [s]; then the host is taken to have gone."""
 
-_STILL = np.zeros(6)
+_NO_MOTION = np.zeros(6)
 
 
 class Word(IntEnum):
@@ -103,17 +102,17 @@ class Discrete(IntFlag):
 
 _MODES = {Word.LENGTH_MODE: 0x00, Word.DOF_MODE: 0x20}  #: Mode bits of the machine state.
 
-_STOPS = {Word.INHIBIT: MachineState.INHIBITED, Word.DISABLE: MachineState.DISABLED}
+_STOPPED_STATES = {Word.INHIBIT: MachineState.INHIBITED, Word.DISABLE: MachineState.DISABLED}
 """State that a word stops the base in."""
 
-_ASKS = {
+_REQUESTS = {
     **dict.fromkeys((Word.ENGAGE, Word.START), Request.ENGAGE),
     **dict.fromkeys((Word.PARK, Word.DISABLE), Request.OFF),
     Word.RESET: Request.RESET,
 }
 """What a word requests of the facility."""
 
-_VALID = {
+_VALID_STATES = {
     Word.PARK: (MachineState.ENGAGED, MachineState.STANDBY),
     Word.ENGAGE: (MachineState.IDLE,),
     Word.START: (MachineState.IDLE,),
@@ -126,7 +125,7 @@ _VALID = {
 }
 """States in which a word is obeyed; in others, and words without an entry, it is answered only."""
 
-_OF_FAULT = {
+_FAULT_BITS = {
     "host_watchdog": Latched.COMMUNICATION,
     "frame_watchdog": Latched.WATCHDOG,
     "under_pressure": Latched.DRIVE_BUS,
@@ -152,34 +151,27 @@ class MoogBase:
         self.latched = Latched(0)
         """Faults since the last reset."""
         self._mode = Word.DOF_MODE
-        self._stopped: MachineState | None = None  #: What a word stopped the base in.
-        self._begin, self._felt = np.zeros(6), np.zeros(6)
-        self._number, self._stamp, self._sent = 0, -math.inf, -math.inf
-        self._last, self._interval = 0.0, 1.0 / RATE
-
-    @staticmethod
-    def delay(session: Session) -> float:
-        """From a command to the demand: the DCU's delay of 60 poses a second [s]."""
-        dcu = session.source.blocks.dcu
-        wait = POSES_HOLD * dcu.hold + dcu.smoothing_delay
-        return 1.0 / RATE + wait + session.plant.machine.frame * dcu.line_frames
+        self._stopped_state: MachineState | None = None  #: What a word stopped the base in.
+        self._target_pose, self._measured_pose = np.zeros(6), np.zeros(6)
+        self._sent_frames, self._stamp, self._sent_stamp = 0, -math.inf, -math.inf
+        self._last_arrival, self._interval = 0.0, 1.0 / RATE
 
     def state(self, session: Session) -> MachineState:
         """What the base says it is."""
-        if self._stopped is not None:
-            return self._stopped
+        if self._stopped_state is not None:
+            return self._stopped_state
         source = session.source
-        code, request = source.progress[0].state, source.progress[0].request
-        if code == State.FAULT:
+        operating_state, request = source.progress[0].state, source.progress[0].request
+        if operating_state == State.FAULT:
             return MachineState.FAULT_2
-        if code == State.OFF and session.frame < POWER_UP * session.rate:
+        if operating_state == State.OFF and session.frame < POWER_UP * session.rate:
             return MachineState.POWER_UP
-        if request == Request.OFF and code != State.OFF:
+        if request == Request.OFF and operating_state != State.OFF:
             return MachineState.PARKING
         phase = source.operating.phase[0]
-        if code == State.ENGAGED and phase.time >= max(phase.fade_time, phase.stop_time):
+        if operating_state == State.ENGAGED and phase.time >= max(phase.fade_time, phase.stop_time):
             return MachineState.ENGAGED
-        return MachineState.IDLE if code == State.OFF else MachineState.STANDBY
+        return MachineState.IDLE if operating_state == State.OFF else MachineState.STANDBY
 
     def take(self, session: Session, data: bytes) -> bytes | None:
         """Obey a command; its answer, or None for what is dropped."""
@@ -201,7 +193,7 @@ class MoogBase:
             if self._mode == Word.DOF_MODE and free.any():
                 return self._drop("out_of_range", Latched.COMMAND_RANGE)
         self.counts["commands"] += 1
-        if state in _VALID.get(word, ()):
+        if state in _VALID_STATES.get(word, ()):
             self._obey(session, word, pose)
         else:
             self.counts["not_valid_now"] += 1
@@ -210,83 +202,85 @@ class MoogBase:
             self._position(session, pose if moved and word == Word.NEW_POSITION else None)
         return self._answer(session)
 
-    def _drop(self, why: str, bit: int = 0) -> bytes | None:
-        self.refused[why] += 1
+    def _drop(self, reason: str, bit: int = 0) -> bytes | None:
+        self.refused[reason] += 1
         self.latched = self.latched | Latched(bit)
         return None
 
     def _pose(self, session: Session, values: list[float]) -> NDArray[np.float64] | None:
         """The pose of six numbers, or None if the machine has none."""
-        pose, bounds = np.zeros(6), session.source.blocks
+        pose, blocks = np.zeros(6), session.source.blocks
         if self._mode == Word.DOF_MODE:
             pose[list(ORDER)] = values
         else:
             try:
-                pose = legs_to_pose(np.array(values) - bounds.states.travel, session.plant.machine)
+                pose = legs_to_pose(np.array(values) - blocks.states.travel, session.plant.machine)
             except InputError:
                 return None
-        return pose if (np.abs(pose) <= bounds.dcu.pose).all() else None
+        return pose if (np.abs(pose) <= blocks.dcu.pose).all() else None
 
     def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
         """Do what a word says that is valid now."""
         self._mode = word if word in _MODES else self._mode
         if word in (Word.ENGAGE, Word.START):
-            self._begin = pose
+            self._target_pose = pose
         if word == Word.RESET:
             self.latched = Latched(0)
-            if self._stopped is not None:  # inhibited: the machine itself has no fault
-                self._stopped = None
+            if self._stopped_state is not None:  # inhibited: the machine itself has no fault
+                self._stopped_state = None
                 return
-        self._stopped = _STOPS.get(word, self._stopped)
-        if word in _ASKS:
-            session.source.progress[0].request = _ASKS[word].value
+        self._stopped_state = _STOPPED_STATES.get(word, self._stopped_state)
+        if word in _REQUESTS:
+            session.source.progress[0].request = _REQUESTS[word].value
 
     def _position(self, session: Session, pose: NDArray[np.float64] | None) -> None:
         """Let a position follow the one before; None for the one to begin at, and to stay."""
         now = session.frame / session.rate
         if pose is not None:
             self.counts["positions"] += 1
-            self.counts["late"] += now - self._last > 1.5 * self._interval
-            self._begin = pose
-        self._last = now
-        late = now - self._stamp - self._interval
-        if late < -self._interval:
+            self.counts["late"] += now - self._last_arrival > 1.5 * self._interval
+            self._target_pose = pose
+        self._last_arrival = now
+        lateness = now - self._stamp - self._interval
+        if lateness < -self._interval:
             return
-        if late > 4.0 * self._interval:
+        if lateness > 4.0 * self._interval:
             self._stamp = now
         else:
-            self._stamp += self._interval + _FOLLOW * late
+            self._stamp += self._interval + _STAMP_SHARE * lateness
             least, most = _INTERVALS
-            self._interval = min(max(self._interval + _LEARN * late, least), most)
-        if self._stamp - self._sent < session.source.blocks.dcu.minimum_interval:
+            self._interval = min(max(self._interval + _INTERVAL_SHARE * lateness, least), most)
+        if self._stamp - self._sent_stamp < session.source.blocks.dcu.minimum_interval:
             return
-        self._number, self._sent = self._number + 1, self._stamp
-        put(self.ring, HostFrame(self._number, self._stamp, self._begin, _STILL, _STILL))
+        self._sent_frames, self._sent_stamp = self._sent_frames + 1, self._stamp
+        pose, stamp = self._target_pose, self._stamp
+        put(self.ring, HostFrame(self._sent_frames, stamp, pose, _NO_MOTION, _NO_MOTION))
 
     def _answer(self, session: Session) -> bytes:
         memory, source = session.memory, session.source
         progress, fault = source.progress[0], session.fault
-        fresh = progress.state == State.FAULT and progress.request != Request.RESET
-        if fresh and fault is not None:
-            self.latched |= _OF_FAULT.get(fault.name, Latched.ACTUATOR_RUNAWAY)
+        is_fresh = progress.state == State.FAULT and progress.request != Request.RESET
+        if is_fresh and fault is not None:
+            self.latched |= _FAULT_BITS.get(fault.name, Latched.ACTUATOR_RUNAWAY)
         tripped, travel = bool(memory.progress[0].tripped), source.blocks.states.travel
         if tripped:
             self.latched |= Latched.LIMIT_SWITCH
         legs = memory.feedback.position
-        home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
+        is_home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
         bits = {
             Discrete.AMPLIFIER_ENABLE: source.operating.phase[0].gain > 0.0,
             Discrete.DRIVE_BUS: memory.progress[0].stopped == 0,
             Discrete.LIMIT_SWITCH: tripped,
-            Discrete.AT_HOME: home,
+            Discrete.AT_HOME: is_home,
         }
         values = legs + travel
         if self._mode == Word.DOF_MODE:
             with suppress(NoPoseError):  # a failed sensor: the last pose that the legs had
-                self._felt = legs_to_pose(legs, session.plant.machine)
-            values = self._felt[list(ORDER)]
-        io = sum(bit for bit, here in bits.items() if here)
-        return ANSWER.pack(self.latched, io, self.state(session) | _MODES[self._mode], *values, 0)
+                self._measured_pose = legs_to_pose(legs, session.plant.machine)
+            values = self._measured_pose[list(ORDER)]
+        discrete_io = sum(bit for bit, is_on in bits.items() if is_on)
+        mode_bits = self.state(session) | _MODES[self._mode]
+        return ANSWER.pack(self.latched, discrete_io, mode_bits, *values, 0)
 
 
 class MoogServer(MoogBase, HostPort):
@@ -307,23 +301,23 @@ class MoogServer(MoogBase, HostPort):
         the run is paced.
         """
         MoogBase.__init__(self)
-        HostPort.__init__(self, port, host, host_port, bind, _PATIENCE if lockstep else 0.0)
-        self._lockstep, self._steps = lockstep, 0
+        HostPort.__init__(self, port, host, host_port, bind, _LOCKSTEP_WAIT if lockstep else 0.0)
+        self._lockstep, self._lockstep_commands = lockstep, 0
 
     def attend(self, session: Session) -> int:
         """Answer what has come; the control frames until the next look."""
-        for _ in range(sys.maxsize if self._lockstep else _MOST):
+        for _ in range(sys.maxsize if self._lockstep else _POLL_DATAGRAMS):
             try:
-                data, sender, known = self.receive(COMMAND.size + 1)
+                data, sender, is_host = self.receive(COMMAND.size + 1)
             except OSError:  # nothing has come, or an answer was refused
-                return session.frames if self._lockstep else _POLL
-            if not known:
+                return session.frames if self._lockstep else _POLL_FRAMES
+            if not is_host:
                 self._drop("wrong_sender")
             elif (answer := self.take(session, data)) is not None:
                 self._socket.sendto(answer, sender)
                 if self._lockstep:
                     break
         else:
-            return _POLL
-        self._steps += 1
-        return self._steps * session.rate // RATE - session.frame
+            return _POLL_FRAMES
+        self._lockstep_commands += 1
+        return self._lockstep_commands * session.rate // RATE - session.frame

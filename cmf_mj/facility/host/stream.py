@@ -37,9 +37,9 @@ from cmf_mj.signals.signal import LONGEST, Command, check_positive
 DERIVATIVES = ("spline", "zero")
 """How velocity and acceleration are made: of the quintic spline, or none."""
 
-LEAST = 6  #: Frames a quintic spline needs.
+SPLINE_FRAMES = 6  #: Frames that a quintic spline needs.
 
-_PERIOD = 0.5  #: Time from stutter to stutter [s].
+_STUTTER_PERIOD = 0.5  #: Time from stutter to stutter [s].
 
 
 class HostFrame(NamedTuple):
@@ -95,15 +95,15 @@ def make_stream(
     if (velocity is None) != (acceleration is None):
         raise InputError("velocity, acceleration: give both or neither")
     if velocity is None or acceleration is None:
-        first, second = differentiate(stamps, poses, derivatives)
+        velocities, accelerations = differentiate(stamps, poses, derivatives)
     else:
-        first = shaped("velocity", velocity, *poses.shape)
-        second = shaped("acceleration", acceleration, *poses.shape)
+        velocities = shaped("velocity", velocity, *poses.shape)
+        accelerations = shaped("acceleration", acceleration, *poses.shape)
     numbers = np.arange(count) if sequence is None else np.array(sequence)
     if numbers.shape != (count,) or numbers.dtype.kind != "i":
         raise InputError(f"sequence: {numbers.dtype} {numbers.shape}; allowed: integers ({count},)")
     _refuse(np.diff(numbers, prepend=-1) <= 0, "sequence", numbers, "above the frame before")
-    return HostStream(numbers.astype(np.int64), stamps, poses, first, second)
+    return HostStream(numbers.astype(np.int64), stamps, poses, velocities, accelerations)
 
 
 def differentiate(
@@ -116,11 +116,11 @@ def differentiate(
     """
     if check_name("derivatives", derivatives, DERIVATIVES) == "zero":
         return np.zeros_like(pose), np.zeros_like(pose)
-    if time.size < LEAST:
-        raise InputError(f"pose: {time.size} frames; a spline needs at least {LEAST}")
-    spline = make_interp_spline(time - time[0], pose, k=5)
-    at = time - time[0]
-    return spline(at, nu=1), spline(at, nu=2)
+    if time.size < SPLINE_FRAMES:
+        raise InputError(f"pose: {time.size} frames; a spline needs at least {SPLINE_FRAMES}")
+    elapsed = time - time[0]
+    spline = make_interp_spline(elapsed, pose, k=5)
+    return spline(elapsed, nu=1), spline(elapsed, nu=2)
 
 
 def from_command(
@@ -135,14 +135,14 @@ def from_command(
     if rate > command.rate:
         raise InputError(f"rate: {rate} Hz must be at most {command.rate} Hz")
     frames = command.pose.shape[0]
-    grid = np.arange(frames) / command.rate
-    time = np.arange(int(np.floor(grid[-1] * rate + 1e-9)) + 1) / rate
+    command_time = np.arange(frames) / command.rate
+    time = np.arange(int(np.floor(command_time[-1] * rate + 1e-9)) + 1) / rate
     if derivatives != "spline":
         newest = np.minimum(np.floor(time * command.rate + 1e-6).astype(int), frames - 1)
         return make_stream(time, command.pose[newest], derivatives=derivatives)
-    if frames < LEAST:
-        raise InputError(f"command: {frames} frames; a spline needs at least {LEAST}")
-    spline = make_interp_spline(grid, command.pose, k=5)
+    if frames < SPLINE_FRAMES:
+        raise InputError(f"command: {frames} frames; a spline needs at least {SPLINE_FRAMES}")
+    spline = make_interp_spline(command_time, command.pose, k=5)
     return make_stream(time, spline(time), spline(time, nu=1), spline(time, nu=2))
 
 
@@ -154,16 +154,15 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     start = float(stream.time[0])
     frames = (float(stream.time[-1]) - start) * rate
     if frames > LONGEST * RATE:
-        said = f"{rate:g} Hz makes {frames:.3g} frames of a stream of {frames / rate:.6g} s"
-        raise InputError(f"rate: {said}; allowed: at most {LONGEST * RATE:.3g}")
+        text = f"{rate:g} Hz makes {frames:.3g} frames of a stream of {frames / rate:.6g} s"
+        raise InputError(f"rate: {text}; allowed: at most {LONGEST * RATE:.3g}")
     curve = BPoly.from_derivatives(stream.time - start, stream.values)
     time = np.arange(int(np.floor((stream.time[-1] - start) * rate + 1e-9)) + 1) / rate
-    motion = [curve(time, nu=order) for order in range(3)]
-    return make_stream(time + start, *motion)
+    return make_stream(time + start, curve(time), curve(time, nu=1), curve(time, nu=2))
 
 
 class HostTiming(NamedTuple):
-    """How a host keeps to the times it stamps its frames with; by default to the letter."""
+    """Errors of a host in sending frames at the times of their stamps; by default none."""
 
     speed: float = 1.0  #: Stamped time over real time, above 0.
     jitter: float = 0.0  #: Largest random delay of a frame [s].
@@ -171,21 +170,21 @@ class HostTiming(NamedTuple):
     loss: float = 0.0  #: Share of frames that are lost, below 1.
     seed: int = 0  #: Of jitter and loss.
 
-    def keep(self, stream: HostStream) -> tuple[HostStream, NDArray[np.float64]]:
-        """The frames that are sent, and when [s], (N,), never falling, from the first stamp on."""
-        bounds = {"speed": 10.0, "jitter": 1.0, "stutter": _PERIOD, "loss": 1.0}
-        for name, most in bounds.items():
-            value, least = getattr(self, name), 0.01 if name == "speed" else 0.0
-            if not least <= value <= most or (name == "loss" and value == 1.0):
-                raise InputError(f"{name}: {value} is refused; allowed: {least} to {most:g}")
+    def apply(self, stream: HostStream) -> tuple[HostStream, NDArray[np.float64]]:
+        """The frames that are sent, and the times of sending from the first stamp on [s], (N,)."""
+        bounds = {"speed": 10.0, "jitter": 1.0, "stutter": _STUTTER_PERIOD, "loss": 1.0}
+        for name, high in bounds.items():
+            value, low = getattr(self, name), 0.01 if name == "speed" else 0.0
+            if not low <= value <= high or (name == "loss" and value == 1.0):
+                raise InputError(f"{name}: {value} is refused; allowed: {low} to {high:g}")
         random = np.random.default_rng(self.seed)
-        when = (stream.time - stream.time[0]) / self.speed
-        when = when + self.jitter * random.uniform(size=when.size)
-        when += np.maximum(self.stutter - when % _PERIOD, 0.0)
-        sent = random.uniform(size=when.size) >= self.loss
-        sent[0] = True
-        kept = HostStream._make(column[sent] for column in stream)
-        return kept, np.maximum.accumulate(when)[sent]
+        times = (stream.time - stream.time[0]) / self.speed
+        times = times + self.jitter * random.uniform(size=times.size)
+        times += np.maximum(self.stutter - times % _STUTTER_PERIOD, 0.0)
+        is_sent = random.uniform(size=times.size) >= self.loss
+        is_sent[0] = True
+        sent_stream = HostStream._make(column[is_sent] for column in stream)
+        return sent_stream, np.maximum.accumulate(times)[is_sent]
 
 
 def arrivals(
@@ -195,28 +194,25 @@ def arrivals(
     rate: int = RATE,
     timing: HostTiming = HostTiming(),  # noqa: B008 (immutable)
 ) -> Arrivals:
-    """The stream as it reaches a DCU, the first frame after `delay` whole control frames.
-
-    The DCU runs at a control rate [Hz].
-    """
+    """The stream as it reaches a DCU at a control rate [Hz], the first after `delay` frames."""
     if delay < 0:
         raise InputError(f"delay: {delay} control frames must be at least 0")
-    kept, when = timing.keep(stream)
-    frame = np.ceil(when * rate - 1e-6).astype(np.int64) + delay
-    return Arrivals(frame, kept.sequence, kept.time, kept.values)
+    sent_stream, times = timing.apply(stream)
+    frame = np.ceil(times * rate - 1e-6).astype(np.int64) + delay
+    return Arrivals(frame, sent_stream.sequence, sent_stream.time, sent_stream.values)
 
 
-def _refuse(bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> None:
-    if np.any(bad):
-        index = int(np.argmax(bad))
+def _refuse(is_bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> None:
+    if np.any(is_bad):
+        index = int(np.argmax(is_bad))
         raise InputError(f"{name}: frame {index}: {values[index]} is refused; allowed: {allowed}")
 
 
-SLOWEST = 0.25  #: Longest time between frames that a host can drive the DCU with [s].
+LONGEST_INTERVAL = 0.25  #: Longest time between frames that a host can drive the DCU with [s].
 
-_FASTEST = 1e-3  #: Shortest time that a host is likely to have between frames [s].
+_SHORTEST_INTERVAL = 1e-3  #: Shortest time that a host is likely to have between frames [s].
 
-_TIMES = {"ms": 1e-3, "us": 1e-6}  #: Other units of time that hosts count in [s].
+_TIME_UNITS = {"ms": 1e-3, "us": 1e-6}  #: Other units of time that hosts count in [s].
 
 
 def unit_doubts(
@@ -224,15 +220,18 @@ def unit_doubts(
 ) -> list[str]:
     """One line for each quantity that would fit in another unit and does not in its own.
 
-    Frames have times (N,) [s] and poses (N, 6) [m, rad]. A median interval beyond `SLOWEST` is
-    doubted if it fits in ms or us; a pose beyond the machine's operational limit if it would be
-    within that in inches or degrees.
+    Frames have times (N,) [s] and poses (N, 6) [m, rad]. A median interval beyond
+    `LONGEST_INTERVAL` is doubted if it fits in ms or us; a pose beyond the machine's operational
+    limit if it would be within that in inches or degrees.
     """
     doubts = []
     stamps = time[np.isfinite(time)]
     interval = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
-    for unit, size in _TIMES.items():
-        if interval > SLOWEST and _FASTEST <= interval * size <= SLOWEST:
+    for unit, size in _TIME_UNITS.items():
+        if (
+            interval > LONGEST_INTERVAL
+            and _SHORTEST_INTERVAL <= interval * size <= LONGEST_INTERVAL
+        ):
             doubts.append(
                 f"time: {interval:g} s from frame to frame; host times are in s: is this {unit}?"
             )
@@ -241,16 +240,16 @@ def unit_doubts(
         largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
         unit = dof_unit(dof)
         if limit < largest and units.to_si(unit, largest) <= limit:
-            own = "m" if unit == "in" else "rad"
+            si = "m" if unit == "in" else "rad"
             doubts.append(
-                f"{dof}: up to {largest:g} {own}, beyond {limit:.3g} {own}; "
+                f"{dof}: up to {largest:g} {si}, beyond {limit:.3g} {si}; "
                 f"poses are in m and rad: is this {unit}?"
             )
     return doubts
 
 
-_KINDS = ("", "_velocity", "_acceleration")
-_ARRIVED = "control_frame"  #: Column that sessions alone have.
+_NAME_ENDS = ("", "_velocity", "_acceleration")
+_ARRIVAL_FRAME = "control_frame"  #: Column that sessions alone have.
 
 
 def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
@@ -261,12 +260,12 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
     """
     source = Path(path)
     table = read_table(source)
-    poses, first, second = (f"{DOFS[0]}{kind}" for kind in _KINDS)
-    if (first in table.column_names) != (second in table.column_names):
+    _poses, velocities, accelerations = (f"{DOFS[0]}{end}" for end in _NAME_ENDS)
+    if (velocities in table.column_names) != (accelerations in table.column_names):
         raise InputError(f"{source}: velocity and acceleration columns: give both or neither")
     time = read_column(source, table, "time")
-    kinds = _KINDS if first in table.column_names else _KINDS[:1]
-    motion, numbers = [_motion(source, table, kind) for kind in kinds], None
+    ends = _NAME_ENDS if velocities in table.column_names else _NAME_ENDS[:1]
+    motion, numbers = [_motion(source, table, end) for end in ends], None
     if "sequence" in table.column_names:
         numbers = read_column(source, table, "sequence", pa.int64())
     try:
@@ -275,8 +274,8 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
         raise InputError(f"{source}: {error}") from error
 
 
-def _motion(source: Path, table: pa.Table, kind: str) -> NDArray[np.float64]:
-    return np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
+def _motion(source: Path, table: pa.Table, end: str) -> NDArray[np.float64]:
+    return np.column_stack([read_column(source, table, f"{dof}{end}") for dof in DOFS])
 
 
 def write_stream(stream: HostStream, path: str | Path) -> Path:
@@ -287,16 +286,16 @@ def write_stream(stream: HostStream, path: str | Path) -> Path:
 def write_arrivals(frames: Arrivals, path: str | Path) -> Path:
     """Write what a DCU got in a run, good or bad, as Parquet; `operate` runs it again."""
     table = _table(frames.sequence, frames.time, frames.values)
-    return write_parquet(table.append_column(_ARRIVED, pa.array(frames.frame)), Path(path))
+    return write_parquet(table.append_column(_ARRIVAL_FRAME, pa.array(frames.frame)), Path(path))
 
 
 def read_arrivals(path: str | Path) -> Arrivals:
     """Read what `write_arrivals` wrote; numbers come back bit for bit."""
     source = Path(path)
     table = read_table(source)
-    frame = read_column(source, table, _ARRIVED, pa.int64())
+    frame = read_column(source, table, _ARRIVAL_FRAME, pa.int64())
     sequence = read_column(source, table, "sequence", pa.int64())
-    values = np.stack([_motion(source, table, kind) for kind in _KINDS], axis=1)
+    values = np.stack([_motion(source, table, end) for end in _NAME_ENDS], axis=1)
     time = read_column(source, table, "time")
     return Arrivals(frame, sequence, time, np.ascontiguousarray(values))
 
@@ -305,7 +304,7 @@ def _table(
     sequence: NDArray[np.int64], time: NDArray[np.float64], values: NDArray[np.float64]
 ) -> pa.Table:
     columns: dict[str, NDArray[Any]] = {"sequence": sequence, "time": time}
-    names = [f"{dof}{kind}" for kind in _KINDS for dof in DOFS]
+    names = [f"{dof}{end}" for end in _NAME_ENDS for dof in DOFS]
     rows = values.reshape(len(time), len(names))  # of a silent host none
     columns |= zip(names, np.ascontiguousarray(rows.T), strict=True)
     return pa.table({name: pa.array(column) for name, column in columns.items()})

@@ -38,7 +38,7 @@ SIZE = _FRAME.size + _CHECKSUM.size  #: Octets of a datagram.
 MOST_SEQUENCE = 2**63 - 1  #: Largest sequence number.
 LOOPBACK = "127.0.0.1"  #: Address at which a machine reaches itself, and nobody else does.
 
-_LONGEST_WAIT = 0.05  #: How long the thread waits before it looks whether it is to end [s].
+_RECEIVE_WAIT = 0.05  #: Longest wait of the thread, which then looks whether it is to end [s].
 _BUFFER = 4 * 2**20
 """Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""
 _FORCE_BUFFER, _MEMINFO = 33, 55
@@ -78,15 +78,15 @@ def decode_frame(data: bytes) -> HostFrame:
     if len(data) != SIZE:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {SIZE}")
     magic, version, length, sequence, stamp, *motion = _FRAME.unpack_from(data)
-    intact = _CHECKSUM.unpack_from(data, _FRAME.size)[0] == zlib.crc32(data[: _FRAME.size])
-    for passed, reason, explanation in (
+    is_intact = _CHECKSUM.unpack_from(data, _FRAME.size)[0] == zlib.crc32(data[: _FRAME.size])
+    for is_right, reason, explanation in (
         (magic == MAGIC, "wrong_magic", f"{magic!r}; allowed: {MAGIC!r}"),
         (version == VERSION, "wrong_version", f"{version}; allowed: {VERSION}"),
         (length == SIZE, "wrong_length", f"field says {length}; allowed: {SIZE}"),
-        (intact, "wrong_checksum", "octets were changed on the way"),
+        (is_intact, "wrong_checksum", "octets were changed on the way"),
         (sequence <= MOST_SEQUENCE, "wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}"),
     ):
-        if not passed:
+        if not is_right:
             raise DatagramError(reason, explanation)
     return HostFrame(sequence, stamp, *np.array(motion).reshape(3, 6))
 
@@ -111,8 +111,8 @@ class HostPort:
     def receive(self, octets: int) -> tuple[bytes, tuple[str, int], bool]:
         """A datagram of at most some octets, its sender, whether that is the host; or `OSError`."""
         data, (address, port) = self._socket.recvfrom(octets)
-        known = address == self._host and self._host_port in (None, port)
-        return data, (address, port), known
+        is_host = address == self._host and self._host_port in (None, port)
+        return data, (address, port), is_host
 
     def close(self) -> None:
         """Close the socket."""
@@ -144,7 +144,7 @@ class UdpReceiver(HostPort):
         Port 0 takes a free one, see `address`. Only datagrams of `host`, and of `host_port` if
         there is one, are taken. Raises `OSError` for a port that is taken.
         """
-        super().__init__(port, host, host_port, bind, _LONGEST_WAIT)
+        super().__init__(port, host, host_port, bind, _RECEIVE_WAIT)
         self.ring = ring if ring is not None else make_ring()  #: Well-formed frames received.
         self._refused, self._overrun = dict.fromkeys(DATAGRAM_REASONS, 0), 0
         self._ending = threading.Event()
@@ -187,9 +187,9 @@ class UdpReceiver(HostPort):
 
     def _take(self) -> None:
         """Put the frame of the next datagram into the ring, or count why not."""
-        data, sender, known = self.receive(SIZE + 1)  # so that a longer one is seen to be longer
+        data, sender, is_host = self.receive(SIZE + 1)  # so that a longer one is seen to be longer
         try:
-            if not known:
+            if not is_host:
                 raise DatagramError("wrong_sender", f"{sender[0]}:{sender[1]}")
             put(self.ring, decode_frame(data))
         except DatagramError as error:
@@ -197,26 +197,23 @@ class UdpReceiver(HostPort):
 
 
 def open_socket(port: int, bind: str) -> socket.socket:
-    """A UDP socket at an IPv4 address and port, 0 for a free one, with a large buffer.
-
-    Raises `OSError` for a port that is taken.
-    """
+    """A UDP socket at an IPv4 address and port, 0 for a free one; `OSError` for one in use."""
     check_port("port", port, 0)
     check_address("bind", bind)
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with contextlib.suppress(OSError):  # as much as the system and our rights allow
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         if sys.platform == "linux":
-            made.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
+            udp_socket.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
     try:
-        made.bind((bind, port))
+        udp_socket.bind((bind, port))
     except OSError as error:
-        made.close()
+        udp_socket.close()
         if error.errno == errno.EADDRNOTAVAIL:
-            said = f"bind: {bind!r} is no address of this machine"
-            raise InputError(f"{said}; allowed: one of its own, or 0.0.0.0") from None
+            text = f"bind: {bind!r} is no address of this machine"
+            raise InputError(f"{text}; allowed: one of its own, or 0.0.0.0") from None
         raise
-    return made
+    return udp_socket
 
 
 class SendReport(NamedTuple):
@@ -240,13 +237,13 @@ def send_stream(
 ) -> SendReport:
     """Send a stream to one IPv4 address and port in real time, by its time stamps and a timing.
 
-    From `source_port`, 0 for a free one. Each deadline is start + what `timing.keep` gives:
+    From `source_port`, 0 for a free one. Each deadline is start + what `timing.apply` gives:
     absolute, so that no lateness adds up.
     """
     check_port("port", port, 1)
     check_port("source_port", source_port, 0)
     check_address("address", address)
-    stream, deadlines = timing.keep(stream)
+    stream, deadlines = timing.apply(stream)
     datagrams = [encode_frame(stream.row(index)) for index in range(stream.time.size)]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -254,8 +251,8 @@ def send_stream(
         start = clock()
         for index, data in enumerate(datagrams):
             deadline = start + float(deadlines[index])
-            while (left := deadline - clock()) > 0.0:
-                sleep(left)
+            while (wait := deadline - clock()) > 0.0:
+                sleep(wait)
             sender.sendto(data, (address, port))
             lateness[index] = clock() - deadline
     return SendReport(

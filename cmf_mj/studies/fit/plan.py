@@ -187,7 +187,7 @@ def demand(run: Run) -> Array:
     layered = LayeredDemand(added(run.signal, run.seed, run.rate))
     for change in run.change:
         motion = added(change.signal or (), run.seed, run.rate)
-        layered.change(change.when(run.rate), motion, round(change.fade * run.rate))
+        layered.change(change.at_frame(run.rate), motion, round(change.fade * run.rate))
     return layered.poses(0, run.frames or 0)
 
 
@@ -373,7 +373,7 @@ def record_campaign(
         key = (names.index(name),)
         (noise_seed,) = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)
         with within(name):
-            run = runs[name].but(plant=copy.deepcopy(plant), seed=int(noise_seed)).record()
+            run = runs[name].changed(plant=copy.deepcopy(plant), seed=int(noise_seed)).record()
         metadata = {key: run.metadata[key] for key in ("sample_rate", "law")}
         metadata |= sheet_metadata | {"command": {"kind": "scenario"}}
         histories = {channel: run[channel] for channel in channels if channel in run.channels}
