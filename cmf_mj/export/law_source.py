@@ -20,7 +20,7 @@ from cmf_mj.control import inverse
 from cmf_mj.control.dcl import Dcl, make_dcl
 from cmf_mj.control.law import SIGNALS, Gains, Law
 
-LEGS = 6  #: Those of a motion base.
+LEGS = 6  #: Of a motion base.
 
 UNITS = ("in", "Pa", "Pa", "in", "in/s", "in/s", "in/s", "in s", "in/s^2", "lbf")
 """What gains of `SIGNALS` are published per."""
@@ -53,22 +53,22 @@ def law_source(law: Law, carrier: str) -> dict[str, str]:
     `carrier` says in words what it is bound to.
     """
     dcl = make_dcl(law, LEGS)
-    has = _has(law, dcl)
-    numbers = _numbers(law, dcl, has)
-    there = [name for name, needed in _BLOCKS.items() if has.get(needed, True)]
-    source = "\n".join(_filled(f"{name}.c", has, numbers) for name in there)
+    features = _features(dcl)
+    values = _template_values(law, dcl, features)
+    blocks = [name for name, feature in _BLOCKS.items() if features.get(feature, True)]
+    source = "\n".join(_filled(f"{name}.c", features, values) for name in blocks)
     modes = f"modes of {law.bound_modes.source}" if law.bound_modes else ""
-    said = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
-    head = ". ".join([*filter(None, said), f"{law.rate} frames a second."])
+    sentences = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
+    head = ". ".join([*filter(None, sentences), f"{law.rate} frames a second."])
     # Nothing in a comment ends it, or joins lines.
     plain = re.sub(r"[*\\]|\?\?", "", head).encode("ascii", "replace").decode()
-    numbers["head"] = _wrapped(plain, " * ")
-    return {"cmf_law.h": _filled("cmf_law.h", has, numbers), "cmf_law.c": source}
+    values["head"] = _wrapped(plain, " * ")
+    return {"cmf_law.h": _filled("cmf_law.h", features, values), "cmf_law.c": source}
 
 
-def _has(law: Law, dcl: Dcl) -> dict[str, bool]:
+def _features(dcl: Dcl) -> dict[str, bool]:
     """What a law has, by the names in `#if`."""
-    has = {
+    features = {
         "MODAL": dcl.is_modal,
         "MODELLED": dcl.model.is_active,
         "ADAPTING": dcl.model.is_adapting,
@@ -77,74 +77,74 @@ def _has(law: Law, dcl: Dcl) -> dict[str, bool]:
         "FOLLOWS": dcl.has_plan and dcl.plan.inverse.follows_pose,
         "STALLS": dcl.has_plan and bool(np.isfinite(dcl.plan.inverse.stall)),
     }
-    has["FOLLOWING"] = has["MODELLED"] or has["PLANNED"]
-    return has | {"MATHS": has["ADAPTING"] or has["PLANNED"]}
+    features["FOLLOWING"] = features["MODELLED"] or features["PLANNED"]
+    return features | {"MATHS": features["ADAPTING"] or features["PLANNED"]}
 
 
-def _numbers(law: Law, dcl: Dcl, has: Mapping[str, bool]) -> dict[str, Any]:
-    """What the paths of the templates begin with."""
-    modal, follows = has["MODAL"], has["FOLLOWING"]
-    one = dcl._replace(
-        compensator=dcl.compensator._replace(
-            state_gain=dcl.compensator.state_gain[0], output_gain=dcl.compensator.output_gain[0]
-        )
+def _template_values(law: Law, dcl: Dcl, features: Mapping[str, bool]) -> dict[str, Any]:
+    """Values by the name with which a path of the templates begins."""
+    modal, follows = features["MODAL"], features["FOLLOWING"]
+    compensator, inverse_plant = dcl.compensator, dcl.plan.inverse
+    leg_compensator = compensator._replace(
+        state_gain=compensator.state_gain[0], output_gain=compensator.output_gain[0]
     )
-    followed = "model" if has["MODELLED"] else "plan"
-    back = dcl.plan.inverse
+    reference_model = "model" if features["MODELLED"] else "plan"
+    leg_reference = "reference" if modal else "limited"
     return {
         "law": law,
-        "dcl": one,
+        "dcl": dcl._replace(compensator=leg_compensator),
         "modes": law.bound_modes,
         "name": law.name,
         "legs": LEGS,
         "rate": law.rate,
         "gravity": "without" if law.gravity_compensation else "with",
-        "errors_from": f"the {followed}" if follows else "the limited demand",
-        "less": ", less the force m a that the plan asks for" if has["PLANNED"] else "",
-        "input_gain": _gains(dcl.compensator.input_gain, law.input_gain, "1", modal),
-        "direct_gain": _gains(dcl.compensator.direct_gain, law.direct_gain, "%", modal),
+        "errors_from": f"the {reference_model}" if follows else "the limited demand",
+        "less": ", less the force m a that the plan asks for" if features["PLANNED"] else "",
+        "input_gain": _gains(compensator.input_gain, law.input_gain, "1", modal),
+        "direct_gain": _gains(compensator.direct_gain, law.direct_gain, "%", modal),
         "per_mode": "[LEGS]" if modal else "",
         "by_mode": "[leg]" if modal else "",
         "near_stall": inverse.NEAR_STALL,
         "small_flow": inverse.SMALL_FLOW,
         "farthest": 0.5 * np.pi,
-        "plan_mass": back.spring * back.compliance,
-        "followed": followed,
+        "plan_mass": inverse_plant.spring * inverse_plant.compliance,
+        "followed": reference_model,
         "feedback": "&modes" if modal else "&input->feedback",
-        "reference": "reference" if modal else "limited",
+        "reference": leg_reference,
         "integral": "integral" if modal else "state->error.integral",
         "sum": "sum" if modal else "output->output",
-        "target": "target" if follows else "reference" if modal else "limited",
+        "target": "target" if follows else leg_reference,
     }
 
 
-def _gains(values: Any, published: Gains, of: str, modal: bool) -> str:
-    """Rows of a table of gains, with what was published behind them."""
+def _gains(values: Any, published: Gains, unit: str, modal: bool) -> str:
+    """Rows of a table of gains in a unit per signal, with the published gains as comments."""
     rows = []
-    for number, (name, unit) in enumerate(zip(SIGNALS, UNITS, strict=True)):
+    for number, (name, signal_unit) in enumerate(zip(SIGNALS, UNITS, strict=True)):
         gain = getattr(published, name)
-        per = f"{of}/({unit})" if "/" in unit or " " in unit else f"{of}/{unit}"
-        said = f"/* {_text(gain)} {per} */" if np.any(gain) else ""
+        is_compound = "/" in signal_unit or " " in signal_unit
+        gain_unit = f"{unit}/({signal_unit})" if is_compound else f"{unit}/{signal_unit}"
+        comment = f"/* {_text(gain)} {gain_unit} */" if np.any(gain) else ""
         row = f"[{name.upper()}] = {_text(values[:, number] if modal else values[0, number])},"
-        rows += [said, row] if modal and said else [f"{row} {said}".strip()]
+        rows += [comment, row] if modal and comment else [f"{row} {comment}".strip()]
     return textwrap.indent("\n".join(rows), "    ")
 
 
-def _filled(name: str, has: Mapping[str, bool], numbers: Mapping[str, Any]) -> str:
-    """A template with what the law has."""
-    lines, kept = [], [True]
+def _filled(name: str, features: Mapping[str, bool], values: Mapping[str, Any]) -> str:
+    """A template for a law with these features and values."""
+    lines, conditions = [], list[bool]()
     for line in (_TEMPLATES / name).read_text(encoding="utf-8").splitlines():
-        word, _, rest = line.partition(" ")
-        known = rest.removeprefix("!") in has
-        if word == "#if" and (known or len(kept) > 1):
-            kept.append(has[rest] if rest in has else not has[rest[1:]])
-        elif word == "#else" and len(kept) > 1:
-            kept[-1] = not kept[-1]
-        elif word == "#endif" and len(kept) > 1:
-            kept.pop()
-        elif all(kept):
+        word, _, condition = line.partition(" ")
+        feature = condition.removeprefix("!")
+        if word == "#if" and (feature in features or conditions):
+            conditions.append(features[feature] != condition.startswith("!"))
+        elif word == "#else" and conditions:
+            conditions.append(not conditions.pop())
+        elif word == "#endif" and conditions:
+            conditions.pop()
+        elif all(conditions):
             lines.append(line)
-    paths = SimpleNamespace(**numbers)
+    paths = SimpleNamespace(**values)
     text = _TOKEN.sub(lambda token: _text(attrgetter(token[1])(paths)), "\n".join(lines))
     return text + "\n"
 

@@ -177,7 +177,7 @@ def _with_derivatives(a: Array, b: Array) -> Matrices:
 
 def side_by_side(systems: list[Matrices], interval: float) -> SampledSystem:
     """Equal-sized systems as one, its inputs and outputs ordered by signal, then by system."""
-    a, b, c, d = (linalg.block_diag(*parts) for parts in zip(*systems, strict=True))
+    a, b, c, d = (linalg.block_diag(*matrices) for matrices in zip(*systems, strict=True))
     count = len(systems)
     inputs = np.arange(b.shape[1]).reshape(count, -1).T.ravel()
     outputs = np.arange(c.shape[0]).reshape(count, -1).T.ravel()
@@ -231,8 +231,8 @@ def _mean_saturation(first, last, limit):  # type: ignore[no-untyped-def]
     """Mean of sat along the straight line from `first` to `last`."""
     if abs(last - first) <= 1e-9 * limit:
         return min(max(0.5 * (first + last), -limit), limit)
-    whole = _saturation_integral(last, limit) - _saturation_integral(first, limit)
-    return whole / (last - first)
+    integral = _saturation_integral(last, limit) - _saturation_integral(first, limit)
+    return integral / (last - first)
 
 
 @allocating

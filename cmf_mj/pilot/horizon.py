@@ -1,4 +1,4 @@
-"""The modes of a washout over a horizon, condensed to what a plan may choose.
+"""The modes of a washout over a horizon, condensed to what a plan decides.
 
 Per mode the model is that of `optimal`, with x = (x_v, x_d), u the simulator's rate and
 acceleration and v the aircraft's inputs,
@@ -8,7 +8,8 @@ acceleration and v the aircraft's inputs,
 u and v run straight between the knots 0 = t_0 < t_1 < ... < t_N = H, t_1 one frame, later ones
 farther apart by a constant ratio. Transitions and the cost of a span are exact (one exponential,
 doubled). P solves the Riccati equation of `optimal`: beyond the horizon that washout takes over.
-With U = (u_1 .. u_N) and what is given, s = (x_0, u_0, v_0 .. v_N), the states condense to
+With the decisions U = (u_1 .. u_N) and the parameters s = (x_0, u_0, v_0 .. v_N) the states
+condense to
 
     J = U^T H U + 2 U^T G s + const,    z = R U with R^T R = H,    min z^T z / 2 + z^T R^-T G s
 """
@@ -118,34 +119,36 @@ def condense(mode: WashoutMode, times: Matrix, smooth: Matrix | None = None) -> 
     problem = finite_problem(mode)
     dynamics = (problem.a, problem.inputs)
     n, m = len(problem.a), problem.inputs.shape[1] // 2
-    given, knot_count = n + m + m * len(times), len(times)
-    size = given + m * (knot_count - 1)
-    initial, effort, aircraft, plan = np.split(np.eye(size), [n, n + m, given])
+    knot_count = len(times)
+    parameter_count = n + m + m * knot_count
+    size = parameter_count + m * (knot_count - 1)
+    initial, effort, aircraft, plan = np.split(np.eye(size), [n, n + m, parameter_count])
     efforts = np.vstack([effort, plan]).reshape(knot_count, m, size)
     inputs = np.hstack([efforts, aircraft.reshape(knot_count, m, size)])
 
     states, total = np.zeros((knot_count, n, size)), np.zeros((size, size))
     states[0] = initial
     for knot, span in enumerate(np.diff(times)):
-        now, then = inputs[knot], inputs[knot + 1]
-        held = hold(*dynamics, np.zeros((0, n)), np.zeros((0, 2 * m)), float(span))
-        states[knot + 1] = held.transition @ states[knot]
-        states[knot + 1] += held.earlier @ now + held.later @ then
-        stage = np.vstack([states[knot], now, then])
+        begin, end = inputs[knot], inputs[knot + 1]
+        discrete = hold(*dynamics, np.zeros((0, n)), np.zeros((0, 2 * m)), float(span))
+        states[knot + 1] = discrete.transition @ states[knot]
+        states[knot + 1] += discrete.earlier @ begin + discrete.later @ end
+        stage = np.vstack([states[knot], begin, end])
         total += stage.T @ span_cost(dynamics, problem.weight, float(span)) @ stage
         if smooth is not None:
             for change in (efforts[knot + 1] - efforts[knot]) / smooth[:, None]:
                 total += np.outer(change, change) / span
     last = np.vstack([states[-1], inputs[-1, m:]])
     total += last.T @ problem.terminal @ last
-    return Condensed(mode, total[given:, given:], total[given:, :given], states, efforts)
+    gradient, hessian = np.split(total[parameter_count:], [parameter_count], axis=1)
+    return Condensed(mode, hessian, gradient, states, efforts)
 
 
 class LinearMap(NamedTuple):
-    """What is linear in the given s and the free z: given s + free z, rows first."""
+    """What is linear in the parameters s and the decisions z, rows first."""
 
-    given: Matrix
-    free: Matrix
+    of_parameters: Matrix
+    of_decisions: Matrix
 
 
 class Horizon(NamedTuple):
@@ -160,7 +163,7 @@ class Horizon(NamedTuple):
     motion: LinearMap  #: Pose of the head with two derivatives at t_1 .. t_N, (3, N, 6, s or z).
     error: LinearMap
     """Specific force sensed in the simulator less that in the aircraft, over its threshold, at
-    t_1 .. t_N, (N, 3, s or z)."""
+    t_1 .. t_N, (N, 3, s) and (3 N, z)."""
 
     def scaled(self, plans: list[Matrix]) -> Matrix:
         """Vector z of the efforts of each mode at t_1 .. t_N, (N, m)."""
@@ -185,13 +188,14 @@ def make_horizon(settings: PredictiveSettings, interval: float) -> Horizon:
     factor = linalg.cholesky(linalg.block_diag(*(mode.hessian for mode in modes)))
     unscale = linalg.solve_triangular(factor, np.eye(len(factor)))
     gradient = unscale.T @ linalg.block_diag(*(mode.gradient for mode in modes))
-    motion = _joined(modes, [_motion(mode, times) for mode in modes])
-    error = _joined(modes, [_error(mode) for mode in modes])
-    error_free = (error.free.reshape(-1, len(factor)) @ unscale).reshape(error.free.shape)
-    motion, error = motion._replace(free=motion.free @ unscale), error._replace(free=error_free)
+    motion, motion_of_plan = _joined(modes, [_motion(mode, times) for mode in modes])
+    error, error_of_plan = _joined(modes, [_error(mode) for mode in modes])
+    error_rows = error_of_plan.reshape(-1, len(factor))
     later, units = times + interval, np.eye(times.size)
     shift = np.array([np.interp(later, times, row) for row in units]).T
-    return Horizon(times, shift, modes, factor, unscale, gradient, motion, error)
+    motion_map = LinearMap(motion, motion_of_plan @ unscale)
+    error_map = LinearMap(error, error_rows @ unscale)
+    return Horizon(times, shift, modes, factor, unscale, gradient, motion_map, error_map)
 
 
 def _motion(mode: Condensed, times: Matrix) -> Matrix:
@@ -213,12 +217,14 @@ def _error(mode: Condensed) -> Matrix:
     return error / load_senses().thresholds.si[:3, None]
 
 
-def _joined(modes: list[Condensed], maps: list[Matrix]) -> LinearMap:
-    """Maps of (s, U) of each mode, as one of s and U of all modes in a row."""
-    lengths = [mode.gradient.shape[1] for mode in modes]
-    halves = [np.split(part, [given], axis=-1) for part, given in zip(maps, lengths, strict=True)]
-    given, free = (np.concatenate(half, axis=-1) for half in zip(*halves, strict=True))
-    return LinearMap(given, free)
+def _joined(modes: list[Condensed], maps: list[Matrix]) -> tuple[Matrix, Matrix]:
+    """Maps of (s, U) of each mode, as one of s and one of U of all modes in a row."""
+    of_parameters, of_plans = [], []
+    for mode, mode_map in zip(modes, maps, strict=True):
+        parameter_count = mode.gradient.shape[1]
+        of_parameters.append(mode_map[..., :parameter_count])
+        of_plans.append(mode_map[..., parameter_count:])
+    return np.concatenate(of_parameters, axis=-1), np.concatenate(of_plans, axis=-1)
 
 
 class OtolithsAhead(NamedTuple):
@@ -235,8 +241,8 @@ def otoliths_ahead(times: Matrix) -> OtolithsAhead:
     states = np.zeros((len(times), 2, len(times) + 2))
     states[0, :, :2] = np.eye(2)
     for knot, span in enumerate(np.diff(times)):
-        held = hold(a, b, c, d, float(span))
-        states[knot + 1] = held.transition @ states[knot]
-        states[knot + 1, :, 2 + knot : 4 + knot] += np.hstack([held.earlier, held.later])
+        discrete = hold(a, b, c, d, float(span))
+        states[knot + 1] = discrete.transition @ states[knot]
+        states[knot + 1, :, 2 + knot : 4 + knot] += np.hstack([discrete.earlier, discrete.later])
     sensed = np.asarray(c @ states[1:])[:, 0]
     return OtolithsAhead(sensed, states[1], -np.linalg.solve(a, b))

@@ -58,9 +58,9 @@ class PilotMotion:
         stamps = shaped("time", self.time, None)
         if not stamps.size:
             raise InputError("time: has no samples; give at least one")
-        late = np.diff(stamps) <= 0.0
-        if late.any():
-            row = int(late.argmax()) + 1
+        is_late = np.diff(stamps) <= 0.0
+        if is_late.any():
+            row = int(is_late.argmax()) + 1
             raise InputError(f"time: row {row}: {stamps[row]} s; allowed: above the row before")
         object.__setattr__(self, "time", stamps)
         for name in COLUMNS:
@@ -79,8 +79,8 @@ class PilotMotion:
         if self.time.size < 2:
             raise InputError(f"time: {self.time.size} samples have no rate; give at least 2")
         step = float(self.time[-1] - self.time[0]) / (self.time.size - 1)
-        off = np.abs(np.diff(self.time) - step)
-        if off.max() > 1e-6 * step + 4.0 * np.spacing(np.abs(self.time).max()):
+        deviations = np.abs(np.diff(self.time) - step)
+        if deviations.max() > 1e-6 * step + 4.0 * np.spacing(np.abs(self.time).max()):
             raise InputError(f"time: intervals differ from {step:.9g} s; resample the motion")
         return 1.0 / step
 
@@ -90,8 +90,8 @@ class PilotMotion:
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         span = self.time[-1] - self.time[0]
         time = self.time[0] + np.arange(int(np.floor(span * rate + 1e-9)) + 1) / rate
-        channels = (getattr(self, name) for name in COLUMNS)
-        return PilotMotion(time, *(interpolated(time, self.time, values) for values in channels))
+        channels = {name: interpolated(time, self.time, getattr(self, name)) for name in COLUMNS}
+        return PilotMotion(time, **channels)
 
     @staticmethod
     def from_platform(stream: HostStream, station: ArrayLike) -> "PilotMotion":
@@ -100,9 +100,12 @@ class PilotMotion:
         The station, such as `Cab.station`, counts from the platform's centroid in platform axes,
         z down [m], (3,).
         """
-        poses, rates, changes = (np.ascontiguousarray(values) for values in stream[2:])
+        poses, velocities, accelerations = (
+            np.ascontiguousarray(values)
+            for values in (stream.pose, stream.velocity, stream.acceleration)
+        )
         omega, alpha, force = (np.empty((len(poses), 3)) for _ in range(3))
-        _platform_motion(poses, rates, changes, omega, alpha, force)
+        _platform_motion(poses, velocities, accelerations, omega, alpha, force)
         force -= gravity_in_body(poses[:, 3:])
         force += at_lever_arm(omega, alpha, station)
         return PilotMotion(stream.time, force, omega, poses[:, 3:])
@@ -119,8 +122,8 @@ class PilotMotion:
         if record.time.size < 2:
             raise InputError(f"record: {record.time.size} rows; at least 2 are needed")
         time = record.time[1:] - float(record.metadata["mechanical_step"])
-        at = [interpolated(time, record.time, values) for values in (gyro, attitude)]
-        return PilotMotion(time, force[1:], *at)
+        gyro, attitude = (interpolated(time, record.time, values) for values in (gyro, attitude))
+        return PilotMotion(time, force[1:], gyro, attitude)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Time and each axis of each channel by the names of `COLUMNS`, in SI, (N,) each."""
@@ -137,8 +140,8 @@ class PilotMotion:
 def gravity_in_body(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
     """Gravity g = T^T (0, 0, 9.80665) of attitudes (..., 3) [rad], body axes [m/s^2], (..., 3)."""
     roll, pitch = attitude[..., 0], attitude[..., 1]
-    parts = (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch))
-    return STANDARD_GRAVITY * np.stack(parts, axis=-1)
+    axes = (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch))
+    return STANDARD_GRAVITY * np.stack(axes, axis=-1)
 
 
 def at_lever_arm(
@@ -148,8 +151,8 @@ def at_lever_arm(
 ) -> NDArray[np.float64]:
     """dw/dt x r + w x (w x r) of rates and their derivatives (N, 3), body axes [m/s^2], (N, 3)."""
     arm = shaped("lever_arm", lever_arm, 3)
-    inward = np.cross(angular_rate, np.cross(angular_rate, arm))
-    return np.asarray(np.cross(angular_acceleration, arm) + inward)
+    centripetal = np.cross(angular_rate, np.cross(angular_rate, arm))
+    return np.asarray(np.cross(angular_acceleration, arm) + centripetal)
 
 
 @allocating
@@ -193,7 +196,7 @@ def _platform_motion(poses, rates, accelerations, omega, alpha, centroid):  # ty
 
 
 def interpolated(
-    at: NDArray[np.float64], time: NDArray[np.float64], values: NDArray[np.float64]
+    new_time: NDArray[np.float64], time: NDArray[np.float64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Columns of `values` (N, n) on straight lines between their times, (K, n)."""
-    return np.column_stack([np.interp(at, time, column) for column in values.T])
+    """Columns of `values` (N, n) on straight lines between their times, at new ones, (K, n)."""
+    return np.column_stack([np.interp(new_time, time, column) for column in values.T])

@@ -143,9 +143,9 @@ class Optimal(NamedTuple):
         _move(self, sample, head)
 
 
-def _selection(chosen: Iterable[str], signals: Sequence[str]) -> Matrix:
+def _selection(names: Iterable[str], signals: Sequence[str]) -> Matrix:
     """Rows that choose signals by name; zeros for a name that is none of these signals."""
-    return np.array([[float(name == signal) for signal in signals] for name in chosen])
+    return np.array([[float(name == signal) for signal in signals] for name in names])
 
 
 def _sizes(settings: Settings, names: Iterable[str], ending: str = "") -> list[float]:

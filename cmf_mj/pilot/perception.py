@@ -72,7 +72,7 @@ class Senses(Settings):
     thresholds: Thresholds
 
     @model_validator(mode="after")
-    def _apart(self) -> "Senses":
+    def _distinct_time_constants(self) -> "Senses":
         if self.canals.time_constant.si == self.canals.adaptation.si:
             raise InputError("canals.adaptation: must differ from time_constant")
         return self
@@ -84,13 +84,12 @@ load_senses = Loader(Senses, Path(__file__).with_suffix(".toml"))
 
 def canal_response(canals: Canals) -> control.TransferFunction:
     """Transfer function from angular rate to the rate sensed."""
-    slow = np.polymul([canals.time_constant.si, 1.0], [canals.adaptation.si, 1.0])
-    whole = [canals.time_constant.si * canals.adaptation.si, 0.0, 0.0]
+    numerator = np.array([canals.time_constant.si * canals.adaptation.si, 0.0, 0.0])
+    denominator = np.polymul([canals.time_constant.si, 1.0], [canals.adaptation.si, 1.0])
     if canals.lead.si == 0.0:
-        return control.TransferFunction(whole, slow)
-    return control.TransferFunction(
-        np.polymul(whole, [canals.lead.si, 1.0]), np.polymul(slow, [canals.lag.si, 1.0])
-    )
+        return control.TransferFunction(numerator, denominator)
+    numerator = np.polymul(numerator, [canals.lead.si, 1.0])
+    return control.TransferFunction(numerator, np.polymul(denominator, [canals.lag.si, 1.0]))
 
 
 def otolith_response(otoliths: Otoliths) -> control.TransferFunction:
@@ -125,19 +124,23 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
     They start as if the first sample had lasted for a long time: rates forgotten, gravity known.
     """
     loaded = load_senses(senses)
-    parts = []
-    for response, inputs in (
-        (canal_response(loaded.canals), motion.angular_rate),
-        (otolith_response(loaded.otoliths), motion.specific_force),
-    ):
-        a, b, c, d = control.ssdata(state_space(response))
-        system = hold(a, b, c, d, 1.0 / motion.rate)
-        columns = np.ascontiguousarray(inputs.T)[:, :, None]
-        outputs = np.empty_like(columns)
-        for column, sensed in zip(columns, outputs, strict=True):
-            write_history(system, settled_state(system, column[0]), column, sensed)
-        parts.append(np.ascontiguousarray(outputs[:, :, 0].T))
-    return Sensed(motion.time, *parts)
+    canals, otoliths = canal_response(loaded.canals), otolith_response(loaded.otoliths)
+    rate = _sensed(canals, motion.angular_rate, 1.0 / motion.rate)
+    force = _sensed(otoliths, motion.specific_force, 1.0 / motion.rate)
+    return Sensed(motion.time, angular_rate=rate, specific_force=force)
+
+
+def _sensed(
+    response: control.TransferFunction, inputs: NDArray[np.float64], interval: float
+) -> NDArray[np.float64]:
+    """Inputs (N, 3) at samples `interval` [s] apart through a sense, axis by axis, (N, 3)."""
+    a, b, c, d = control.ssdata(state_space(response))
+    system = hold(a, b, c, d, interval)
+    columns = np.ascontiguousarray(inputs.T)[:, :, None]
+    outputs = np.empty_like(columns)
+    for column, output in zip(columns, outputs, strict=True):
+        write_history(system, settled_state(system, column[0]), column, output)
+    return np.ascontiguousarray(outputs[:, :, 0].T)
 
 
 class CueingError(NamedTuple):
@@ -174,6 +177,6 @@ def cueing_error(aircraft: PilotMotion, simulator: PilotMotion) -> CueingError:
             f"simulator: {simulator.time.size} samples from {simulator.time[0]:.6g} s; the "
             f"aircraft has {aircraft.time.size} from {aircraft.time[0]:.6g} s"
         )
-    flown, felt = sense(aircraft), sense(simulator)
-    force, rate = flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate
-    return CueingError(flown, felt, np.hstack([force, rate]), load_senses().thresholds.si)
+    flight, cab = sense(aircraft), sense(simulator)
+    force, rate = flight.specific_force - cab.specific_force, flight.angular_rate - cab.angular_rate
+    return CueingError(flight, cab, np.hstack([force, rate]), load_senses().thresholds.si)

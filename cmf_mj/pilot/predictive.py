@@ -34,7 +34,7 @@ _BRIDGE = 0.5  #: Time for which the last plan goes on alone, and then fades to 
 
 
 class Solves(NamedTuple):
-    """What the solver did in a run, a number a frame."""
+    """What the solver did in a run, frame by frame."""
 
     seconds: list[float]  #: Of the whole frame, model and solver.
     iterations: list[int]
@@ -64,7 +64,7 @@ class Forecast:
 
     def ahead(self, sample: Matrix, known: Matrix | None) -> Matrix:
         """Inputs at all knots, (N + 1, 6), of a new sample and those known at t_2 .. t_N."""
-        times, time = self._times, self._settings.guess_time.si
+        times, guess_time = self._times, self._settings.guess_time.si
         change = (sample - self._sample) / times[1] - self._slope
         self._slope += change * times[1] / self._settings.guess_lag.si
         inputs = np.vstack([self.first, np.broadcast_to(sample, (len(times) - 1, 6))])
@@ -72,7 +72,8 @@ class Forecast:
             inputs[2:] = known
         elif self._settings.reference == "guess":
             later = times[1:, None] - times[1]
-            inputs[1:] += self._slope * time * (1.0 - np.exp(-(self._lead + later) / time))
+            growth = 1.0 - np.exp(-(self._lead + later) / guess_time)
+            inputs[1:] += self._slope * guess_time * growth
             inputs[1:] *= np.exp(-later / self._settings.guess_fade.si)
         self._sample, self.first = sample, inputs[1]
         return inputs
@@ -92,7 +93,7 @@ class ModePlan:
         """What the mode moves."""
         return self.condensed.mode.layout
 
-    def given(self, inputs: Matrix) -> Matrix:
+    def parameters(self, inputs: Matrix) -> Matrix:
         """The mode's s for the aircraft's inputs at all knots, (N + 1, 6)."""
         aircraft = inputs[:, self.layout.input_columns]
         return np.concatenate([self.state, self.efforts[0], aircraft.ravel()])
@@ -102,12 +103,12 @@ class ModePlan:
 
         At t_1 these are u = -F (x, v), where x depends on u.
         """
-        given, (_, efforts) = self.given(inputs), plan.shape
+        parameters, (_, efforts) = self.parameters(inputs), plan.shape
         next_state, feedback = self.condensed.states[1], self.condensed.mode.feedback
         without_first = plan.copy()
         without_first[0] = 0.0
-        state = next_state @ np.concatenate([given, without_first.ravel()])
-        state_gain = next_state[:, given.size : given.size + efforts]
+        state = next_state @ np.concatenate([parameters, without_first.ravel()])
+        state_gain = next_state[:, parameters.size : parameters.size + efforts]
         loop = np.eye(efforts) + feedback[:, : len(state)] @ state_gain
         aircraft = inputs[1, self.layout.input_columns]
         washout = np.linalg.solve(loop, feedback @ np.concatenate([state, aircraft]))
@@ -115,7 +116,9 @@ class ModePlan:
 
     def follow(self, inputs: Matrix, plan: Matrix, horizon: Horizon) -> None:
         """Move by a frame along a plan of the efforts at t_1 .. t_N, (N, m)."""
-        self.state = self.condensed.states[1] @ np.concatenate([self.given(inputs), plan.ravel()])
+        self.state = self.condensed.states[1] @ np.concatenate(
+            [self.parameters(inputs), plan.ravel()]
+        )
         efforts = np.vstack([self.efforts[:1], plan])
         self.slope = (efforts[1] - efforts[0]) / horizon.times[1]
         self.efforts = horizon.shift @ efforts
@@ -168,9 +171,9 @@ class Predictive:
         self._otolith_states = self._otoliths.next_state @ forces
         inputs = inputs - self._unmodelled
 
-        given = np.concatenate([mode.given(inputs) for mode in self._plans])
+        parameters = np.concatenate([mode.parameters(inputs) for mode in self._plans])
         last_plan = self._horizon.scaled([mode.efforts[1:] for mode in self._plans])
-        programme = self._limits.programme(given, last_plan, inputs, sensed, head.linear[2])
+        programme = self._limits.programme(parameters, last_plan, inputs, sensed, head.linear[2])
         z, iterations = self.solver.solve(programme)
         self._lost_frames = self._lost_frames + 1 if z is None else 0
         plans = self._horizon.plans(last_plan if z is None else z)

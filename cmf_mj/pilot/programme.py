@@ -59,11 +59,13 @@ def _write_jacobian(geometry, station, pose, jacobian):  # type: ignore[no-untyp
     write_pose_jacobian(geometry, pose, jacobian[:6])
     jacobian[6:] = np.eye(6)
     for axis in range(3, 6):
-        more = pose.copy()
-        more[axis] += _ANGLE_STEP
-        less = pose.copy()
-        less[axis] -= _ANGLE_STEP
-        change = rotation(more[3], more[4], more[5]) - rotation(less[3], less[4], less[5])
+        pose_above = pose.copy()
+        pose_above[axis] += _ANGLE_STEP
+        pose_below = pose.copy()
+        pose_below[axis] -= _ANGLE_STEP
+        change = rotation(pose_above[3], pose_above[4], pose_above[5]) - rotation(
+            pose_below[3], pose_below[4], pose_below[5]
+        )
         jacobian[6:9, axis] = -(change @ station) / (2.0 * _ANGLE_STEP)
 
 
@@ -128,38 +130,39 @@ class PlanLimits:
         self.low[0, 6:] = share * low
 
         self._thresholds = load_senses().thresholds.si[:3]
-        free, later = horizon.motion.free, horizon.times[1:]
+        motion, later = horizon.motion.of_decisions, horizon.times[1:]
         near = settings.approach.si + settings.foresight.si * later
-        one, zero = np.ones_like(near), np.zeros_like(near)
-        bounded = [[one, 2.0 * near, near**2], [zero, one, near], [zero, zero, one]]
+        ones, zeros = np.ones_like(near), np.zeros_like(near)
+        bounded = [[ones, 2.0 * near, near**2], [zeros, ones, near], [zeros, zeros, ones]]
         self._approach = np.array(bounded)
         """What of q, q' and q'' is bounded as travel, speed and acceleration, (3, 3, N)."""
-        self._approaching = np.einsum("ijk,jk...->ik...", self._approach, free)
-        self._tilt_matrix = free[1, :, _TILT].reshape(2 * later.size, -1) / settings.tilt_rate.si
-        self._cue_matrix = horizon.error.free.reshape(3 * later.size, -1)
+        self._approaching = np.einsum("ijk,jk...->ik...", self._approach, motion)
+        tilt_rates = motion[1, :, _TILT].reshape(2 * later.size, -1)
+        self._tilt_matrix = tilt_rates / settings.tilt_rate.si
+        self._cue_matrix = horizon.error.of_decisions
         self.prices = _prices(settings, horizon.times)
 
     def programme(
-        self, given: Matrix, plan: Matrix, aircraft: Matrix, sensed: Matrix, shift: Matrix
+        self, parameters: Matrix, plan: Matrix, aircraft: Matrix, sensed: Matrix, shift: Matrix
     ) -> dict[str, Matrix]:
         """f, A and bounds of min z^T z / 2 + f^T z, linearised along the plan z.
 
-        `given` is s of all modes, `aircraft` its inputs at all knots, (N + 1, 6), `sensed` the
+        `parameters` is s of all modes, `aircraft` its inputs at all knots, (N + 1, 6), `sensed` the
         specific force sensed in it at t_1 .. t_N, (N, 3), `shift` the acceleration of the head at
         t_0, (3,).
         """
         motion = self._horizon.motion
-        resting = motion.given @ given
-        pose, rate, _ = resting + motion.free @ plan
+        resting = motion.of_parameters @ parameters
+        pose, rate, _ = resting + motion.of_decisions @ plan
         reach = reach_along(self._geometry, self._station, pose, rate)
         rows = (
             self._begin_rows(reach, resting, rate, shift),
             self._reach_rows(reach, resting, pose, rate),
             self._tilt_rows(resting, aircraft),
-            self._cue_rows(given, sensed),
+            self._cue_rows(parameters, sensed),
         )
         return {
-            "f": self._horizon.gradient @ given,
+            "f": self._horizon.gradient @ parameters,
             "A": np.vstack([group.matrix for group in rows]),
             "blower": np.concatenate([group.low.ravel() for group in rows]),
             "bupper": np.concatenate([group.high.ravel() for group in rows]),
@@ -168,7 +171,7 @@ class PlanLimits:
     def _begin_rows(self, reach: Reach, resting: Matrix, rate: Matrix, shift: Matrix) -> Rows:
         """Acceleration at t_0, where that of the rotation jumps and that of the shift does not."""
         limit = self.high[2, _BEGIN]
-        acceleration, jump = resting[2, 0].copy(), self._horizon.motion.free[2, 0].copy()
+        acceleration, jump = resting[2, 0].copy(), self._horizon.motion.of_decisions[2, 0].copy()
         acceleration[_SHIFT], jump[_SHIFT] = shift, 0.0
         jacobian, turning = reach.jacobian[0], reach.turning[0]
         begin = (jacobian @ acceleration + turning @ rate[0])[_BEGIN] / limit
@@ -181,7 +184,7 @@ class PlanLimits:
         values[0] += reach.values - (reach.jacobian @ pose[..., None])[..., 0]
         values[2] += (reach.turning @ (2.0 * resting[1] - rate)[..., None])[..., 0]
         values = np.einsum("ijk,jkl->ikl", self._approach, values)
-        turning = 2.0 * reach.turning @ self._horizon.motion.free[1]
+        turning = 2.0 * reach.turning @ self._horizon.motion.of_decisions[1]
         matrix = reach.jacobian @ self._approaching
         matrix += self._approach[:, 2, :, None, None] * turning
         scale = self.high[:, None]
@@ -196,9 +199,9 @@ class PlanLimits:
         low, high = np.minimum(aircraft_rate, 0.0) - 1.0, np.maximum(aircraft_rate, 0.0) + 1.0
         return Rows(self._tilt_matrix, low - rate, high - rate)
 
-    def _cue_rows(self, given: Matrix, sensed: Matrix) -> Rows:
+    def _cue_rows(self, parameters: Matrix, sensed: Matrix) -> Rows:
         """The error: what the simulator's pilot senses less what the aircraft's does."""
-        limit, error = self._settings.false_cue.si, self._horizon.error.given @ given
+        limit, error = self._settings.false_cue.si, self._horizon.error.of_parameters @ parameters
         force = sensed / self._thresholds
         low, high = -np.maximum(force, 0.0), -np.minimum(force, 0.0)
         return Rows(self._cue_matrix, low - limit - error, high + limit - error)

@@ -200,15 +200,15 @@ class Washout:
                 self._step(samples[row], frames[row])
         else:
             led = flown.time + predictive.lead
-            felt = interpolated(led, flown.time, samples)
+            station_motion = interpolated(led, flown.time, samples)
             for row in range(1, len(frames)):
                 known = interpolated(led[row - 1] + predictive.times[2:], flown.time, samples)
-                self._step(felt[row], frames[row], known)
+                self._step(station_motion[row], frames[row], known)
         return make_stream(flown.time, frames[:, 0], frames[:, 1], frames[:, 2])
 
     def _step(
         self,
-        felt: NDArray[np.float64],
+        station_motion: NDArray[np.float64],
         motion: NDArray[np.float64],
         known: NDArray[np.float64] | None = None,
     ) -> None:
@@ -218,7 +218,7 @@ class Washout:
         """
         if known is not None:
             to_inputs(self._running, known)
-        take_in(self._running, felt[:3], felt[3:])
+        take_in(self._running, station_motion[:3], station_motion[3:])
         self._algorithm.move(self._running.sample._replace(known=known), self._running.head)
         place_platform(self._running, motion)
 
@@ -230,17 +230,17 @@ class Washout:
 
     def flown(self, motion: PilotMotion) -> PilotMotion:
         """A motion at the frames of the host, from time 0."""
-        since = replace(motion, time=motion.time - motion.time[0])
+        from_start = replace(motion, time=motion.time - motion.time[0])
         if motion.time.size < 2 or abs(motion.rate - self.rate) <= 1e-6 * self.rate:
-            return since
-        return since.resampled(self.rate)
+            return from_start
+        return from_start.resampled(self.rate)
 
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
         running, rate, motion = self._running, np.empty(3), np.empty((3, 6))
         sample, head = running.sample, running.head
-        felt = _felt(specific_force, angular_rate)
-        write_scaled(running, felt[:3], felt[3:], sample.force, rate)
+        station_motion = _checked_motion(specific_force, angular_rate)
+        write_scaled(running, station_motion[:3], station_motion[3:], sample.force, rate)
         sample.slopes[:] = 0.0
         # The attitude depends on the force only, the Euler rates on the attitude.
         write_euler_rates(0.0, 0.0, rate, sample.euler_rates)
@@ -265,12 +265,12 @@ class Washout:
             if predictive is not None:
                 predictive.solver.limit_time(self.solving / self.rate)
             return self.start(specific_force, angular_rate)
-        self._step(_felt(specific_force, angular_rate), motion)
+        self._step(_checked_motion(specific_force, angular_rate), motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)
 
 
-def _felt(specific_force: ArrayLike, angular_rate: ArrayLike) -> NDArray[np.float64]:
+def _checked_motion(specific_force: ArrayLike, angular_rate: ArrayLike) -> NDArray[np.float64]:
     """Specific force (3,) and angular rate (3,), checked, as one, (6,)."""
     force = shaped("specific_force", specific_force, 3)
     return np.concatenate([force, shaped("angular_rate", angular_rate, 3)])

@@ -79,8 +79,8 @@ class TiltCoordinated(ThirdOrder):
     low_pass_damping: Ratio
 
 
-class _Set(Settings):
-    """What all sets share."""
+class _WashoutSet(Settings):
+    """Fields of all sets."""
 
     name: Name
     title: str = Field(min_length=1)
@@ -94,7 +94,7 @@ class _Set(Settings):
         return np.array([getattr(getattr(self, table), key).si for table, key in self._gains])
 
 
-class ClassicalSettings(_Set):
+class ClassicalSettings(_WashoutSet):
     """A classical washout."""
 
     _gains: ClassVar = tuple((dof, "gain") for dof in DOFS)
@@ -113,9 +113,10 @@ class ClassicalSettings(_Set):
             zeta, limit = min(axis.low_pass_damping.si, 0.99), self.inputs.tilt_force_limit
             # Largest input of the low-pass over its largest output: 1 / L1 of its impulse response.
             share = np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
-            if not limit.si < (most := STANDARD_GRAVITY * share):
+            largest = STANDARD_GRAVITY * share
+            if not limit.si < largest:
                 raise InputError(
-                    f"inputs.tilt_force_limit: {limit} must be less than {most:.3g} m/s^2: "
+                    f"inputs.tilt_force_limit: {limit} must be less than {largest:.3g} m/s^2: "
                     f"the low-pass of {dof} may overshoot to 1 g"
                 )
         return self
@@ -145,16 +146,16 @@ class TranslationCost(Settings):
 
 
 class TiltCost(TranslationCost):
-    """Those of surge or sway, and of the pitch or roll that is planned with it."""
+    """As `TranslationCost`, of surge or sway with the pitch or roll that is planned with it."""
 
     rate_gain: Gain  #: Share of the aircraft's angular rate.
     rate_error: AngularSpeed  #: Error of the rate sensed.
     angle: Angle
     rate: AngularSpeed  #: Of the simulator.
-    rate_bandwidth: Corner  #: As of `RotationCost`.
+    rate_bandwidth: Corner  #: Corner of the first-order noise that models the aircraft's rate.
 
 
-class OptimalSettings(_Set):
+class OptimalSettings(_WashoutSet):
     """An optimal washout."""
 
     _gains: ClassVar = (
@@ -220,12 +221,12 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source
     sets = Loader(Settings, _FILE, what="washout", names=WASHOUTS, fixed=("kind",))
-    table, where = sets.table(source)
-    return validated(_KINDS[table["kind"]], table, where)
+    table, place = sets.table(source)
+    return validated(_KINDS[table["kind"]], table, place)
 
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
     table = settings.model_dump(mode="json", exclude={"name", "kind"})
-    whole = {"base": _BASES[settings.kind], settings.name: table}
-    return write_text(Path(path), tomlkit.dumps(whole))
+    document = {"base": _BASES[settings.kind], settings.name: table}
+    return write_text(Path(path), tomlkit.dumps(document))
