@@ -74,7 +74,7 @@ def fly_command(
         rides.append(ride)
         folder = plain_path(out, ride.law)
         paths += save_operation(ride.operation, folder)
-        paths += report.save_ride(ride, folder)
+        paths += report.save_flight(ride, folder)
     paths += report.save_flights(rides, out)
     title = flown.origin.title if flown else f"{form} at port {port}"
     show(title, report.flight_table(rides), unfolded=True)

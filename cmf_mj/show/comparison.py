@@ -22,9 +22,10 @@ from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import REPORT_AMPLITUDES, CaseResult, dof_amplitude
 from cmf_mj.studies.comparison import PUBLISHED
 
-AGREEMENT = 0.1  #: Distance of two readings of -90 deg from which on a table shows both [Hz].
+AGREEMENT = 0.1  #: Distance of two readings of -90 deg above which a table shows both [Hz].
 
-_LINES = {"hexapod": "-", "single_legs": "--"}
+_LINE_STYLES = {"hexapod": "-", "single_legs": "--"}
+_SOURCE_LETTERS = {"hardware": "h", "nonlinear": "m"}
 
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz, from the legs' demand to their feedback in the control law, "
@@ -54,49 +55,64 @@ def phase_text(measures: Measures, small_motion_hz: float = float("nan")) -> str
     ('3.16/3.52 [3.30]', '-')
     """
     first, later = measures.phase_bandwidth_hz, measures.later_phase_hz
-    graze = "~" if later != later and measures.graze_from_hz == measures.graze_from_hz else ""
-    text = f"{graze}{number(first, '.2f')}"
-    if later == later:
-        text += f"/{later:.2f}"
-    apart = min(abs(small_motion_hz - at) if at == at else np.inf for at in (first, later))
-    return f"{text} [{small_motion_hz:.2f}]" if AGREEMENT < apart < np.inf else text
+    has_later, is_grazed = not np.isnan(later), not np.isnan(measures.graze_from_hz)
+    text = number(first, ".2f")
+    if has_later:
+        text = f"{text}/{later:.2f}"
+    elif is_grazed:
+        text = f"~{text}"
+    falls = [hertz for hertz in (first, later) if not np.isnan(hertz)]
+    distance = min((abs(small_motion_hz - hertz) for hertz in falls), default=np.inf)
+    return f"{text} [{small_motion_hz:.2f}]" if AGREEMENT < distance < np.inf else text
 
 
 def comparison_table(results: Sequence[CaseResult]) -> Table:
     """The comparison: a row per law and degree of freedom, next to what is published."""
-    first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
-    cab = next((result.case.cab_name for result in results if result.case.cab), "")
+    plants = list(dict.fromkeys(result.case.plant for result in results))
+    has_published = any(result.published for result in results)
     columns: list[Column] = ["law", "dof"]
-    printed = any(result.published for result in results)
-    for name in [*plants, *(["published"] if printed else [])]:
-        columns += [(f"{name.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
-        columns += [] if name == "published" else [("\npeak", ".1f"), ("\nat rest", ".3f")]
-        columns += [("\nzeta", ".2f")]
+    for plant in plants:
+        columns += [(f"{plant.replace('_', ' ')}\n-90", ".2f"), ("\n-3 dB", ".2f")]
+        columns += [("\npeak", ".1f"), ("\nat rest", ".3f"), ("\nzeta", ".2f")]
+    if has_published:
+        columns += [("published\n-90", ".2f"), ("\n-3 dB", ".2f"), ("\nzeta", ".2f"), ("\nof", "")]
     by_case = {(r.case.law.name, r.case.dof, r.case.plant): r for r in results}
-    cells = []
-    for law, dof in dict.fromkeys(key[:2] for key in by_case):
-        line: list[Cell] = [law, dof]
-        for plant in plants:
-            result = by_case[law, dof, plant]
-            measures = result.measures
-            line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
-            line.append(measures.static_gain)
-            line.append(_verdict(result) or measures.damping_ratio)
-        row = by_case[law, dof, plants[0]].published
-        if printed:
-            line += [getattr(row, name, None) for name in PUBLISHED]
-            line.append({"hardware": "h", "nonlinear": "m"}.get(row.of, "") if row else "")
-        cells.append(line)
-    length = first.size / dof_amplitude(first.dof, 1.0)
+    rows: list[list[Cell]] = []
+    texts = list[str]()
+    for law, dof in dict.fromkeys((r.case.law.name, r.case.dof) for r in results):
+        cells = [cell for plant in plants for cell in _cells(by_case[law, dof, plant])]
+        texts += [cell for cell in cells if isinstance(cell, str)]
+        published = by_case[law, dof, plants[0]].published
+        if has_published:
+            cells += [getattr(published, name, None) for name in PUBLISHED]
+            cells.append(_SOURCE_LETTERS.get(published.of, "") if published else "")
+        rows.append([law, dof, *cells])
+    marks = [text for mark, text in _MARKS.items() if any(mark in cell for cell in texts)]
+    legend = _LEGEND + "".join(marks) + (_PUBLISHED if has_published else "")
+    return Table(_table_title(results), columns, rows, legend, grouped=True)
+
+
+def _cells(result: CaseResult) -> list[Cell]:
+    """Measures of a law on a plant, or its verdict in place of the damping ratio."""
+    measures = result.measures
+    return [
+        phase_text(measures, result.small_motion_phase_hz),
+        measures.gain_bandwidth_hz,
+        measures.peak_gain_db,
+        measures.static_gain,
+        _verdict(result) or measures.damping_ratio,
+    ]
+
+
+def _table_title(results: Sequence[CaseResult]) -> str:
+    """Hydraulics and cab, and the size of the sweeps."""
+    case = results[0].case
+    cab = next((result.case.cab_name for result in results if result.case.cab), "")
+    length = case.size / dof_amplitude(case.dof, 1.0)
     inches = units.from_si("in", length)
     degrees = units.from_si("deg", dof_amplitude("roll", length))
-    title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
-    title += f"; simulated sweeps of {inches:.3g} in, {degrees:.3g} deg"
-    said = " ".join(cell for line in cells for cell in line[2:] if isinstance(cell, str))
-    legend = _LEGEND + "".join(text for mark, text in _MARKS.items() if mark in said)
-    if printed:
-        columns, legend = [*columns, ("\nof", "")], legend + _PUBLISHED
-    return Table(title, columns, cells, legend, grouped=True)
+    plant = f"hydraulics: {case.hydraulics.name}" + (f", cab: {cab}" if cab else "")
+    return f"{plant}; simulated sweeps of {inches:.3g} in, {degrees:.3g} deg"
 
 
 def _verdict(result: CaseResult) -> str:
@@ -120,15 +136,16 @@ def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
 def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
     """Laws by colour, plants by line."""
     case, verdict = result.case, result.verdict
-    label = f"{case.law.name}, {case.plant.replace('_', ' ')}{verdict and f', {verdict}'}"
-    return {"color": colours[case.law.name], "linestyle": _LINES[case.plant], "label": label}
+    label = ", ".join(filter(None, (case.law.name, case.plant.replace("_", " "), verdict)))
+    line = _LINE_STYLES[case.plant]
+    return {"color": colours[case.law.name], "linestyle": line, "label": label}
 
 
 def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
-    cab = next((r.case.cab_name.upper() for r in results if r.case.cab), "")
-    of = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
+    cab = next((result.case.cab_name.upper() for result in results if result.case.cab), "")
+    motion = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
     hydraulics = results[0].case.hydraulics.name
-    return f"{of}, simulated with hydraulics {hydraulics}" + (f", {cab}" if cab else "")
+    return f"{motion}, simulated with hydraulics {hydraulics}" + (f", {cab}" if cab else "")
 
 
 def responses_figure(results: Sequence[CaseResult]) -> Figure:
@@ -152,33 +169,33 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
 
 def step_figure(results: Sequence[CaseResult]) -> Figure:
     """Step responses of one degree of freedom, and what laws ask of the valve that moves most."""
-    dof = results[0].case.dof
-    unit, colours = dof_unit(dof), _colours(results)
-    labels, under = (f"{dof} [{unit}]", "valve [%]"), "time after the step [s]"
-    figure, (response, command) = look.stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
-    reference = results[0].step
-    demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
-    begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
-    response.plot(reference.time - begin, demanded, color=look.GREY, linewidth=1.0)
-    low, high, busy = -0.5 * demanded[-1], 2.0 * demanded[-1], -1
+    dof, reference, colours = results[0].case.dof, results[0].step, _colours(results)
+    unit, step = dof_unit(dof), reference.signal_as(Step)
+    labels, x = (f"{dof} [{unit}]", "valve [%]"), "time after the step [s]"
+    figure, (response, command) = look.stack(8.0, 7.0, *labels, x=x, ratios=(2, 1))
+    demand = units.from_si(unit, dof_history(reference, "leg_reference", dof))
+    response.plot(reference.time - step.at, demand, color=look.GREY, linewidth=1.0)
+    low, high = -0.5 * demand[-1], 2.0 * demand[-1]
+    busiest: int | None = None
     for result in results:
         record, style = result.step, _style(result, colours)
         try:
-            history = dof_history(record, "leg_position", dof)
+            motion = units.from_si(unit, dof_history(record, "leg_position", dof))
         except NoPoseError:
             continue
-        moved = units.from_si(unit, history)
-        response.plot(record.time - begin, moved, **style)
+        response.plot(record.time - step.at, motion, **style)
         if result.measures.stable:
-            low, high = min(low, 1.1 * moved.min()), max(high, 1.1 * moved.max())
+            low, high = min(low, 1.1 * motion.min()), max(high, 1.1 * motion.max())
         valves = 100.0 * record["valve_command"]
-        busy = int(np.ptp(valves, axis=0).argmax()) if busy < 0 else busy
-        command.set(ylabel=f"valve {busy + 1} [%]")
-        command.plot(record.time - begin, valves[:, busy], **style)
-    response.set(title=_title("Step response", dof, step, results), ylim=(low, high))
+        if busiest is None:
+            busiest = int(np.ptp(valves, axis=0).argmax())
+            command.set(ylabel=f"valve {busiest + 1} [%]")
+        command.plot(record.time - step.at, valves[:, busiest], **style)
+    response.set(title=_title("Step response", dof, step.size, results), ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    late = any(one.verdict == "unstable" for one in results)
-    look.legend(figure, title="unstable: legs ring on 12 s after the step" if late else None)
+    is_unstable = any(result.verdict == "unstable" for result in results)
+    title = "unstable: legs ring on 12 s after the step" if is_unstable else None
+    look.legend(figure, title=title)
     return figure
 
 
@@ -187,17 +204,17 @@ _RECORDS = re.compile(rf"({'|'.join(PLANTS)})-.+-({'|'.join(DOFS)})-(chirp|step)
 
 
 def drop_comparison(folder: Path, comparison: Sequence[CaseResult], records: bool) -> int:
-    """Remove what an earlier comparison left in a folder, and say how many files that were.
+    """Remove the files of an earlier comparison from a folder, and say how many they were.
 
-    Of files with the names it gives: `measures.md`, figures, and, but for those of this comparison
-    if it keeps any, `records`. All others stay.
+    They are `measures.md`, figures and records by their names; with `records` those of this
+    comparison stay. All other files stay.
     """
     labels = [result.case.label for result in comparison] if records else []
-    kept = {f"{label}-{kind}.parquet" for label in labels for kind in ("chirp", "step")}
+    current = {f"{label}-{kind}.parquet" for label in labels for kind in ("chirp", "step")}
     stale = [path for path in folder.glob("*") if _FIGURES.fullmatch(path.name)]
     stale += folder.glob("measures.md")
     for path in folder.glob("records/*"):
-        if _RECORDS.fullmatch(path.name) and path.name not in kept:
+        if _RECORDS.fullmatch(path.name) and path.name not in current:
             stale.append(path)
     for path in stale:
         path.unlink()
@@ -212,7 +229,7 @@ def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
     table = comparison_table(comparison)
     files: dict[str, Any] = {"comparison.csv": comparison, "comparison.md": table}
     for dof in dict.fromkeys(result.case.dof for result in comparison):
-        chosen = [result for result in comparison if result.case.dof == dof]
-        files[f"bode_{dof}.png"] = responses_figure(chosen)
-        files[f"step_{dof}.png"] = step_figure(chosen)
+        along_dof = [result for result in comparison if result.case.dof == dof]
+        files[f"bode_{dof}.png"] = responses_figure(along_dof)
+        files[f"step_{dof}.png"] = step_figure(along_dof)
     return look.save_files(files, folder)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
@@ -39,19 +40,27 @@ class DrawnMotion(NamedTuple):
 
 def motion_panels(*motions: DrawnMotion) -> list[look.Panel]:
     """Specific force and angular rate of motions from their start."""
-    curves = []
+    curves_by_motion = []
     for motion, label, colour, width in motions:
         time = motion.time - motion.time[0]
         values = np.hstack([motion.specific_force, motion.angular_rate]) / _PLOT_UNIT_SI
-        curves.append([look.Curve(label, time, y, colour, width) for y in values.T])
-    titles = (f"{name} [{by_kind(i, *_PLOT_UNITS)}]" for i, name in enumerate(MOTION_NAMES))
-    return [look.Panel(*panel) for panel in zip(titles, zip(*curves, strict=True), strict=True)]
+        curves_by_motion.append([look.Curve(label, time, y, colour, width) for y in values.T])
+    return [
+        look.Panel(f"{name} [{by_kind(axis, *_PLOT_UNITS)}]", curves)
+        for axis, (name, *curves) in enumerate(zip(MOTION_NAMES, *curves_by_motion, strict=True))
+    ]
 
 
-def motion_axes(
-    title: str, *motions: DrawnMotion, rows: int = 3
-) -> tuple[Figure, NDArray[Any], NDArray[Any]]:
-    """Draw forces at the left and rates at the right; the figure, those axes and empty rows."""
+class MotionAxes(NamedTuple):
+    """A figure of motions with its axes."""
+
+    figure: Figure
+    panels: NDArray[Any]  #: For each of `MOTION_NAMES`, (6,).
+    below: NDArray[Any]  #: Empty ones, (rows - 3, 2).
+
+
+def motion_axes(title: str, *motions: DrawnMotion, rows: int = 3) -> MotionAxes:
+    """Draw forces at the left and rates at the right, above rows of empty axes."""
     figure = look.new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
     figure.suptitle(title)
@@ -65,30 +74,33 @@ def motion_axes(
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     look.legend(figure)
-    return figure, panels, axes[3:]
+    return MotionAxes(figure, panels, axes[3:])
 
 
 def perceived_figure(title: str, error: CueingError, first: str, second: str) -> Figure:
     """What is sensed in two motions, and the error of the second; its threshold is shaded."""
-    drawn = []
-    both = (error.aircraft, first, look.GREY), (error.simulator, second, look.BLUE)
-    for sensed, label, colour in both:
-        initial_z = [0.0, 0.0, sensed.specific_force[0, 2]]
-        # f_z less its first value
-        relative = sensed._replace(specific_force=sensed.specific_force - initial_z)
-        drawn.append(DrawnMotion(relative, label, colour, 1.2))
-    force, rate = error.error[:, :3], error.error[:, 3:]
+    force, rate = np.split(error.error, 2, axis=1)
     difference = Sensed(time=error.aircraft.time, angular_rate=rate, specific_force=force)
-    drawn.append(DrawnMotion(difference, "error", look.ORANGE, 0.8))
-    figure, panels, _ = motion_axes(f"{title}; shaded: threshold of the error", *drawn)
+    figure, panels, _ = motion_axes(
+        f"{title}; shaded: threshold of the error",
+        DrawnMotion(_less_initial_z(error.aircraft), first, look.GREY, 1.2),
+        DrawnMotion(_less_initial_z(error.simulator), second, look.BLUE, 1.2),
+        DrawnMotion(difference, "error", look.ORANGE, 0.8),
+    )
     for axis, limit in zip(panels, error.threshold / _PLOT_UNIT_SI, strict=True):
         axis.axhspan(-limit, limit, color=look.PALE, zorder=0.0)
         axis.autoscale(axis="y")
-    panels[2].set_ylabel("f_z [m/s²]\nless the start")
+    panels[MOTION_NAMES.index("f_z")].set_ylabel("f_z [m/s²]\nless the start")
     return figure
 
 
-_ERROR_LEGEND = (
+def _less_initial_z(sensed: Sensed) -> Sensed:
+    """The same with f_z less its first value."""
+    initial_z = [0.0, 0.0, sensed.specific_force[0, 2]]
+    return sensed._replace(specific_force=sensed.specific_force - initial_z)
+
+
+_ERROR_CAPTION = (
     "sensed in flight less sensed in the simulator, machine ideal; thresholds are settings, not "
     "verdicts"
 )
@@ -97,27 +109,22 @@ _ERROR_LEGEND = (
 def error_table(flown: Cue) -> Table:
     """Cueing errors and their thresholds."""
     error = flown.error
-    rows = [
-        (
-            *(name, by_kind(i, *_PLOT_UNITS)),
-            *(values[i] / _PLOT_UNIT_SI[i] for values in (error.threshold, error.peak, error.rms)),
-            100.0 * error.share_above[i],
-        )
-        for i, name in enumerate(QUANTITIES)
-    ]
-    sizes = (("threshold", ".3f"), ("peak", ".3f"), ("rms", ".3f"))
-    columns = ("sensed", ("unit", ""), *sizes, ("above", ".1f %"))
-    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _ERROR_LEGEND)
+    plot_units = [by_kind(axis, *_PLOT_UNITS) for axis in range(len(QUANTITIES))]
+    sizes = (values / _PLOT_UNIT_SI for values in (error.threshold, error.peak, error.rms))
+    percent_above = 100.0 * error.share_above
+    rows = list(zip(QUANTITIES, plot_units, *sizes, percent_above, strict=True))
+    size_columns = (("threshold", ".3f"), ("peak", ".3f"), ("rms", ".3f"))
+    columns = ("sensed", ("unit", ""), *size_columns, ("above", ".1f %"))
+    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _ERROR_CAPTION)
 
 
 def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
     """Peaks of a motion over the limits of the machine, which changed so many of its frames."""
     rows = []
-    for row, name in enumerate(LIMITS):
-        column = int(excursion.share[row].argmax())
-        where = DOFS[column] if row < 3 else f"leg {column + 1}"
-        share, time = 100.0 * excursion.share[row, column], excursion.time[row, column]
-        rows.append((name.replace("_", " "), share, where, time))
+    for name, shares, times in zip(LIMITS, excursion.share, excursion.time, strict=True):
+        largest = int(shares.argmax())
+        place = f"leg {largest + 1}" if name.startswith("leg_") else DOFS[largest]
+        rows.append((name.replace("_", " "), 100.0 * shares[largest], place, times[largest]))
     caption = f"frames held back: {changed_frames}" if changed_frames else "no frame held back"
     columns = ("limit", ("largest", ".1f %"), ("where", ""), ("at [s]", ".2f"))
     return Table("use of the machine", columns, rows, caption)
@@ -131,9 +138,10 @@ def motion_figure(flown: Cue) -> Figure:
     figure, _, below = motion_axes(title, aircraft, simulator, rows=5)
     time, pose = flown.aircraft.time, flown.stream.pose
     legs = pose_to_legs(pose, flown.machine) / INCH
-    for column, (unit, scale) in enumerate((("m", 1.0), ("deg", DEGREE))):
-        platform, leg = below[:, column]
-        for i in range(3 * column, 3 * column + 3):
+    for (platform, leg), unit, scale, numbers in zip(
+        below.T, ("m", "deg"), (1.0, DEGREE), (range(3), range(3, 6)), strict=True
+    ):
+        for i in numbers:
             platform.plot(time, pose[:, i] / scale, lw=1.2, label=DOFS[i])
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
         platform.set_ylabel(f"platform [{unit}]")
@@ -164,7 +172,7 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
 
 
 _GRAVITY_PER_DEG = STANDARD_GRAVITY * DEGREE  #: Specific force of a small tilt [m/s^2/deg].
-_OMCT_LEGEND = (
+_OMCT_CAPTION = (
     "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "
     "ideal: behind the DCU, machine ideal; laws: at the crew's accelerometer of the machine. Cross "
     f"tests: m/s^2 per deg (the aircraft itself: {_GRAVITY_PER_DEG:.3f}) and deg per m/s^2 (the "
@@ -193,38 +201,38 @@ def _phase_deg(response: NDArray[np.complex128]) -> NDArray[np.float64]:
 def omct_table(result: Omct) -> Table:
     """Modulus and phase of each test and stage over the frequencies."""
     rows: list[list[str]] = []
+    first_stage, second_stage = STAGES
     for place, (driven, output) in enumerate(TESTS):
-        name, scale = _modulus_unit(driven, output)
+        unit, scale = _modulus_unit(driven, output)
+        titles = {first_stage: f"{driven} > {output}", second_stage: unit}
         for stage, responses in result.responses.items():
-            row = responses[place]
-            if not np.isfinite(row).any():
+            response = responses[place]
+            if not np.isfinite(response).any():
                 continue
-            row_title = {STAGES[0]: f"{driven} > {output}", STAGES[1]: name}.get(stage, "")
-            sizes = (number(size, ".3f") for size in np.abs(row) / scale)
-            rows.append([row_title, stage, "mod", *sizes])
-            rows.append(["", "", "deg", *(number(angle, ".0f") for angle in _phase_deg(row))])
-    about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
+            moduli = (number(modulus, ".3f") for modulus in np.abs(response) / scale)
+            phases = (number(phase, ".0f") for phase in _phase_deg(response))
+            rows.append([titles.get(stage, ""), stage, "mod", *moduli])
+            rows.append(["", "", "deg", *phases])
+    title = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
-    return Table(about, ("test", "", "rad/s", *frequencies), rows, _OMCT_LEGEND)
+    return Table(title, ("test", "", "rad/s", *frequencies), rows, _OMCT_CAPTION)
 
 
 def share_table(result: Omct) -> Table:
     """One row per test, one column per law, of frequencies up to `SHARE_TOP`.
 
-    A cell: least to largest modulus of machine over ideal machine, one where they round alike, and
-    phase [deg] at the last frequency; `*` if at any frequency the remainder exceeds the
-    fundamental.
+    A cell has the least to the largest modulus of machine over ideal machine, one number where they
+    round alike, and the phase [deg] at the last frequency. It has a `*` if at any frequency the
+    remainder exceeds the fundamental.
     """
     laws = [name for name in result.responses if name not in STAGES]
-    low = result.frequency <= SHARE_TOP
+    is_low = result.frequency <= SHARE_TOP
     rows = []
     for place, (driven, output) in enumerate(TESTS):
-        shares = [result.share(law)[place][low] for law in laws]
-        if any(np.isfinite(share).any() for share in shares):
-            cells = [
-                _share_cell(share, bool((result.remainder[law][place][low] > 1.0).any()))
-                for law, share in zip(laws, shares, strict=True)
-            ]
+        shares = {law: result.share(law)[place][is_low] for law in laws}
+        if any(np.isfinite(share).any() for share in shares.values()):
+            remainders = {law: result.remainder[law][place][is_low] for law in laws}
+            cells = [_share_cell(shares[law], bool((remainders[law] > 1.0).any())) for law in laws]
             rows.append([f"{driven} > {output}", *cells])
     return Table("", ("test", *laws), rows)
 
@@ -233,42 +241,24 @@ def _share_cell(share: NDArray[np.complex128], remainder_dominates: bool) -> str
     known = np.isfinite(share)
     if not known.any():
         return "-"
-    sizes = np.abs(share[known])
-    size = " to ".join(dict.fromkeys(number(value, ".2f") for value in (sizes.min(), sizes.max())))
-    lost = "" if known.all() else ", left its bounds"
-    last, star = number(_phase_deg(share)[known][-1], ".0f"), "*" if remainder_dominates else ""
-    return f"{size}, {last}°{star}{lost}"
+    moduli = np.abs(share[known])
+    ends = (number(modulus, ".2f") for modulus in (moduli.min(), moduli.max()))
+    modulus = " to ".join(dict.fromkeys(ends))
+    last_phase = number(_phase_deg(share)[known][-1], ".0f")
+    star = "*" if remainder_dominates else ""
+    fault = "" if known.all() else ", left its bounds"
+    return f"{modulus}, {last_phase}°{star}{fault}"
 
 
 def omct_figure(result: Omct) -> Figure:
-    """Modulus and phase over frequency, of all tests that were made."""
-    every = np.isfinite(np.array(list(result.responses.values()))).any(axis=(0, 2))
-    tested = [int(place) for place in np.flatnonzero(every)]
-    rows, wide = -(-len(tested) // 2), 2 * min(len(tested), 2)
-    figure = look.new_figure(3.25 * wide, 3.0 * rows + 0.6)
-    axes = figure.subplots(rows, wide, sharex=True, squeeze=False)
-    stages = result.responses.items()
-    colours = dict.fromkeys((look.GREY, look.BLACK, *look.COLOURS))  # each once
-    for at, place in enumerate(tested):
-        driven, output = TESTS[place]
-        row, side = divmod(at, 2)
-        modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
-        name, scale = _modulus_unit(driven, output)
-        for colour, (stage, responses) in zip(cycle(colours), stages, strict=False):
-            style: dict[str, Any] = {"color": colour, "label": stage}
-            style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
-            modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
-            angle.plot(result.frequency, _phase_deg(responses[place]), **style)
-        modulus.set(yscale="log")
-        low, high = modulus.get_ylim()
-        plain = FuncFormatter(lambda value, _: f"{value:g}")
-        modulus.yaxis.set_major_formatter(plain)
-        modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
-        if driven != output and driven in _ROTATIONS:
-            modulus.axhline(_GRAVITY_PER_DEG, color=look.GREY, linestyle=":")
-        ylabel = f"modulus [{name}]" if name else "modulus"
-        modulus.set(title=f"{driven} > {output}", ylabel=ylabel)
-        angle.set_ylabel("phase [deg]")
+    """Modulus and phase over frequency of all tests that were made, two tests in a row."""
+    is_tested = np.isfinite(np.array(list(result.responses.values()))).any(axis=(0, 2))
+    places = np.flatnonzero(is_tested).tolist()
+    rows, columns = -(-len(places) // 2), 2 * min(len(places), 2)
+    figure = look.new_figure(3.25 * columns, 3.0 * rows + 0.6)
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for place, (modulus, phase) in zip(places, axes.reshape(-1, 2), strict=False):
+        _plot_test(modulus, phase, result, place)
     for axis in axes.flat:
         axis.grid(True, which="both")
         axis.set_visible(axis.has_data())
@@ -282,6 +272,28 @@ def omct_figure(result: Omct) -> Figure:
         f"washout {result.washout}, cab {result.cab}, {result.hydraulics} hydraulics"
     )
     return figure
+
+
+def _plot_test(modulus: Axes, phase: Axes, result: Omct, place: int) -> None:
+    """Draw modulus and phase of the test at a place in `TESTS`, a line a stage."""
+    driven, output = TESTS[place]
+    unit, scale = _modulus_unit(driven, output)
+    colours = dict.fromkeys((look.GREY, look.BLACK, *look.COLOURS))  # each once
+    for colour, (stage, responses) in zip(cycle(colours), result.responses.items(), strict=False):
+        style: dict[str, Any] = {"color": colour, "label": stage}
+        style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
+        modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
+        phase.plot(result.frequency, _phase_deg(responses[place]), **style)
+    modulus.set(yscale="log")
+    low, high = modulus.get_ylim()
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
+    modulus.yaxis.set_major_formatter(plain)
+    modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
+    if driven != output and driven in _ROTATIONS:
+        modulus.axhline(_GRAVITY_PER_DEG, color=look.GREY, linestyle=":")
+    ylabel = f"modulus [{unit}]" if unit else "modulus"
+    modulus.set(title=f"{driven} > {output}", ylabel=ylabel)
+    phase.set_ylabel("phase [deg]")
 
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
@@ -298,9 +310,9 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
                 "share_modulus": np.abs(share),
                 "share_phase_deg": _phase_deg(share),
             }
-            of = {"test": f"{driven}>{output}", "stage": stage}
-            for at in np.flatnonzero(np.isfinite(response)):
-                rows.append(of | {name: values[at] for name, values in columns.items()})
+            test = {"test": f"{driven}>{output}", "stage": stage}
+            for line in np.flatnonzero(np.isfinite(response)):
+                rows.append(test | {name: values[line] for name, values in columns.items()})
     files = {
         "omct.csv": rows,
         "omct.md": omct_table(result),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +13,7 @@ from cmf_mj.core.result import Cell, Column, Table
 from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.pilot.cueing import LIMITS
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult
 from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
@@ -28,104 +29,125 @@ _MOTIONS = {
 }
 """Motions at the pilot's station, and how they are drawn."""
 _SCALE = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
-"""What is shown of one SI unit: mm or mm/s^2, and deg or deg/s."""
+"""Printed units in one SI unit: mm or mm/s^2, and deg or deg/s."""
+_LEAST_CHANGE = 0.01  #: Of a motion along an axis that is drawn [m/s^2, deg/s].
 
 
-def drawn(ride: FlightResult) -> list[cueing.DrawnMotion]:
-    """Those of a ride."""
-    return [cueing.DrawnMotion(getattr(ride, name), *style) for name, style in _MOTIONS.items()]
+def drawn_motions(flight: FlightResult) -> list[cueing.DrawnMotion]:
+    """The motions of a flight."""
+    return [cueing.DrawnMotion(getattr(flight, name), *style) for name, style in _MOTIONS.items()]
 
 
 def saved_traces(records: Sequence[Path]) -> list[Panels]:
-    """Traces of what the pilot felt, as `save_ride` wrote it beside each record; else none.
+    """Panels of what the pilot felt, as `save_flight` wrote it beside each record; else none.
 
-    Of the axes along which a motion changes by more than 0.01 m/s^2 or 0.01 deg/s.
+    They are of the axes along which a motion of any record changes by more than `_LEAST_CHANGE`.
     """
     files = [{name: path.with_name(f"{name}.parquet") for name in _MOTIONS} for path in records]
-    if not all(path.exists() for beside in files for path in beside.values()):
+    if not all(path.exists() for paths in files for path in paths.values()):
         return []
-    flights = [
-        [cueing.DrawnMotion(load_flight(path).motion, *_MOTIONS[key]) for key, path in one.items()]
-        for one in files
+    panels_by_record = [
+        cueing.motion_panels(
+            *(
+                cueing.DrawnMotion(load_flight(path).motion, *_MOTIONS[name])
+                for name, path in paths.items()
+            )
+        )
+        for paths in files
     ]
-    every = list(zip(*(cueing.motion_panels(*motions) for motions in flights), strict=True))
-    moved = [
-        any(np.ptp(curve.y) > 0.01 for panel in panels for curve in panel.curves)
-        for panels in every
+    has_motion = [
+        any(np.ptp(curve.y) > _LEAST_CHANGE for panel in panels_of_axis for curve in panel.curves)
+        for panels_of_axis in zip(*panels_by_record, strict=True)
     ]
-    return [tuple(compress(panels, moved)) for panels in zip(*every, strict=True)]
+    return [tuple(compress(panels, has_motion)) for panels in panels_by_record]
 
 
-def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
+class _Bar(NamedTuple):
+    """Bars of an error, one for each of `MOTION_NAMES`."""
+
+    label: str
+    colour: str
+    error: CueingError
+
+
+def comparison_figure(flights: Sequence[FlightResult]) -> Figure:
     """Perceived size of the machine's error and of the flight's, law by law."""
-    figure, first = look.new_figure(12.0, 4.5), rides[0]
-    machine, flight = figure.subplots(1, 2)
-    coloured = list(zip(rides, look.COLOURS, strict=False))
-    _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in coloured])
-    bars = [("machine that follows at once", look.GREY, first.washout_error)]
-    bars += [(r.law, colour, r.cueing) for r, colour in coloured]
-    _bars(flight, "of the flight: aircraft less cab", bars)
+    figure, first = look.new_figure(12.0, 4.5), flights[0]
+    machine_axes, flight_axes = figure.subplots(1, 2)
+    machine_bars = list[_Bar]()
+    flight_bars = [_Bar("machine that follows at once", look.GREY, first.washout_error)]
+    for flight, colour in zip(flights, look.COLOURS, strict=False):
+        machine_bars.append(_Bar(flight.law, colour, flight.machine))
+        flight_bars.append(_Bar(flight.law, colour, flight.cueing))
+    _plot_bars(machine_axes, "of the machine: asked less cab", machine_bars)
+    _plot_bars(flight_axes, "of the flight: aircraft less cab", flight_bars)
     look.legend(figure)
     figure.suptitle(f"Error at the pilot's station of cab {first.cab}, as it is sensed")
     return figure
 
 
-def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) -> None:
+def _plot_bars(axes: Axes, title: str, bars: Sequence[_Bar]) -> None:
     """Perceived rms errors over their thresholds."""
-    for place, (label, colour, error) in enumerate(bars):
-        at = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
-        axes.bar(at, error.rms / error.threshold, 0.75 / len(bars), color=colour, label=label)
+    ratios = [bar.error.rms / bar.error.threshold for bar in bars]
+    for place, (bar, ratio) in enumerate(zip(bars, ratios, strict=True)):
+        x = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
+        axes.bar(x, ratio, 0.75 / len(bars), color=bar.colour, label=bar.label)
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
     axes.set_xticks(range(6), cueing.MOTION_NAMES)
-    named = "specific force and angular rate, body axes"
-    axes.set(yscale="log", xlabel=named, ylabel="perceived rms error / threshold")
+    label = "specific force and angular rate, body axes"
+    axes.set(yscale="log", xlabel=label, ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}")
-    least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
+    least = min(float(ratio.min()) for ratio in ratios)
     axes.set_ylim(bottom=0.5 * max(least, 1e-4))
 
 
-def flight_table(rides: Sequence[FlightResult]) -> Table:
+def flight_table(flights: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
         for i, name in enumerate(cueing.MOTION_NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
-    ideal, still = rides[0].washout_error.rms * _SCALE, ["0"] * 6
-    rows: list[list[Cell]] = [["machine that follows at once", *still, *ideal[:2], "0", None, None]]
-    for ride in rides:
-        machine, flight = ride.machine.rms * _SCALE, ride.cueing.rms * _SCALE
-        row = [ride.law, *machine, *flight[:2], 1e3 * ride.loop_delay]
-        rows.append([*row, 100 * ride.use.share[3].max(), ride.fault or "none"])
+    ideal_x, ideal_y, *_ = flights[0].washout_error.rms * _SCALE
+    no_errors = ["0"] * len(_SCALE)
+    rows: list[list[Cell]] = [
+        ["machine that follows at once", *no_errors, ideal_x, ideal_y, "0", None, None]
+    ]
+    leg_displacement = LIMITS.index("leg_displacement")
+    for flight in flights:
+        force_x, force_y, *_ = flight.cueing.rms * _SCALE
+        errors = [*(flight.machine.rms * _SCALE), force_x, force_y]
+        legs = 100 * flight.use.share[leg_displacement].max()
+        rows.append([flight.law, *errors, 1e3 * flight.loop_delay, legs, flight.fault or "none"])
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
     return Table(title, ("law", *columns, ("legs [%]", ".0f"), "fault"), rows)
 
 
-def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
+def save_flight(flight: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
-    files: dict[str, Any] = {f"{name}.parquet": getattr(ride, name) for name in _MOTIONS}
-    of, sensed = f"{ride.law}, cab {ride.cab}", ("in the aircraft", "in the cab")
-    title = f"Motion at the pilot's station: {of}"
-    files["motion.png"] = cueing.motion_axes(title, *drawn(ride))[0]
-    title = f"Motion sensed by otoliths and canals: {of}"
-    files["perceived.png"] = cueing.perceived_figure(title, ride.cueing, *sensed)
-    return look.save_files(files, folder)
+    files: dict[str, Any] = {f"{name}.parquet": getattr(flight, name) for name in _MOTIONS}
+    case = f"{flight.law}, cab {flight.cab}"
+    title = f"Motion at the pilot's station: {case}"
+    files["motion.png"] = cueing.motion_axes(title, *drawn_motions(flight)).figure
+    title = f"Motion sensed by otoliths and canals: {case}"
+    sensed = cueing.perceived_figure(title, flight.cueing, "in the aircraft", "in the cab")
+    return look.save_files(files | {"perceived.png": sensed}, folder)
 
 
-def save_flights(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
+def save_flights(flights: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
-    table = flight_table(rides)
+    table = flight_table(flights)
     files = {"comparison.csv": table, "comparison.md": table}
-    return look.save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)
+    return look.save_files(files | {"comparison.png": comparison_figure(flights)}, folder, 80)
 
 
 def trial_table(learnt: Learning) -> Table:
-    """Errors of each trial, and what is left of the first run's."""
+    """Errors of each trial, and their share of the first run's."""
     axes = [(f"{dof} [{by_kind(dof, 'mm', 'deg')}]", ".3f") for dof in DOFS]
     first, rows = learnt.trials[0], []
-    for number, one in enumerate(learnt.trials):
-        left = [100.0 * one.legs / first.legs, 100.0 * one.predicted / first.predicted]
-        rows.append([str(number), *(one.axes * _SCALE), 1e3 * one.legs, *left, one.held])
+    for number, trial in enumerate(learnt.trials):
+        shares = [100.0 * trial.legs / first.legs, 100.0 * trial.predicted / first.predicted]
+        rows.append([str(number), *(trial.axes * _SCALE), 1e3 * trial.legs, *shares, trial.held])
     columns = [("legs [mm]", ".3f"), ("left [%]", ".2f"), ("linear [%]", ".2f"), ("held", "d")]
     title = f"tracking error below {BAND:g} Hz, rms; left of the first run's"
     return Table(title, ("trial", *axes, *columns), rows)
@@ -133,11 +155,12 @@ def trial_table(learnt: Learning) -> Table:
 
 def verdict(learnt: Learning) -> str:
     """Convergence of the linear models, and the best trial."""
-    worst = learnt.learner.ratio().max(axis=1)
-    left = learnt.trials[learnt.best].legs / learnt.trials[0].legs
+    of_learner, *of_others = learnt.learner.ratio().max(axis=1)
+    share = learnt.trials[learnt.best].legs / learnt.trials[0].legs
     return (
-        f"largest singular value of Q (1 - L G): {worst[0]:.2f} of the machine that learns, "
-        f"{worst.max():.2f} over machines and poses; best trial {learnt.best}: {left:.2%} left"
+        f"largest singular value of Q (1 - L G): {of_learner:.2f} of the machine that learns, "
+        f"{max(of_learner, *of_others):.2f} over machines and poses; best trial {learnt.best}: "
+        f"{share:.2%} left"
     )
 
 
@@ -147,7 +170,8 @@ def learning_figure(learnt: Learning) -> Figure:
     axes = figure.subplot_mosaic([["trials", "ratio"], ["history", "history"]])
     trials, ratio, history = axes.values()
     for label, name, style in (("simulated", "sensed", "o-"), ("linear", "predicted", "x--")):
-        trials.semilogy([1e3 * getattr(one, name) for one in learnt.trials], style, label=label)
+        errors = [1e3 * getattr(trial, name) for trial in learnt.trials]
+        trials.semilogy(errors, style, label=label)
     trials.set(xlabel="trial", ylabel=f"legs below {BAND:g} Hz, rms as sensed [mm]")
     lines, values = frequencies(len(learnt.reference.time)), learnt.learner.ratio()
     ratio.plot(lines, values[1:].T, color=look.GREY, linewidth=0.8)

@@ -42,8 +42,8 @@ class LinearizationStudy(NamedTuple):
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
     loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
     stable: bool  #: The verdict on all of these loops.
-    fastest: complex  #: Of their poles that which grows most, or decays least [rad/s].
-    margins: NDArray[np.float64]  #: Of these loops: gain [dB], phase [deg], (n, 2).
+    slowest_pole: complex  #: The pole of the loops that grows most, or decays least [rad/s].
+    margins: NDArray[np.float64]  #: Of the loops: gain [dB], phase [deg], (n, 2).
 
 
 def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> LinearizationStudy:
@@ -56,11 +56,18 @@ def linearization_study(linear: Linear, law: str, signals: Sequence[str]) -> Lin
         name: loop_response(reduced(plant, outputs=plant.output_labels[:1]), FREQUENCIES)
         for name, plant in plants.items()
     }
-    closed = {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()}
     poles = np.concatenate([loop.poles() for loop in loops.values()])
-    fastest = complex(np.log(poles[np.abs(poles).argmax()] + 0j) / next(iter(loops.values())).dt)
-    found = linear.modes(), responses, closed, are_stable(poles), fastest
-    return LinearizationStudy(linear, load_law(law).name, *found, linear.margins(law, signals))
+    frame = loops[signals[0]].dt
+    return LinearizationStudy(
+        linear=linear,
+        law=load_law(law).name,
+        modes=linear.modes(),
+        responses=responses,
+        loops={name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
+        stable=are_stable(poles),
+        slowest_pole=complex(np.log(poles[np.abs(poles).argmax()] + 0j) / frame),
+        margins=linear.margins(law, signals),
+    )
 
 
 def save_system(system: control.StateSpace, path: Path, description: Mapping[str, Any]) -> Path:
@@ -80,7 +87,7 @@ def save_system(system: control.StateSpace, path: Path, description: Mapping[str
     return write_text(path, json.dumps(look.plain_data(content), allow_nan=False) + "\n")
 
 
-_NAMED = 0.1  #: Share from which on a kind of state or a degree of freedom is named.
+_LEAST_SHARE = 0.1  #: Of a kind of state or a degree of freedom that a table names.
 
 
 def _title(study: LinearizationStudy) -> str:
@@ -89,9 +96,11 @@ def _title(study: LinearizationStudy) -> str:
     return f"{name}, {plant.parameters.name}, {pose_text(pose)}"
 
 
-def _largest(names: Sequence[str], shares: Sequence[float]) -> str:
-    order = sorted(zip(names, shares, strict=True), key=lambda item: -item[1])
-    return ", ".join(f"{name} {share:.2f}" for name, share in order if share >= _NAMED)
+def _shares_text(share_by_name: Mapping[str, float]) -> str:
+    """The largest shares, in their order."""
+    names = sorted(share_by_name, key=lambda name: -share_by_name[name])
+    largest = [name for name in names if share_by_name[name] >= _LEAST_SHARE]
+    return ", ".join(f"{name} {share_by_name[name]:.2f}" for name in largest)
 
 
 def pole_table(study: LinearizationStudy) -> Table:
@@ -103,17 +112,20 @@ def pole_table(study: LinearizationStudy) -> Table:
         else:
             groups.append([mode])
     rows = []
-    for mode, *others in groups:
-        pole, hertz = mode.pole, mode.frequency / (2.0 * np.pi)
-        still, pair = np.isnan(mode.damping_ratio), pole.imag > 0.0
-        text = f"{pole.real:.4g}" + (f" ± {pole.imag:.4g}j" if pair else "")
-        numbers = ("0", "0") if still else (text, f"{hertz:.3g}")
-        states = _largest(list(mode.participation), list(mode.participation.values()))
-        shapes = ("", "")
-        if not others and mode.participation["motion"] + mode.participation["oil"] >= _NAMED:
+    for group in groups:
+        mode = group[0]
+        pole, hertz = f"{mode.pole.real:.4g}", f"{mode.frequency / (2.0 * np.pi):.3g}"
+        if np.isnan(mode.damping_ratio):
+            pole = hertz = "0"
+        elif mode.pole.imag > 0.0:
+            pole += f" ± {mode.pole.imag:.4g}j"
+        mechanical_share = mode.participation["motion"] + mode.participation["oil"]
+        dofs = legs = ""
+        if len(group) == 1 and mechanical_share >= _LEAST_SHARE:
+            dofs = _shares_text(dict(zip(DOFS, mode.dof_shares, strict=True)))
             legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
-            shapes = (_largest(DOFS, list(mode.dof_shares)), legs)
-        rows.append((*numbers, mode.damping_ratio, str(1 + len(others)), states, *shapes))
+        states = _shares_text(mode.participation)
+        rows.append((pole, hertz, mode.damping_ratio, str(len(group)), states, dofs, legs))
     columns = ("pole [rad/s]", ("Hz", ""), ("damping", ".3f"), ("times", ""))
     return Table(
         f"modes: {_title(study)}",
@@ -127,10 +139,11 @@ def pole_table(study: LinearizationStudy) -> Table:
 def loop_table(study: LinearizationStudy) -> Table:
     """Bandwidths and margins of the law's loops."""
     rows = []
-    for (name, loop), of in zip(study.loops.items(), study.margins, strict=True):
+    for (name, loop), margins_of_loop in zip(study.loops.items(), study.margins, strict=True):
         measures = measures_from(bandwidths(loop))
-        found = (phase_text(measures), *measures[1:3], *of)
-        rows.append((name, *(found if study.stable else ("unstable",) * 5)))
+        widths_of_loop = measures.gain_bandwidth_hz, measures.peak_gain_db
+        cells = (phase_text(measures), *widths_of_loop, *margins_of_loop)
+        rows.append((name, *(cells if study.stable else ["unstable"] * len(cells))))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
     margins = (("gain margin [dB]", ".1f"), ("phase margin [deg]", ".0f"))
     return Table(
@@ -139,62 +152,72 @@ def loop_table(study: LinearizationStudy) -> Table:
         rows,
         f"'-': not reached below {FREQUENCIES[-1]:g} Hz; margins: at the valve commands along one "
         "axis, the others closed; negative: of a gain that falls, or a phase that leads"
-        + _growth(study),
+        + _growth_text(study),
     )
 
 
-def _growth(study: LinearizationStudy) -> str:
-    """What grows in loops that are not stable."""
+def _growth_text(study: LinearizationStudy) -> str:
+    """The motion that grows in loops that are not stable."""
     if study.stable:
         return ""
-    pole = study.fastest
+    pole = study.slowest_pole
     hertz, damping = abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)
-    what = f"at {hertz:.2f} Hz grows, damping ratio {damping:.3f}"
+    growth = f"at {hertz:.2f} Hz grows, damping ratio {damping:.3f}"
     if pole.imag == 0.0:
-        what = f"grows without swinging, by {pole.real:.3g} 1/s"
+        growth = f"grows without swinging, by {pole.real:.3g} 1/s"
     return (
-        f". Unstable: motion {what}; `cmf tune` finds gains. Poles of the plant itself that lie "
+        f". Unstable: motion {growth}; `cmf tune` finds gains. Poles of the plant itself that lie "
         "slightly above 0 are its free drift"
     )
 
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, the modes as CSV, all figures as PNG."""
-    known = study.linear.plant.describe().items()
-    description = {name: value for name, value in known if name != "hydraulic_parameters"}
+    description = study.linear.plant.describe()
+    description = {key: description[key] for key in description if key != "hydraulic_parameters"}
     description |= {"pose": study.linear.pose, "operating_point": study.linear.point}
     files: dict[str, Any] = {
         "state_space.json": partial(save_system, study.linear.system, description=description),
         "modes.csv": pole_table(study),
     }
     title = f"Position per command, all legs by J\n{_title(study)}"
-    figure, gain, _ = look.bode_figure(title, study.responses)
+    plant_figure, gain, _ = look.bode_figure(title, study.responses)
     gain.set(ylabel="gain [dB of m]")
     unstable = "" if study.stable else ", unstable"
     title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
-    loops = look.bode_figure(title, study.loops, stable=study.stable, limits=True)[0]
-    return look.save_files(files | {"bode.png": figure, "loop.png": loops}, folder)
+    loop_figure, *_ = look.bode_figure(title, study.loops, stable=study.stable, limits=True)
+    return look.save_files(files | {"bode.png": plant_figure, "loop.png": loop_figure}, folder)
 
 
-_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
-_MOVES = 0.05  #: Share of the kinetic energy from which on a degree of freedom names a mode.
+_LINE_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+_NAMING_SHARE = 0.05  #: Share of the kinetic energy above which a degree of freedom names a mode.
+_LISTED_SHARE = 0.02  #: Share above which a table lists it.
+
+
+def _energy_shares(shares: NDArray[np.float64]) -> list[tuple[str, float]]:
+    """Degrees of freedom and their shares of a mode's kinetic energy, the largest first."""
+    return [(DOFS[dof], float(shares[dof])) for dof in np.argsort(-shares)]
 
 
 def mode_names(modes: HydraulicModes) -> list[str]:
-    """What moves in each mode: most of the kinetic energy, and the next that has a part of it."""
-    orders = ((shares, np.argsort(-shares)[:2]) for shares in modes.share.T)
-    moving = ([DOFS[k] for k in order if shares[k] > _MOVES] for shares, order in orders)
-    return [" with ".join(names) for names in moving]
+    """The degree of freedom with most of each mode's kinetic energy, and the next with a share."""
+    largest = (_energy_shares(shares)[:2] for shares in modes.share.T)
+    return [" with ".join(dof for dof, share in pair if share > _NAMING_SHARE) for pair in largest]
+
+
+def _names_at_neutral(envelope: EnvelopeModes) -> list[str]:
+    """Names of the modes at the first pose, which is neutral."""
+    return mode_names(envelope.modes[0])
 
 
 def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     """Frequency, mass a leg feels, and what moves in each mode; `name` is the pose's."""
     rows = []
-    for i, (named, shares) in enumerate(zip(mode_names(modes), modes.share.T, strict=True)):
-        order = [k for k in np.argsort(-shares) if shares[k] > 0.02]
-        moving = ", ".join(f"{DOFS[k]} {100.0 * shares[k]:.0f} %" for k in order)
-        mass = units.from_si("lbm", modes.leg_mass[i])
-        rows.append((named, modes.frequency_hz[i], mass, moving))
+    columns = (mode_names(modes), modes.frequency_hz, modes.leg_mass, modes.share.T)
+    for mode, hertz, leg_mass, shares in zip(*columns, strict=True):
+        listed = [pair for pair in _energy_shares(shares) if pair[1] > _LISTED_SHARE]
+        text = ", ".join(f"{dof} {100.0 * share:.0f} %" for dof, share in listed)
+        rows.append((mode, hertz, units.from_si("lbm", leg_mass), text))
     numbers = ("mode", ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
     title = ", ".join(filter(None, (modes.cab.upper(), name, pose_text(modes.pose, ".1f"))))
     return Table(title, (*numbers, "share of the kinetic energy"), rows)
@@ -203,13 +226,13 @@ def mode_table(modes: HydraulicModes, name: str = "") -> Table:
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
     """The frequencies over the envelope, a row a cab and mode, which has its name at neutral."""
     rows = []
-    for each in ranges:
-        shares = np.percentile(each.frequency_hz, [5.0, 50.0, 95.0], axis=0)
-        least = np.minimum(each.frequency_hz.min(axis=0), each.worst.frequency_hz)
-        named = zip(mode_names(each.modes[0]), least, *shares, strict=True)
-        rows += [(each.worst.cab, *row) for row in named]
-    names = ("lowest [Hz]", "5 % below", "half below", "95 % below")
-    columns = ("cab", "mode", *((name, ".2f") for name in names))
+    for envelope in ranges:
+        percentiles = np.percentile(envelope.frequency_hz, [5.0, 50.0, 95.0], axis=0)
+        lowest = np.minimum(envelope.frequency_hz.min(axis=0), envelope.worst.frequency_hz)
+        modes = zip(_names_at_neutral(envelope), lowest, *percentiles, strict=True)
+        rows += [(envelope.worst.cab, *mode) for mode in modes]
+    titles = ("lowest [Hz]", "5 % below", "half below", "95 % below")
+    columns = ("cab", "mode", *((title, ".2f") for title in titles))
     return Table("over the envelope", columns, rows)
 
 
@@ -217,22 +240,24 @@ def sweep_figure(ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Swee
     """Six modes, by their names at neutral, along each degree of freedom; a line style a cab."""
     figure = look.new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
-    for style, of_cab in zip(cycle(_STYLES), sweeps, strict=False):
-        for axis, one in zip(panels.flat, of_cab, strict=True):
-            along = units.from_si(dof_unit(one.dof), one.excursion)
-            for mode, colour in zip(one.frequency_hz.T, look.COLOURS, strict=False):
-                axis.plot(along, mode, style, color=colour)
-            down = ", down" if one.dof == "heave" else ""
-            axis.set_xlabel(f"{one.dof} [{dof_unit(one.dof)}]{down}")
+    for line, sweeps_of_cab in zip(cycle(_LINE_STYLES), sweeps, strict=False):
+        for axis, sweep in zip(panels.flat, sweeps_of_cab, strict=True):
+            unit = dof_unit(sweep.dof)
+            excursion = units.from_si(unit, sweep.excursion)
+            for hertz, colour in zip(sweep.frequency_hz.T, look.COLOURS, strict=False):
+                axis.plot(excursion, hertz, line, color=colour)
+            down = ", down" if sweep.dof == "heave" else ""
+            axis.set_xlabel(f"{sweep.dof} [{unit}]{down}")
     for axis in panels[:, 0]:
         look.frequency_axis(axis.yaxis)
-    alike = zip(*(mode_names(each.modes[0]) for each in ranges), strict=True)
-    named = [" or ".join(dict.fromkeys(names)) for names in alike]
-    pairs = zip(named, look.COLOURS, strict=False)
-    entries = [Line2D([], [], color=colour, label=name) for name, colour in pairs]
+    names_by_mode = zip(*(_names_at_neutral(envelope) for envelope in ranges), strict=True)
+    entries = [
+        Line2D([], [], color=colour, label=" or ".join(dict.fromkeys(names)))
+        for names, colour in zip(names_by_mode, look.COLOURS, strict=False)
+    ]
     entries += [
-        Line2D([], [], color=look.DARK, linestyle=style, label=each.worst.cab.upper())
-        for each, style in zip(ranges, cycle(_STYLES), strict=False)
+        Line2D([], [], color=look.DARK, linestyle=line, label=envelope.worst.cab.upper())
+        for envelope, line in zip(ranges, cycle(_LINE_STYLES), strict=False)
     ]
     look.legend(figure, handles=entries)
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
@@ -252,8 +277,8 @@ def save_modes(
             **dict(zip(DOFS, modes.pose, strict=True)),
             **{f"mode_{i}_hz": hertz for i, hertz in enumerate(modes.frequency_hz, start=1)},
         }
-        for each in ranges
-        for modes in (*each.modes, each.worst)
+        for envelope in ranges
+        for modes in (*envelope.modes, envelope.worst)
     ]
     files = {
         "modes_sweep.png": sweep_figure(ranges, sweeps),

@@ -1,8 +1,9 @@
-"""How every figure looks: one palette, one grid, one pair of Bode axes, one way to a file."""
+"""How every figure looks: palette, grid, Bode axes and panels, and how it becomes a file."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,10 +31,9 @@ BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK = (
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK, "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
 
-FAINT = 0.3  #: Opacity of what is drawn pale.
+FAINT = 0.3  #: Opacity of pale curves.
 
-DARK, GREY, PALE = "0.2", "0.6", "0.9"  #: Of what is measured against, of references, and of grids.
-
+DARK, GREY, PALE = "0.2", "0.6", "0.9"  #: Colours of limits, of references, and of grids.
 
 STYLE: dict[str, Any] = {
     "axes.prop_cycle": cycler(color=COLOURS),
@@ -46,33 +46,45 @@ STYLE: dict[str, Any] = {
     "grid.color": PALE,
     "grid.linewidth": 0.6,
 }
-"""Of all axes."""
-
+"""Style of all axes."""
 
 FORMATS = ("png", "svg", "pdf")  #: Of the files of figures.
 
 _PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
 """Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""
-_LEAST, _LEAST_PRINTED, _DPI = 9.0 * 72.0 / 1280.0, 6.0, 200
-"""Height of the smallest text: 9 px of 1280 px across [points an inch]; of a figure with a size
-[points], with its dots an inch."""
-_PRINT: ContextVar[tuple[str | None, str | None]] = ContextVar("print", default=(None, None))
-"""Format and size of all figures that are written, if not as each is made."""
+_SMALLEST_TEXT = 9.0 * 72.0 / 1280.0  #: 9 px of 1280 px across, for a figure 1 in wide [points].
+_SMALLEST_PRINTED_TEXT = 6.0  #: Of a figure whose size is asked for [points].
+_PRINTED_DPI = 200  #: Of a figure whose size is asked for.
+
+
+class _Print(NamedTuple):
+    """Format and size of all figures that are written; None as each is made."""
+
+    form: str | None = None
+    size: str | None = None
+
+
+_AS_MADE = _Print()
+_PRINT: ContextVar[_Print] = ContextVar("print", default=_AS_MADE)
 
 
 def _inches(size: str | None, width: float, height: float) -> tuple[float, float]:
-    """Width and height of a figure that is made `width` by `height`."""
-    if size in (None, "page"):
-        fits = min(_PAGE[0] / width, _PAGE[1] / height) if size else 1.0
-        return fits * width, fits * height
+    """Width and height in print of a figure that is made `width` by `height`."""
+    if size is None:
+        return width, height
+    if size == "page":
+        page_width, page_height = _PAGE
+        scale = min(page_width / width, page_height / height)
+        return scale * width, scale * height
     try:
-        wide, high = _SLIDE if size == "slide" else map(float, str(size).lower().split("x"))
+        printed = _SLIDE if size == "slide" else map(float, size.lower().split("x"))
+        print_width, print_height = printed
     except ValueError:
-        wide = high = np.nan
-    if not (2.0 <= wide <= 60.0 and 2.0 <= high <= 60.0):
+        print_width = print_height = np.nan
+    if not (2.0 <= print_width <= 60.0 and 2.0 <= print_height <= 60.0):
         allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
         raise InputError(f"figure_size: {size!r} is refused; allowed: {allowed}")
-    return wide, high
+    return print_width, print_height
 
 
 @contextmanager
@@ -80,11 +92,11 @@ def printed(form: str | None = None, size: str | None = None) -> Iterator[None]:
     """Write all figures in a format, png, svg or pdf, and in a size as `--figure-size` takes it."""
     check_name("figure_format", form or "png", FORMATS)
     _inches(size, *_PAGE)
-    before = _PRINT.set((form, size))
+    token = _PRINT.set(_Print(form, size))
     try:
         yield
     finally:
-        _PRINT.reset(before)
+        _PRINT.reset(token)
 
 
 class _Figure(Figure):
@@ -113,8 +125,8 @@ def stack(
 ) -> tuple[Figure, list[Axes]]:
     """A figure of axes above each other, one for each label of y, all over the same `x`."""
     figure = new_figure(width, height)
-    how: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
-    axes = list(figure.subplots(len(labels), 1, **how)[:, 0])
+    options: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    axes = list(figure.subplots(len(labels), 1, **options)[:, 0])
     for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label)
     axes[-1].set_xlabel(x)
@@ -122,25 +134,36 @@ def stack(
 
 
 def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
-    """Shade the stretches of time where something holds."""
+    """Shade the stretches of time `where` a condition is true."""
     over_all = axis.get_xaxis_transform()
     style: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "transform": over_all}
     axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
-def legend(*where: Axes | Figure, **options: Any) -> None:
+def legend(*targets: Axes | Figure, **options: Any) -> None:
     """A small legend beside each of the axes; or below all axes of a figure, a name once."""
-    for each in where:
+    for target in targets:
         place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        if isinstance(each, Figure):
-            every = [axes.get_legend_handles_labels() for axes in each.axes]
-            named = {name: line for one in every for line, name in zip(*one, strict=True)}
-            named |= {line.get_label(): line for line in options.pop("handles", ())}
-            wide = (4.0 + 0.6 * max(map(len, named), default=1)) * 8.0 / 72.0
-            lines = np.ceil(len(named) / max(each.get_figwidth() // wide, 1.0))
-            place = {"loc": "outside lower center", "handles": list(named.values())}
-            place |= {"labels": list(named), "ncols": int(np.ceil(len(named) / max(lines, 1.0)))}
-        each.legend(**{"fontsize": 8, "frameon": False, **place, **options})
+        if isinstance(target, Figure):
+            place = _figure_legend(target, options.pop("handles", ()))
+        target.legend(**{"fontsize": 8, "frameon": False, **place, **options})
+
+
+def _figure_legend(figure: Figure, handles: Iterable[Any]) -> dict[str, Any]:
+    """Entries of the legend below a figure, and in how many columns they fit its width."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        lines, names = axes.get_legend_handles_labels()
+        entries |= dict(zip(names, lines, strict=True))
+    entries |= {handle.get_label(): handle for handle in handles}
+    entry_width = (4.0 + 0.6 * max(map(len, entries), default=1)) * 8.0 / 72.0
+    row_count = np.ceil(len(entries) / max(figure.get_figwidth() // entry_width, 1.0))
+    return {
+        "loc": "outside lower center",
+        "handles": list(entries.values()),
+        "labels": list(entries),
+        "ncols": int(np.ceil(len(entries) / max(row_count, 1.0))),
+    }
 
 
 def frequency_axis(axis: Axis, unit: str = "Hz") -> None:
@@ -152,7 +175,7 @@ def frequency_axis(axis: Axis, unit: str = "Hz") -> None:
     axis.set_label_text(f"frequency [{unit}]")
 
 
-def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
+def style_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
     """Labels and grid of a pair of Bode axes; `limits` draws the -3 dB and -90 deg lines."""
     gain.set(ylabel="gain [dB]", title=title)
     phase.set(ylabel="phase [deg]")
@@ -167,7 +190,7 @@ def bode_axes(title: str = "", *, limits: bool = False) -> tuple[Figure, Axes, A
     """A figure with axes of gain and phase; `limits` draws the -3 dB and -90 deg lines."""
     figure = new_figure(8.0, 7.0)
     gain, phase = figure.subplots(2, 1, sharex=True)
-    dress_bode(gain, phase, title, limits=limits)
+    style_bode(gain, phase, title, limits=limits)
     return figure, gain, phase
 
 
@@ -178,12 +201,13 @@ def plot_bode(
 
     It is pale where its coherence is below `CLEAR`, all of it where the loop is not `stable`.
     """
-    clear, shown = ~(response.coherence < CLEAR) | (not stable), 1.0 if stable else FAINT
+    is_clear = ~(response.coherence < CLEAR) | (not stable)
+    opacity = 1.0 if stable else FAINT
     for axis, values in ((gain, response.gain_db), (phase, response.phase_deg)):
-        drawn = np.where(clear, values, np.nan)
-        (line,) = axis.plot(response.frequency, drawn, alpha=shown, **style)
+        clear_values = np.where(is_clear, values, np.nan)
+        (line,) = axis.plot(response.frequency, clear_values, alpha=opacity, **style)
         style |= {"color": line.get_color(), "label": None}
-        if not clear.all():
+        if not is_clear.all():
             axis.plot(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
 
@@ -196,11 +220,11 @@ def bode_figure(
     limits: bool = False,
     bounds: bool = False,
 ) -> tuple[Figure, Axes, Axes]:
-    """A Bode plot of responses by name, `bounds` with their circles of 95 %, and its axes."""
+    """A figure with axes of gain and phase: responses by name, with `bounds` their 95 % circles."""
     figure, gain, phase = bode_axes(title, limits=limits)
-    for i, (name, response) in enumerate(curves.items()):
-        dashes = "--" if i % 2 else "-"  # every other, since neighbours may coincide
-        colour = plot_bode(gain, phase, response, stable=stable, label=name, linestyle=dashes)
+    line_styles = cycle(("-", "--"))  # since neighbours may coincide
+    for (name, response), line in zip(curves.items(), line_styles, strict=False):
+        colour = plot_bode(gain, phase, response, stable=stable, label=name, linestyle=line)
         if bounds:
             plot_bound(gain, phase, response, color=colour)
     legend(figure)
@@ -209,40 +233,47 @@ def bode_figure(
 
 def plot_printed(gain: Axes, phase: Axes, printed: Published, colour: str) -> bool:
     """Draw published bandwidths as circles, and say whether there were any."""
-    widths = (printed.gain_bandwidth_hz, printed.phase_bandwidth_hz)
-    for axis, width, level in zip((gain, phase), widths, (-3.0, -90.0), strict=True):
-        if width is not None:
-            axis.plot(width, level, "o", color=colour, fillstyle="none")
-    return any(widths)
+    gain_hz, phase_hz = printed.gain_bandwidth_hz, printed.phase_bandwidth_hz
+    for axis, hertz, level in ((gain, gain_hz, -3.0), (phase, phase_hz, -90.0)):
+        if hertz is not None:
+            axis.plot(hertz, level, "o", color=colour, fillstyle="none")
+    return bool(gain_hz or phase_hz)
 
 
 def plot_bound(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> None:
     """Shade the gains and phases within the circles of 95 % about a response's lines."""
     share = np.minimum(response.bound / np.abs(response.response), 0.99)
-    ends = 20.0 * np.log10(np.clip([1.0 - share, 1.0 + share], 1e-3, None))
-    angle = np.arcsin(share)
-    for axis, middle, (low, high) in (
-        (gain, response.gain_db, ends),
-        (phase, response.phase_deg, np.degrees([-angle, angle])),
+    gain_change = 20.0 * np.log10(np.clip([1.0 - share, 1.0 + share], 1e-3, None))
+    angle = np.degrees(np.arcsin(share))
+    for axis, values, (low, high) in (
+        (gain, response.gain_db, gain_change),
+        (phase, response.phase_deg, (-angle, angle)),
     ):
-        axis.fill_between(response.frequency, middle + low, middle + high, alpha=0.25, **style)
+        axis.fill_between(response.frequency, values + low, values + high, alpha=0.25, **style)
 
 
-def _fit(figure: Figure, size: str | None) -> None:
-    """Bring a figure to the size that is asked for, and its text to what can be read."""
-    own = figure.get_size_inches()
-    figure.set_size_inches(_inches(size, *own))
-    scale = float(np.sqrt(np.prod(figure.get_size_inches() / own)))
-    least = max(_LEAST * figure.get_figwidth(), _LEAST_PRINTED if size else 0.0)
+def _resize(figure: Figure, size: str | None) -> None:
+    """Give a figure the size that is asked for, and its text a size that can be read."""
+    inches = figure.get_size_inches()
+    figure.set_size_inches(_inches(size, *inches))
+    scale = float(np.sqrt(np.prod(figure.get_size_inches() / inches)))
+    smallest = max(
+        _SMALLEST_TEXT * figure.get_figwidth(), 0.0 if size is None else _SMALLEST_PRINTED_TEXT
+    )
     for text in figure.findobj(Text):
-        text.set_fontsize(max(scale * float(text.get_fontsize()), least))
+        text.set_fontsize(max(scale * float(text.get_fontsize()), smallest))
     for title in figure.texts:
         title.set_wrap(True)
     for line in figure.findobj(Line2D):
         line.set_linewidth(scale * line.get_linewidth())
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        for label in axis.get_ticklabels()[:1]:  # those that are yet to be made are like it
+    for axis in _axes_of(figure):
+        for label in axis.get_ticklabels()[:1]:  # labels that are yet to be made are like it
             axis.set_tick_params(which="both", labelsize=label.get_fontsize())
+
+
+def _axes_of(figure: Figure) -> list[Axis]:
+    """The x and y axes of a figure."""
+    return [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
@@ -253,11 +284,12 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     """
     form, size = _PRINT.get()
     path = path if form is None else path.with_suffix(f".{form}")
-    kind, dpi = path.suffix[1:], dpi if size is None else _DPI
-    _fit(figure, size)
+    dpi = dpi if size is None else _PRINTED_DPI
+    kind = path.suffix.removeprefix(".")
+    _resize(figure, size)
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a title with $ signs is no formula
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+    for axis in _axes_of(figure):
         for text in (axis.get_offset_text(), *axis.get_ticklabels(which="both")):
             text.set_parse_math(True)  # but powers of ten at the ticks are
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
@@ -279,17 +311,17 @@ def plain_data(value: Any) -> Any:
         value = [value.real, value.imag]
     if isinstance(value, Mapping) or hasattr(value, "_asdict"):
         table = value if isinstance(value, Mapping) else value._asdict()
-        return {str(name): plain_data(each) for name, each in table.items()}
+        return {str(name): plain_data(entry) for name, entry in table.items()}
     if isinstance(value, list | tuple):
-        return [plain_data(each) for each in value]
+        return [plain_data(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
-    """Write to each name in a folder what it stands for.
+    """Write contents to a folder under the names of their files.
 
-    That is a figure; a mapping, for JSON its content and for CSV its columns; a list of rows by
-    name for CSV; what saves itself to a path, such as a table or a record; or a function that does.
+    A content is a figure; a mapping, for JSON as it is and for CSV by column; a list of rows by
+    name for CSV; an object with `save`, such as a table or a record; or a function of the path.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -298,7 +330,7 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
         if isinstance(content, Figure):
             path = save_figure(content, path, dpi)
         elif isinstance(content, list):
-            write_csv(path, content[0], (row.values() for row in content))
+            write_csv(path, content[0].keys(), (row.values() for row in content))
         elif isinstance(content, Mapping) and path.suffix == ".csv":
             write_csv(path, content, zip(*content.values(), strict=True))
         elif isinstance(content, Mapping):
@@ -329,6 +361,6 @@ class Panel(NamedTuple):
 
 def plot_panel(axes: Axes, panel: Panel) -> None:
     """Draw the lines of a panel, and name its y axis."""
-    for name, x, y, colour, width in panel.curves:
-        axes.plot(x, y, label=name, color=colour, linewidth=width)
+    for curve in panel.curves:
+        axes.plot(curve.x, curve.y, label=curve.name, color=curve.colour, linewidth=curve.width)
     axes.set_ylabel(panel.y_title)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.measurable import CLEAR
@@ -20,6 +21,8 @@ from cmf_mj.show import look
 from cmf_mj.studies.diagnosis import Cause
 from cmf_mj.studies.guide_check import Compared, Master
 from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven_responses
+
+Array = NDArray[np.float64]
 
 RESPONSE = tuple(
     Field("", title, form, "", path, about=about)
@@ -38,11 +41,12 @@ RESPONSE = tuple(
 def recordings_table(measures: RecordingMeasures) -> Table:
     """Bandwidths and peak of recordings."""
     response = measures.response
-    found = {"measures": measures_from(bandwidths(response))}
-    why = f"not excited, or of a coherence below {CLEAR:g}"
-    rows = lines(found | {"coherence": response.coherence.min()}, RESPONSE)
+    least_coherence = response.coherence.min()
+    values = {"measures": measures_from(bandwidths(response)), "coherence": least_coherence}
+    rows = lines(values, RESPONSE)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
-    rows.append(("lines left out", str(measures.left_out), why))
+    reason = f"not excited, or of a coherence below {CLEAR:g}"
+    rows.append(("lines left out", str(measures.left_out), reason))
     return Table(title, ("measure", "value", "definition"), rows)
 
 
@@ -51,7 +55,7 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     labels, ratios = ("gain [dB]", "phase [deg]", "coherence"), (3, 3, 1)
     figure, axes = look.stack(8.0, 8.0, *labels, x="frequency [Hz]", ratios=ratios)
     gain, phase, coherence = axes
-    look.dress_bode(gain, phase, title, limits=True)
+    look.style_bode(gain, phase, title, limits=True)
     phase.set_xlabel("")
     colour = look.plot_bode(gain, phase, response, label=name)
     coherence.plot(response.frequency, response.coherence, color=colour)
@@ -77,91 +81,102 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
     return look.save_files(files, folder)
 
 
+def _histories(master: Master, name: str, axis: int, count: int) -> tuple[Array, Array]:
+    """Motion and acceleration along an axis in repetitions of a test, `count` samples, (n, N)."""
+    records, machine = master.records[name], master.bench.plant.machine
+    motion = [legs_to_pose(record["leg_position"], machine)[:count, axis] for record in records]
+    acceleration = [accelerations(record)[:count, axis] for record in records]
+    return np.array(motion), np.array(acceleration)
+
+
+def _largest_axis(demand: Array) -> int:
+    """The axis that a demand moves most, of translations if any moves."""
+    reach = np.ptp(demand, axis=0)
+    translation, rotation = np.split(reach, 2)
+    if translation.max() > 0.1 * rotation.max():
+        return int(np.argmax(translation))
+    return len(translation) + int(np.argmax(rotation))
+
+
 def overplot(master: Master, new: Master, name: str) -> Figure:
     """A test along the axis that moves most: motion, acceleration, and both less the master's mean.
 
-    Of translations if any moves; the band is twice the deviation of the master's repetitions.
+    The band is twice the deviation of the master's repetitions.
     """
-    records = master.records[name]
-    machine, time = master.bench.plant.machine, records[0].time
-    demand = legs_to_pose(records[0]["leg_reference"], machine)
-    reach = np.ptp(demand, axis=0)
-    first = 0 if reach[:3].max() > 0.1 * reach[3:].max() else 3
-    axis = first + int(np.argmax(reach[first : first + 3]))
-    unit, again = by_kind(DOFS[axis], "m", "rad"), new is not master
-    less = "now less master" if again else "repetitions less mean"
-    labels = (f"{DOFS[axis]} [{unit}]", f"{less} [{unit}]", f"acceleration [{unit}/s^2]")
-    figure, axes = look.stack(8.0, 6.5, *labels)
-    every = [(one, record) for one in (master, new)[: 1 + again] for record in one.records[name]]
-    count = min(len(record.time) for _, record in every)
-    at = time[:count]
-
-    def histories(of: Master) -> Any:
-        mine = [record for one, record in every if one is of]
-        moved = [legs_to_pose(record["leg_position"], machine)[:count, axis] for record in mine]
-        return np.array(moved), np.array([accelerations(record)[:count, axis] for record in mine])
-
-    moved, felt = histories(master)
-    mean = moved.mean(axis=0)
-    spread = 2.0 * np.sqrt(((moved - mean) ** 2).sum(axis=0) / max(1, len(moved) - 1))
-    axes[0].plot(at, demand[:count, axis], color=look.GREY, lw=0.8, label="demand")
-    axes[0].plot(at, mean, color=look.DARK, label="master")
-    axes[1].fill_between(at, -spread, spread, color=look.BLUE, alpha=0.3, label="repetitions")
-    axes[2].plot(at, felt.mean(axis=0), color=look.DARK)
-    for one, other in zip(*histories(new), strict=True) if again else ():
-        axes[0].plot(at, one, "--", color=look.ORANGE, lw=0.9, label="now")
-        axes[1].plot(at, one - mean, color=look.ORANGE, lw=0.7)
-        axes[2].plot(at, other, "--", color=look.ORANGE, lw=0.9)
-    said = master.bench.tests[name].title.lower()
-    axes[0].set_title(f"Motion in {DOFS[axis]}, {said} ({name.replace('_', ' ')})")
+    first = master.records[name][0]
+    demand = legs_to_pose(first["leg_reference"], master.bench.plant.machine)
+    axis = _largest_axis(demand)
+    unit, is_compared = by_kind(DOFS[axis], "m", "rad"), new is not master
+    difference = "now less master" if is_compared else "repetitions less mean"
+    labels = (f"{DOFS[axis]} [{unit}]", f"{difference} [{unit}]", f"acceleration [{unit}/s^2]")
+    figure, (motion, deviation, acceleration) = look.stack(8.0, 6.5, *labels)
+    count = min(len(record.time) for record in (*master.records[name], *new.records[name]))
+    time = first.time[:count]
+    motions, accelerations_of_master = _histories(master, name, axis, count)
+    mean = motions.mean(axis=0)
+    band = 2.0 * np.sqrt(((motions - mean) ** 2).sum(axis=0) / max(1, len(motions) - 1))
+    motion.plot(time, demand[:count, axis], color=look.GREY, lw=0.8, label="demand")
+    motion.plot(time, mean, color=look.DARK, label="master")
+    deviation.fill_between(time, -band, band, color=look.BLUE, alpha=0.3, label="repetitions")
+    acceleration.plot(time, accelerations_of_master.mean(axis=0), color=look.DARK)
+    if is_compared:
+        for moved, accelerated in zip(*_histories(new, name, axis, count), strict=True):
+            motion.plot(time, moved, "--", color=look.ORANGE, lw=0.9, label="now")
+            deviation.plot(time, moved - mean, color=look.ORANGE, lw=0.7)
+            acceleration.plot(time, accelerated, "--", color=look.ORANGE, lw=0.9)
+    title = master.bench.tests[name].title.lower()
+    motion.set_title(f"Motion in {DOFS[axis]}, {title} ({name.replace('_', ' ')})")
     look.legend(figure)
     return figure
 
 
-def _pictures(master: Master, new: Master) -> dict[str, Figure]:
+def _figures(master: Master, new: Master) -> dict[str, Figure]:
     """Over-plots of tests, and Bode plots of those with frequency responses, by file."""
-    drawn = {}
+    figures = {}
     for name in [name for name in master.records if name in new.records]:
-        drawn[f"{name}.png"] = overplot(master, new, name)
-        if "response" in master.bench.tests[name].measures:
-            curves: dict[str, Any] = {}
-            for when, one in {"": master, ", now": new}.items():
-                if not when or new is not master:
-                    own, _ = driven_responses(one.records[name][0])
-                    curves |= {f"{dof}{when}": response for dof, response in own.items()}
-            title = f"Gain and phase, first repetition: {master.bench.tests[name].title.lower()}"
-            drawn[f"{name}_bode.png"] = look.bode_figure(title, curves, limits=True)[0]
-    return drawn
+        figures[f"{name}.png"] = overplot(master, new, name)
+        test = master.bench.tests[name]
+        if "response" in test.measures:
+            curves, _ = driven_responses(master.records[name][0])
+            if new is not master:
+                responses, _ = driven_responses(new.records[name][0])
+                curves |= {f"{dof}, now": response for dof, response in responses.items()}
+            title = f"Gain and phase, first repetition: {test.title.lower()}"
+            figures[f"{name}_bode.png"] = look.bode_figure(title, curves, limits=True)[0]
+    return figures
 
 
 def _about(master: Master) -> list[Table | str]:
     """What a guide is, on which machine, and its recordings."""
-    head, on = master.head, master.bench
-    known = ", ".join(f"{key} {value}" for key, value in on.identity.items())
-    made = "simulated with noisy electronics" if head.simulated else "recorded"
+    head, bench = master.head, master.bench
+    machine = ", ".join(f"{key} {value}" for key, value in bench.identity.items())
+    origin = "simulated with noisy electronics" if head.simulated else "recorded"
     rows = []
-    for name, one in on.tests.items():
-        limit = ", ".join(f"{k} up to {v:g}" for k, v in one.limits.items()) or one.no_limit
-        done = str(len(master.records.get(name, ())))
-        rows.append((name, one.source, one.conditions, f"{on.used_share[name]:.0%}", done, limit))
-    left = list({**on.impossible, **head.left_out}.items())
+    for name, test in bench.tests.items():
+        limits = [f"{measure} up to {limit:g}" for measure, limit in test.limits.items()]
+        limit = ", ".join(limits) or test.no_limit
+        count = str(len(master.records.get(name, ())))
+        rows.append(
+            (name, test.source, test.conditions, f"{bench.used_share[name]:.0%}", count, limit)
+        )
+    left_out = list({**bench.impossible, **head.left_out}.items())
     columns = ("test", "source", "conditions", "use of limits", "repetitions", "limit, or why none")
     return [
-        f"{head.guide.source}. {known}; {made} by version {head.version}.",
+        f"{head.guide.source}. {machine}; {origin} by version {head.version}.",
         Table("Tests", columns, rows),
-        *([Table("Left out", ("test or recording", "why"), left)] if left else []),
+        *([Table("Left out", ("test or recording", "why"), left_out)] if left_out else []),
         Table("Recordings", ("file", "digest"), list(head.digests.items())),
     ]
 
 
 def verdict_table(rows: Sequence[Compared]) -> Table:
-    """Each test with the worst that its measures say."""
-    found = []
-    for name, mine in groupby(rows, key=lambda row: row.test):
-        odd = [row for row in mine if row.verdict != "as before"]
-        said = "; ".join(dict.fromkeys(row.verdict for row in odd)) or "as before"
-        found.append((name, said, ", ".join(row.measure for row in odd[:4])))
-    return Table("Verdicts", ("test", "verdict", "because of"), found)
+    """Each test with the verdicts of its measures that are not as before."""
+    cells = []
+    for test, measures in groupby(rows, key=lambda row: row.test):
+        changed = [row for row in measures if row.verdict != "as before"]
+        verdicts = "; ".join(dict.fromkeys(row.verdict for row in changed)) or "as before"
+        cells.append((test, verdicts, ", ".join(row.measure for row in changed[:4])))
+    return Table("Verdicts", ("test", "verdict", "because of"), cells)
 
 
 def causes_table(causes: Sequence[Cause]) -> Result[Cause]:
@@ -169,7 +184,7 @@ def causes_table(causes: Sequence[Cause]) -> Result[Cause]:
     return Result(causes, fields_of(Cause), "What most probably changed")
 
 
-_PAPER = """<!doctype html><meta charset="utf-8"><title>Test guide</title><style>
+_PAGE_HEAD = """<!doctype html><meta charset="utf-8"><title>Test guide</title><style>
 body { max-width: 60rem; margin: auto; font: 10pt sans-serif }
 img { max-width: 100%; break-inside: avoid }
 table { border-collapse: collapse; margin: 1em 0 }
@@ -185,19 +200,21 @@ def save_guide(
 
     `rows` are of `compare`; of a master beside itself the page says what its guide is.
     """
-    said = (
-        f"found with {master.head.guide.power:.0%}; what is sought takes so many recordings of both"
+    caption = (
+        f"Changes found with {master.head.guide.power:.0%}; what is sought takes so many "
+        "recordings of both."
     )
-    measures = Result(rows, fields_of(Compared), "Measures", f"Changes {said}.")
-    files: dict[str, Any] = {**_pictures(master, new), "measures.csv": measures}
+    measures = Result(rows, fields_of(Compared), "Measures", caption)
+    files: dict[str, Any] = {**_figures(master, new), "measures.csv": measures}
     tables = [verdict_table(rows), measures.table]
     if causes:
         files["causes.csv"] = causes_table(causes)
         tables.insert(1, causes_table(causes).table)
     about = _about(master) if new is master else [f"{new.folder} against {master.folder}"]
-    parts = [f"# {master.head.guide.title}"]
-    for part in (*about, *tables):
-        parts.append(f"## {part.title}\n\n{part.markdown()}" if isinstance(part, Table) else part)
-    parts += [f"![{Path(name).stem}]({name})" for name in files if name.endswith(".png")]
-    text = _PAPER + MarkdownIt().enable("table").render("\n\n".join(parts))
+    blocks = [f"# {master.head.guide.title}"]
+    for block in (*about, *tables):
+        is_table = isinstance(block, Table)
+        blocks.append(f"## {block.title}\n\n{block.markdown()}" if is_table else block)
+    blocks += [f"![{Path(name).stem}]({name})" for name in files if name.endswith(".png")]
+    text = _PAGE_HEAD + MarkdownIt().enable("table").render("\n\n".join(blocks))
     return look.save_files(files | {"guide.html": lambda path: write_text(path, text)}, folder)

@@ -1,14 +1,14 @@
 """Tables, figures and files of runs: overview, account of host frames, timing, replay."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cmf_mj.control.states import State
 from cmf_mj.core import units
@@ -24,35 +24,35 @@ from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
 
-_LEAST = 1e-9  #: Demand below which a degree of freedom is at rest [m or rad].
+_LEAST_DEMAND = 1e-9  #: Demand below which a degree of freedom is at rest [m or rad].
 
 
 def overview_figure(
-    record: Record, title: str = "", changes: Iterable[float] = (), events: Iterable[float] = ()
+    record: Record, title: str = "", changes: Sequence[float] = (), events: Sequence[float] = ()
 ) -> Figure:
     """Demand and response, errors, valve commands, pressures and supply of a run.
 
     A run of the facility gets its operating state, shaded where the host was silent or late;
     changes are dotted lines, events dashed ones [s]; the title is by default plant and law.
     """
-    time, state = record.time, "operating_state" in record.channels
-    labels = ["", "", "leg error [in]", "valve command [%]", "cap (-), rod (--) [psi]"]
-    labels, heights = [*labels, "supply [psi]"], (1.2, 2.4, 1.6, 1.6, 2.0, 1.2)
-    first = 0 if state else 1
-    figure, axes = look.stack(9.0, 11.0 if state else 9.6, *labels[first:], ratios=heights[first:])
-    if state:
-        states = [code.name.lower() for code in State]
-        axes[0].step(time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
-        axes[0].set_yticks([int(code) for code in State], states)
-        axes[0].set_ylim(-0.5, len(State) - 0.5)
-        if "host_stale" in record.channels:
-            late = np.maximum(record["host_stale"], record["host_late"]) > 0.5
-            look.shade(axes[0], time, late)
-            axes[0].set_title("operating state; shaded: host silent or late")
-    motion, error, valve, pressure, supply = axes[-5:]
+    time, has_states = record.time, "operating_state" in record.channels
+    height_by_label = {
+        "motion": 2.4,
+        "leg error [in]": 1.6,
+        "valve command [%]": 1.6,
+        "cap (-), rod (--) [psi]": 2.0,
+        "supply [psi]": 1.2,
+    }
+    if has_states:
+        height_by_label = {"": 1.2} | height_by_label
+    height, ratios = 11.0 if has_states else 9.6, list(height_by_label.values())
+    figure, axes = look.stack(9.0, height, *height_by_label, ratios=ratios)
+    *state_axes, motion, error, valve, pressure, supply = axes
+    for axis in state_axes:
+        _plot_states(axis, record)
     plot_motion(motion, record)
-    missing = (record["leg_reference"] - record["leg_extension"]) / units.INCH
-    error.plot(time, missing, lw=0.8, label=[f"leg {leg + 1}" for leg in range(missing.shape[1])])
+    leg_error = (record["leg_reference"] - record["leg_extension"]) / units.INCH
+    error.plot(time, leg_error, lw=0.8, label=_leg_names(leg_error))
     valve.plot(time, 100.0 * record["valve_command"], lw=0.8)
     for side, line in (("cap", "-"), ("rod", "--")):
         pressure.set_prop_cycle(color=look.COLOURS)
@@ -60,14 +60,32 @@ def overview_figure(
     for name, colour in (("supply", look.DARK), ("return", look.GREY)):
         supply.plot(time, record[f"{name}_pressure"] / units.PSI, color=colour, lw=1.0, label=name)
     supply.set_ylim(bottom=0.0)
-    times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
-    for axis, (at, colour, line) in product(axes, times):
-        axis.axvline(at, color=colour, ls=line, lw=0.9)
+    for axis in axes:
+        for change in changes:
+            axis.axvline(change, color="0.4", ls=":", lw=0.9)
+        for event in events:
+            axis.axvline(event, color="#b00020", ls="--", lw=0.9)
     look.legend(motion, error, supply)
     figure.align_ylabels(axes)
-    of = title or f"{record.metadata['plant']}, {record.metadata['law']}"
-    figure.suptitle(f"Motion, valves and pressures: {of}")
+    run = title or f"{record.metadata['plant']}, {record.metadata['law']}"
+    figure.suptitle(f"Motion, valves and pressures: {run}")
     return figure
+
+
+def _plot_states(axis: Axes, record: Record) -> None:
+    """Operating states by name, shaded where the host was silent or late."""
+    axis.step(record.time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
+    axis.set_yticks([int(state) for state in State], [state.name.lower() for state in State])
+    axis.set_ylim(-0.5, len(State) - 0.5)
+    if "host_stale" in record.channels:
+        is_missing = np.maximum(record["host_stale"], record["host_late"]) > 0.5
+        look.shade(axis, record.time, is_missing)
+        axis.set_title("operating state; shaded: host silent or late")
+
+
+def _leg_names(values: NDArray[np.float64]) -> list[str]:
+    """Names of the legs whose values are columns."""
+    return [f"leg {leg}" for leg in range(1, values.shape[1] + 1)]
 
 
 def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
@@ -85,20 +103,20 @@ def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
 def plot_motion(axis: Axes, record: Record) -> None:
     """Demand, grey, and response of what is moved; lengths in in, angles in deg."""
     demand, time = record["demand_pose"], record.time
-    moved = np.flatnonzero(np.ptp(demand, axis=0) > _LEAST)
+    moved = np.flatnonzero(np.ptp(demand, axis=0) > _LEAST_DEMAND)
     pose = record.channels.get("platform_pose")
     if pose is None:
         axis.plot(time, record["leg_reference"] / units.INCH, color="0.7", lw=2.0)
         axis.set_prop_cycle(color=look.COLOURS)
-        reached = record["leg_extension"] / units.INCH
-        axis.plot(time, reached, lw=0.9, label=[f"leg {n + 1}" for n in range(reached.shape[1])])
+        extension = record["leg_extension"] / units.INCH
+        axis.plot(time, extension, lw=0.9, label=_leg_names(extension))
         axis.set_ylabel("legs [in]")
         return
-    for index in moved if moved.size else range(6):
-        unit = dof_unit(int(index))
-        demanded, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
-        axis.plot(time, demanded, color="0.7", lw=2.0)
-        axis.plot(time, reached, color=look.COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
+    for dof in moved.tolist() or range(6):
+        unit = dof_unit(dof)
+        axis.plot(time, units.from_si(unit, demand[:, dof]), color="0.7", lw=2.0)
+        response, label = units.from_si(unit, pose[:, dof]), f"{DOFS[dof]} [{unit}]"
+        axis.plot(time, response, color=look.COLOURS[dof], lw=0.9, label=label)
     axis.set_ylabel("demand (grey), response")
 
 
@@ -125,19 +143,24 @@ def account_table(
     rows = []
     for name, count in account(operation, received, datagrams).items():
         if count or name in ("received", "accepted", "late", "missing"):
-            where = "datagrams dropped" if name in (datagrams or {}) else "refused by the DCU"
-            rows.append((name, count, _MEANINGS.get(name, where)))
+            fate = "datagrams dropped" if name in (datagrams or {}) else "refused by the DCU"
+            rows.append((name, count, _MEANINGS.get(name, fate)))
     return Table("host", ("host frames", ("count", "d"), "meaning"), rows)
+
+
+_US = 1e6  #: Microseconds in a second.
 
 
 def timing_table(timing: Timing) -> Table:
     """Computing time and lateness of the frames."""
-    frames, us = timing.busy.size, 1e6
-    shares = ((share, us * timing.percentile(share)) for share in (50.0, 90.0, 99.0, 99.9))
+    frames = timing.busy.size
     rows = [
-        *((f"{share:g} % of frames below", f"{time:.1f} us") for share, time in shares),
-        ("largest", f"{us * timing.busy.max():.1f} us"),
-        (f"over {us * FRAME:.0f} us of computing", f"{timing.over} of {frames}"),
+        (f"{percent:g} % of frames below", f"{_US * timing.percentile(percent):.1f} us")
+        for percent in (50.0, 90.0, 99.0, 99.9)
+    ]
+    rows += [
+        ("largest", f"{_US * timing.busy.max():.1f} us"),
+        (f"over {_US * FRAME:.0f} us of computing", f"{timing.over} of {frames}"),
         ("largest lateness", f"{1e3 * timing.late.max():.3f} ms"),
         ("begun more than a frame late", f"{int((timing.late > FRAME).sum())} of {frames}"),
     ]
@@ -169,14 +192,15 @@ def save_operation(
 
 def replay_figure(replayed: Replay) -> Figure:
     """Recorded and replayed compensator output of all legs, and their difference."""
-    output, recorded = 100.0 * replayed.output, replayed.recorded
-    names = [f"leg {leg + 1} [%]" for leg in range(output.shape[1])]
-    figure, (*legs, apart) = look.stack(9.0, 8.0, *names, "largest\ndifference [%]")
-    if recorded is not None:
-        for axis, values in zip(legs, 100.0 * recorded.T, strict=True):
+    output = 100.0 * replayed.output
+    labels = [f"{name} [%]" for name in _leg_names(output)]
+    figure, (*legs, difference) = look.stack(9.0, 8.0, *labels, "largest\ndifference [%]")
+    if replayed.recorded is not None:
+        recorded = 100.0 * replayed.recorded
+        for axis, values in zip(legs, recorded.T, strict=True):
             axis.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
-        difference = np.abs(output - 100.0 * recorded).max(axis=1)
-        apart.plot(replayed.time, difference, color=look.ORANGE, linewidth=0.8)
+        largest = np.abs(output - recorded).max(axis=1)
+        difference.plot(replayed.time, largest, color=look.ORANGE, linewidth=0.8)
     for axis, values in zip(legs, output.T, strict=True):
         axis.plot(replayed.time, values, color=look.BLUE, linewidth=0.8)
     legs[0].set_title(f"compensator output: recorded (grey) and {replayed.law} replayed (blue)")

@@ -205,7 +205,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(
 
 
 def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: FlightResult) -> None:
-    panels = motion_panels(*flight_report.drawn(ride))
+    panels = motion_panels(*flight_report.drawn_motions(ride))
     assert [panel.y_title for panel in panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
     force, rate = panels[1].curves, panels[5].curves
     assert force[0].x[0] == 0.0 and force[0].x[-1] == pytest.approx(12.0, abs=0.02)
@@ -220,9 +220,9 @@ def test_traces_beside_records_are_those_that_move(ride: FlightResult, tmp_path:
     level = replace(ride.asked, angular_rate=0.0 * ride.asked.angular_rate)
     still = ride._replace(aircraft=level, asked=level, simulator=level)
     for folder, each in zip(folders, (ride, still), strict=True):
-        flight_report.save_ride(each, folder)
+        flight_report.save_flight(each, folder)
     files = [folder / "record.parquet" for folder in folders]
-    every = [panel.y_title for panel in motion_panels(*flight_report.drawn(ride))]
+    every = [panel.y_title for panel in motion_panels(*flight_report.drawn_motions(ride))]
     both, alone = flight_report.saved_traces(files), flight_report.saved_traces(files[1:])
     assert [[panel.y_title for panel in panels] for panels in both] == [every, every]
     assert [panel.y_title for panel in alone[0]] == every[:3]
