@@ -115,21 +115,21 @@ def _load_of_machine(ctx: typer.Context, field: str, names: Any) -> Any:
 
 
 def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
-    """As `command`, for commands that draw: they take format and size of their figures."""
+    """As `command`, for commands that draw: they take the format of their figures."""
 
     def add_options(function: Callable[..., None]) -> Callable[..., None]:
-        def draw(figure_format: str | None, figure_size: str | None, **arguments: Any) -> None:
+        def draw(figure_format: str | None, **arguments: Any) -> None:
             from cmf_mj.show.look import printed
 
-            with printed(figure_format, figure_size):
+            with printed(figure_format):
                 function(**arguments)
 
         own = signature(function, eval_str=True)
-        how: dict[str, Any] = {"kind": Parameter.KEYWORD_ONLY, "default": None}
-        form = Parameter("figure_format", annotation=FigureFormat, **how)
-        size = Parameter("figure_size", annotation=FigureSize, **how)
+        form = Parameter(
+            "figure_format", Parameter.KEYWORD_ONLY, default=None, annotation=FigureFormat
+        )
         update_wrapper(draw, function)
-        parameters = [*own.parameters.values(), form, size]
+        parameters = [*own.parameters.values(), form]
         vars(draw)["__signature__"] = own.replace(parameters=parameters)
         return draw
 
@@ -189,7 +189,6 @@ Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics 
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
 FigureFormat = Annotated[str | None, choice("show.look:FORMATS", "FORMAT", _FORMATS)]
-FigureSize = Annotated[str | None, size(help="of figures: page, slide or WIDTHxHEIGHT [in]")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Recordings = Annotated[list[Path], Argument(help="CSV, Parquet, HDF5 or MAT files")]

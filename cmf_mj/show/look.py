@@ -13,7 +13,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.published import Published
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import check_name
 from cmf_mj.core.files import plain_path, whole_file, write_json
 from cmf_mj.core.tables import write_csv
 
@@ -50,53 +49,21 @@ STYLE: dict[str, Any] = {
 
 FORMATS = ("png", "svg", "pdf")  #: Of the files of figures.
 
-_PAGE, _SLIDE = (6.5, 9.0), (40.0 / 3.0, 7.5)
-"""Text of a page, which a figure fits in, and a slide of 16:9, which it fills [in]."""
 _SMALLEST_TEXT = 9.0 * 72.0 / 1280.0  #: 9 px of 1280 px across, for a figure 1 in wide [points].
-_SMALLEST_PRINTED_TEXT = 6.0  #: Of a figure whose size is asked for [points].
-_PRINTED_DPI = 200  #: Of a figure whose size is asked for.
 
-
-class _Print(NamedTuple):
-    """Format and size of all figures that are written; None as each is made."""
-
-    form: str | None = None
-    size: str | None = None
-
-
-_AS_MADE = _Print()
-_PRINT: ContextVar[_Print] = ContextVar("print", default=_AS_MADE)
-
-
-def _inches(size: str | None, width: float, height: float) -> tuple[float, float]:
-    """Width and height in print of a figure that is made `width` by `height`."""
-    if size is None:
-        return width, height
-    if size == "page":
-        page_width, page_height = _PAGE
-        scale = min(page_width / width, page_height / height)
-        return scale * width, scale * height
-    try:
-        printed = _SLIDE if size == "slide" else map(float, size.lower().split("x"))
-        print_width, print_height = printed
-    except ValueError:
-        print_width = print_height = np.nan
-    if not (2.0 <= print_width <= 60.0 and 2.0 <= print_height <= 60.0):
-        allowed = "page, slide or WIDTHxHEIGHT, each 2 to 60 in, such as 6.5x4"
-        raise InputError(f"figure_size: {size!r} is refused; allowed: {allowed}")
-    return print_width, print_height
+_FORM: ContextVar[str | None] = ContextVar("form", default=None)
+"""Format of all figures that are written; None as the name of each ends."""
 
 
 @contextmanager
-def printed(form: str | None = None, size: str | None = None) -> Iterator[None]:
-    """Write all figures in a format, png, svg or pdf, and in a size as `--figure-size` takes it."""
+def printed(form: str | None = None) -> Iterator[None]:
+    """Write all figures in a format: png, svg or pdf."""
     check_name("figure_format", form or "png", FORMATS)
-    _inches(size, *_PAGE)
-    token = _PRINT.set(_Print(form, size))
+    token = _FORM.set(form)
     try:
         yield
     finally:
-        _PRINT.reset(token)
+        _FORM.reset(token)
 
 
 class _Figure(Figure):
@@ -252,20 +219,13 @@ def plot_bound(gain: Axes, phase: Axes, response: FrequencyResponse, **style: An
         axis.fill_between(response.frequency, values + low, values + high, alpha=0.25, **style)
 
 
-def _resize(figure: Figure, size: str | None) -> None:
-    """Give a figure the size that is asked for, and its text a size that can be read."""
-    inches = figure.get_size_inches()
-    figure.set_size_inches(_inches(size, *inches))
-    scale = float(np.sqrt(np.prod(figure.get_size_inches() / inches)))
-    smallest = max(
-        _SMALLEST_TEXT * figure.get_figwidth(), 0.0 if size is None else _SMALLEST_PRINTED_TEXT
-    )
+def _make_readable(figure: Figure) -> None:
+    """Give the text of a figure at least the smallest size."""
+    smallest = _SMALLEST_TEXT * float(figure.get_figwidth())
     for text in figure.findobj(Text):
-        text.set_fontsize(max(scale * float(text.get_fontsize()), smallest))
+        text.set_fontsize(max(float(text.get_fontsize()), smallest))
     for title in figure.texts:
         title.set_wrap(True)
-    for line in figure.findobj(Line2D):
-        line.set_linewidth(scale * line.get_linewidth())
     for axis in _axes_of(figure):
         for label in axis.get_ticklabels()[:1]:  # labels that are yet to be made are like it
             axis.set_tick_params(which="both", labelsize=label.get_fontsize())
@@ -277,16 +237,15 @@ def _axes_of(figure: Figure) -> list[Axis]:
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure by the ending of the name and release its memory; `printed` changes both.
+    """Write a figure by the ending of the name and release its memory; `printed` changes it.
 
     The file appears when it is complete, and the same figure gives the same bits: no date, no names
     of programs. Folders are made.
     """
-    form, size = _PRINT.get()
+    form = _FORM.get()
     path = path if form is None else path.with_suffix(f".{form}")
-    dpi = dpi if size is None else _PRINTED_DPI
     kind = path.suffix.removeprefix(".")
-    _resize(figure, size)
+    _make_readable(figure)
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a title with $ signs is no formula
     for axis in _axes_of(figure):

@@ -1,4 +1,4 @@
-"""The look of figures: sizes to print, ticks of frequencies, text that can be read."""
+"""The look of figures: formats, ticks of frequencies, text that can be read."""
 
 from pathlib import Path
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from PIL import Image
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core.errors import InputError
@@ -24,26 +23,6 @@ def figure_of(width: float, height: float, letters: float = 8.0) -> Figure:
     return figure
 
 
-@pytest.mark.parametrize(
-    ("made", "size", "expected"),
-    [
-        ((13.0, 6.5), "page", (6.5, 3.25)),  # as wide as a page's text
-        ((5.0, 10.0), "page", (4.5, 9.0)),  # as high
-        ((9.0, 11.0), "slide", (40.0 / 3.0, 7.5)),
-        ((9.0, 11.0), "5X4.5", (5.0, 4.5)),
-        ((9.0, 11.0), None, (9.0, 11.0)),
-    ],
-)
-def test_a_figure_has_the_size_it_is_asked_for(
-    made: tuple[float, float], size: str | None, expected: tuple[float, float], tmp_path: Path
-) -> None:
-    with look.printed(None, size):
-        path = look.save_figure(figure_of(*made), tmp_path / "gain.png", dpi=100)
-    dots = 100 if size is None else 200
-    with Image.open(path) as picture:
-        assert picture.size == pytest.approx([dots * side for side in expected], abs=1.0)
-
-
 @pytest.mark.parametrize("form", look.FORMATS)
 def test_a_figure_has_the_format_it_is_asked_for(form: str, tmp_path: Path) -> None:
     with look.printed(form):
@@ -56,21 +35,16 @@ def test_a_figure_has_the_format_it_is_asked_for(form: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("width", "size", "points"),
+    ("width", "points"),
     [
-        (30.0, None, 9.0 * 72.0 * 30.0 / 1280.0),  # 9 px of 1280
-        (4.0, None, 5.0),  # 22 px, as it is made
-        (13.0, "page", 6.0),  # the least on paper
-        (4.0, "8x6", 10.0),  # twice as wide and high
+        (30.0, 9.0 * 72.0 * 30.0 / 1280.0),  # 9 px of 1280
+        (4.0, 5.0),  # 22 px, as it is made
     ],
 )
-def test_no_text_is_too_small(
-    width: float, size: str | None, points: float, tmp_path: Path
-) -> None:
+def test_no_text_is_too_small(width: float, points: float, tmp_path: Path) -> None:
     figure, found = figure_of(width, 3.0 * width / 4.0, letters=5.0), list[float]()
     figure.clear = lambda: found.extend(text.get_fontsize() for text in figure.findobj(Text))  # type: ignore[method-assign]
-    with look.printed(None, size):
-        look.save_figure(figure, tmp_path / "gain.png", dpi=20)
+    look.save_figure(figure, tmp_path / "gain.png", dpi=20)
     assert min(found) == pytest.approx(points)
 
 
