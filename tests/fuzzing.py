@@ -30,7 +30,6 @@ SEAMS = (
     "analysis.linear.linear:operating_point",
     "analysis.modes:sweep",
     "report_2014.model_tables:measure_loop",
-    "signals.peaks:peaks",
     "pilot.airframe:Airframe.__init__",
     "studies.certificate:Family",
     "studies.engine:_start_workers",

@@ -41,9 +41,9 @@ from cmf_mj.machine.motion_limits import relative_travel
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command, as_command, check_positive
 from cmf_mj.signals.single import sine
+from cmf_mj.signals.travel import check_travel
 from cmf_mj.studies.case import Case, frames_a_row, make_case
 
 Array = NDArray[np.float64]
@@ -379,7 +379,7 @@ def _case_sine(case: Case, frequency: float, at: float, after: float) -> Command
     amplitude = case.amplitude or default * relative_travel(case.motion_base, case.dof)
     command = faded_sine(case.dof, amplitude, frequency, at=at, after=after)
     command = Command(command.pose + np.asarray(case.pose), command.signal, command.seed)
-    check_limits(command, machine=case.motion_base)
+    check_travel(command, machine=case.motion_base)
     return command
 
 
