@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -35,6 +36,8 @@ Array = NDArray[np.float64]
 FRAMES = 64  #: Control frames of a step, by default: 1/32 s at 2048 Hz.
 
 LOST = 100.0  #: Taken off the reward of a run that leaves the machine's physical bounds.
+
+_SIZE = 480, 640  #: Of a picture: rows and columns.
 
 
 class ObservedQuantity(NamedTuple):
@@ -76,6 +79,8 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     (18,)
     """
 
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}  # type: ignore[misc]
+
     def __init__(
         self,
         plant: Plant,
@@ -90,6 +95,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         unknowns: Unknowns | None = None,
         frames: int = FRAMES,
         seconds: float = 4.0,
+        render_mode: str | None = None,
     ) -> None:
         """Make the spaces; the functions are called with the environment.
 
@@ -107,10 +113,13 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             unknowns: what differs from run to run.
             frames: control frames of a step.
             seconds: longest run, then truncated [s].
+            render_mode: `rgb_array`, or None.
         """
+        if render_mode is not None:
+            check_name("render_mode", render_mode, self.metadata["render_modes"])
         self.plant, self._nominal, self._unknowns = plant, plant, unknowns
         self.law = self._nominal_law = None if law is None else load_law(law, plant.machine)
-        self._reward, self._act, self._begin = reward, act, begin
+        self.render_mode, self._reward, self._act, self._begin = render_mode, reward, act, begin
         self.frames, self._start = whole("frames", frames, 1, MOST_FRAMES), start
         if not 0.0 < real("seconds", seconds) * plant.machine.rate <= MOST_FRAMES:
             allowed = f"above 0, up to {MOST_FRAMES} frames"
@@ -119,6 +128,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Steps after which a run is truncated."""
         self.period = self.frames * plant.machine.frame
         """Length of a step [s]."""
+        self.metadata = {**self.metadata, "render_fps": max(round(1.0 / self.period), 1)}  # type: ignore[misc]
         self.quantities = tuple(of_cylinders(plant) if quantities is None else quantities)
         """Names, units and order of the observation."""
         largest = np.concatenate([np.full(q.width, q.largest) for q in self.quantities])
@@ -129,6 +139,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.session: Session | None = None
         self.info: dict[str, Any] = {}
         """What a reset and a step hand out beside the observation."""
+        self._renderer: mujoco.Renderer | None = None
 
     @property
     def running(self) -> Session:
@@ -222,6 +233,24 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         seen[np.isnan(seen)] = 0.0
         return np.asarray(np.clip(seen, -self._high, self._high), dtype=np.float32)
 
+    def render(self) -> Any:
+        """A picture of the machine, (480, 640, 3)."""
+        if self.render_mode is None or self.session is None:
+            return None
+        model = self.plant.drawn_model
+        if self._renderer is None:
+            self._renderer, self._drawn = mujoco.Renderer(model, *_SIZE), mujoco.MjData(model)
+        self._drawn.qpos[:] = self.plant.data.qpos
+        mujoco.mj_forward(model, self._drawn)
+        self._renderer.update_scene(self._drawn)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
 
 ACTIONS = ("pose", "valves", "residual")
 """A pose demand; valve commands; a pose added to the target that the law is given."""
@@ -247,6 +276,7 @@ class HexapodEnv(MachineEnv):
         hydraulics: str = "hardware",
         unknowns: Unknowns | None = None,
         seconds: float = 4.0,
+        render_mode: str | None = None,
     ) -> None:
         """Choose what an action is; `unknowns` draw another machine for each run.
 
@@ -263,6 +293,7 @@ class HexapodEnv(MachineEnv):
             begin=HexapodEnv._aim,
             unknowns=unknowns,
             seconds=seconds,
+            render_mode=render_mode,
         )
 
     def _aim(self, options: Any) -> None:

@@ -50,6 +50,20 @@ def test_the_checker_has_no_warning(options: dict[str, Any] | None) -> None:
     assert env.observation_space.shape == (width,)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("own", [False, True])
+def test_a_picture_shows_the_machine(own: bool) -> None:
+    how: dict[str, Any] = {"render_mode": "rgb_array", "seconds": 1.0}
+    env: Any = press(**how) if own else gymnasium.make("cmf_mj/Hexapod-v0", **how)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=own)
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (480, 640, 3) and picture.std() > 5.0
+    env.close()
+
+
 def run(env: Any, seed: int, steps: int = 12) -> list[Any]:
     seen, _ = env.reset(seed=seed)
     drawn = np.random.default_rng(seed)
@@ -233,6 +247,7 @@ def test_wrong_options_are_refused_by_name() -> None:
         (lambda: press(seconds=float("nan")), "seconds: nan is refused"),
         (lambda: press(frames=0), "frames: 0 is refused"),
         (lambda: HexapodEnv("lever"), "action: 'lever'"),
+        (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),
         (lambda: HexapodEnv(seconds=float("inf")), "seconds: inf is refused"),
         (lambda: HexapodEnv(seconds="2"), "seconds: holds <U1"),  # type: ignore[arg-type]
     ):
