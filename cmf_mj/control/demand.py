@@ -12,7 +12,8 @@ omega = E (roll, pitch, yaw rate), one leg is (Eqs 2.1 and C.6, here in inertial
 the second derivative being J d2x/dt2 + dJ/dt dx/dt, exact.
 
 A demand at another point of the platform, as that of Eq 2.1 at the static centre of mass, has the
-geometry of `kinematics.geometry_about` that point. The platform is rigid: dA_j of Eq 2.1 is 0.
+geometry of `kinematics.geometry_about` that point. The platform is rigid: of dA_j of Eq
+2.1, where the upper gimbal sits under load, the report gives no values.
 """
 
 import numpy as np
