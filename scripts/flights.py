@@ -286,7 +286,8 @@ def learn_flights(options: argparse.Namespace) -> None:
             last.predicted / first.predicted,
             *others,
         ]
-        rows.append([name, 1e3 * first.legs, 1e3 * lead, *(100.0 * x for x in shares), last.held])
+        percents = (100.0 * x for x in shares)
+        rows.append([name, 1e3 * first.legs, 1e3 * lead, *percents, last.held_frames])
         print(rows[-1], flush=True)
     table = Table("", (*columns, ("frames held", "d")), sorted(rows))
     for kind in ("csv", "md"):

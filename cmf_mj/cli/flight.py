@@ -52,7 +52,7 @@ def fly_command(
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.fly import fly
-    from cmf_mj.pilot.telemetry import fly_live
+    from cmf_mj.pilot.live import fly_live
     from cmf_mj.show import flight as report
     from cmf_mj.show.operation import save_operation
 

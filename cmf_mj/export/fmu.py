@@ -24,9 +24,9 @@ from cmf_mj.core.files import whole_file
 from cmf_mj.core.tables import write_csv
 from cmf_mj.core.units import LONGEST
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.header import channels, defines, parameters
-from cmf_mj.export.library import Files, machine_files, make, sources
-from cmf_mj.export.machine import Frozen, freeze
+from cmf_mj.export.header import ExportedChannel, channels, defines, parameters
+from cmf_mj.export.library import Files, build, machine_files, sources
+from cmf_mj.export.machine import Export, make_export
 from cmf_mj.facility.signal import LegDemand, ValveCommands
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
@@ -35,7 +35,7 @@ from cmf_mj.record.record import Record
 
 FAILURES = 4  #: Failures that parameters may name.
 
-_BASE = {
+_BASE_UNITS = {
     "1": {},
     "s": {"s": 1},
     "m": {"m": 1},
@@ -53,8 +53,8 @@ _BASE = {
 }
 """Units by their SI base units."""
 
-_OF_FMI_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-"""Kinds of variables in FMI 2."""
+_FMI_2_TYPES = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+"""Types of variables in FMI 2, by those of FMI 3."""
 
 _SECONDS, _STEPS = 1.0, 80  #: Length and steps a second of the reference result.
 
@@ -68,46 +68,61 @@ class Variable(NamedTuple):
     text: str
     unit: str = ""
     start: float | None = None
-    least: float | None = None
-    most: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
 
 
-def variables(frozen: Frozen) -> list[Variable]:
+def variables(export: Export) -> list[Variable]:
     """All variables of a machine in the order of their value references."""
-    listed = _inputs(frozen)
-    for name, unit, text, start, least, most in parameters(frozen):
-        listed.append(Variable(name, "Float64", "parameter", text, unit, start, least, most))
+    rows = [
+        Variable(name, "Float64", "parameter", text, unit, start, minimum, maximum)
+        for name, unit, text, start, minimum, maximum in parameters(export)
+    ]
     text = "whether the inputs are frames of a host, 80 a second, through DCU and limits"
-    listed.append(Variable("host", "Boolean", "parameter", text, start=0))
+    host = Variable("host", "Boolean", "parameter", text, start=0)
+    failures = _failure_parameters(export.plant.legs)
+    return [*_inputs(export), *rows, host, *failures, *_outputs(export)]
+
+
+def _failure_parameters(legs: int) -> list[Variable]:
+    """Parameters of `FAILURES` failures, in the order of the C source."""
     kinds = "0 none, " + ", ".join(f"{n} {kind}" for n, kind in enumerate(KINDS, start=1))
-    legs = frozen.plant.legs
-    for number in range(1, FAILURES + 1):
-        rows: list[tuple[str, str, str, str, float | None]] = [
-            ("at", "Float64", "s", "when", LONGEST),
-            ("kind", "Int32", "", kinds, len(KINDS)),
-            ("leg", "Int32", "", "leg of a valve or sensor, 0 for the others", legs),
-            ("valve", "Int32", "", "valve of the leg, 0 for both", 2),
-            ("size", "Float64", "1", "how much, SI; 0 as the kind has it", None),
-        ]
-        for name, kind, unit, said, high in rows:
-            low = None if high is None else 0.0
-            where = f"failure[{number}].{name}"
-            listed.append(Variable(where, kind, "parameter", said, unit, 0.0, low, high))
-    for channel in channels(frozen):
-        units = channel.unit.split(", ")
-        if len(units) == 3:  # generalised positions
+    leg_text = "leg of a valve or sensor, 0 for the others"
+    fields = (
+        Variable("at", "Float64", "parameter", "when", "s", 0.0, 0.0, LONGEST),
+        Variable("kind", "Int32", "parameter", kinds, "", 0.0, 0.0, len(KINDS)),
+        Variable("leg", "Int32", "parameter", leg_text, "", 0.0, 0.0, legs),
+        Variable("valve", "Int32", "parameter", "valve of the leg, 0 for both", "", 0.0, 0.0, 2),
+        Variable("size", "Float64", "parameter", "how much, SI; 0 as the kind has it", "1", 0.0),
+    )
+    return [
+        field._replace(name=f"failure[{number}].{field.name}")
+        for number in range(1, FAILURES + 1)
+        for field in fields
+    ]
+
+
+def _has_many_units(channel: ExportedChannel) -> bool:
+    """Whether a channel is of generalised positions, which are no output."""
+    return channel.unit.count(",") > 1
+
+
+def _outputs(export: Export) -> list[Variable]:
+    rows = []
+    for channel in channels(export):
+        if _has_many_units(channel):
             continue
+        units, text = channel.unit.split(", "), channel.name.replace("_", " ")
         for index in range(channel.width):
             unit = units[index * len(units) // channel.width]
             name = channel.name + (f"[{index + 1}]" if channel.width > 1 else "")
-            text = channel.name.replace("_", " ")
-            listed.append(Variable(name, "Float64", "output", text, unit))
-    return listed
+            rows.append(Variable(name, "Float64", "output", text, unit))
+    return rows
 
 
-def _inputs(frozen: Frozen) -> list[Variable]:
-    if not frozen.chain:
-        controller = frozen.parts.controller
+def _inputs(export: Export) -> list[Variable]:
+    if not export.has_host:
+        controller = export.parts.controller
         text, unit = "valve command, fraction", "1"
         if controller.closed:
             text, unit = "extension asked of an actuator", "m"
@@ -137,55 +152,55 @@ def export_fmu(
     """Write a machine as an FMU of FMI 2 or 3; arguments and errors as of `export_library`."""
     if fmi not in (2, 3):
         raise InputError(f"fmi: {fmi} is refused; allowed: 2, 3")
-    frozen = freeze(plant, None if law is None else load_law(law, plant.machine), electronics)
-    listed = variables(frozen)
+    export = make_export(plant, None if law is None else load_law(law, plant.machine), electronics)
+    table = variables(export)
     with tempfile.TemporaryDirectory() as folder, whole_file(file) as partial:
         work, root = Path(folder) / "work", Path(folder) / "fmu"
-        token = f"{{{frozen.digest}}}"
-        make(fmu_files(frozen, listed), work, "cmf.so", ["cmf.c", f"fmi{fmi}.c", "-DCMF_HIDDEN"])
+        token = f"{{{export.digest}}}"
+        arguments = ["cmf.c", f"fmi{fmi}.c", "-DCMF_HIDDEN"]
+        build(fmu_files(export, table), work, "cmf.so", arguments)
         binaries = root / "binaries" / ("linux64" if fmi == 2 else "x86_64-linux")
         binaries.mkdir(parents=True)
         for path in (work / "cmf.so", *work.glob("libmujoco.so.*")):
             shutil.copy(path, binaries)
         shutil.copytree(work / "licences", root / "documentation" / "licenses")
-        tree = ElementTree.ElementTree(_described(frozen, listed, fmi, token))
+        tree = ElementTree.ElementTree(_model_description(export, table, fmi, token))
         ElementTree.indent(tree)
         tree.write(root / "modelDescription.xml", encoding="UTF-8", xml_declaration=True)
-        _write_reference(frozen, listed, root / "resources")
+        _write_reference(export, table, root / "resources")
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in sorted(path for path in root.rglob("*") if path.is_file()):
                 archive.write(path, path.relative_to(root))
     return file
 
 
-def fmu_files(frozen: Frozen, listed: list[Variable]) -> Files:
+def fmu_files(export: Export, table: list[Variable]) -> Files:
     """All that an FMU is compiled of."""
-    count = {c: sum(v.causality == c for v in listed) for c in ("input", "output")}
-    starts = ", ".join(repr(v.start) for v in listed if v.causality == "input")
+    inputs = [variable for variable in table if variable.causality == "input"]
+    starts = ", ".join(repr(variable.start) for variable in inputs)
     places = [
         f"{{{number}, {index}}}"
-        for number, channel in enumerate(channels(frozen))
+        for number, channel in enumerate(channels(export))
         for index in range(channel.width)
-        if channel.unit.count(",") < 2
+        if not _has_many_units(channel)
     ]
     numbers = {
-        "TOKEN": f'"{{{frozen.digest}}}"',
-        "CHAIN": int(frozen.chain),
-        "INPUTS": count["input"],
-        "PARAMETERS": len(parameters(frozen)),
+        "TOKEN": f'"{{{export.digest}}}"',
+        "CHAIN": int(export.has_host),
+        "INPUTS": len(inputs),
+        "PARAMETERS": len(parameters(export)),
         "FAILURES": FAILURES,
-        "OUTPUTS": count["output"],
+        "OUTPUTS": len(places),
     }
     lines = ["/* One machine as an FMU. */", *defines("FMU", numbers)]
     lines.append(f"static const double fmu_starts[] = {{{starts}}};")
     lines.append(f"static const short fmu_outputs[][2] = {{{', '.join(places)}}};\n")
-    return machine_files(frozen) | sources("fmu") | {"cmf_fmu.h": "\n".join(lines)}
+    return machine_files(export) | sources("fmu") | {"cmf_fmu.h": "\n".join(lines)}
 
 
-def _described(frozen: Frozen, listed: list[Variable], fmi: int, token: str) -> Element:
+def _model_description(export: Export, table: list[Variable], fmi: int, token: str) -> Element:
     """The model description in a version of FMI."""
-    state = "FMUstate" if fmi == 2 else "FMUState"
-    plant, law = frozen.plant, frozen.session.describe()["law"]
+    plant, law = export.plant, export.session.describe()["law"]
     head = {
         "fmiVersion": f"{fmi}.0",
         "modelName": " ".join(filter(None, (plant.name, plant.cab, law))),
@@ -195,93 +210,117 @@ def _described(frozen: Frozen, listed: list[Variable], fmi: int, token: str) -> 
         "generationTool": f"cmf-mj {version('cmf-mj')}",
         "variableNamingConvention": "structured",
     }
-    root = Element("fmiModelDescription", head)
-    able = {"modelIdentifier": "cmf", "canHandleVariableCommunicationStepSize": "true"}
-    able |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
-    SubElement(root, "CoSimulation", able)
+    root, state = Element("fmiModelDescription", head), "FMUstate" if fmi == 2 else "FMUState"
+    abilities = {"modelIdentifier": "cmf", "canHandleVariableCommunicationStepSize": "true"}
+    abilities |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
+    SubElement(root, "CoSimulation", abilities)
     units = SubElement(root, "UnitDefinitions")
-    for name, powers in _BASE.items():
+    for name, powers in _BASE_UNITS.items():
         unit = SubElement(units, "Unit", name=name)
         SubElement(unit, "BaseUnit", {base: str(power) for base, power in powers.items()})
-    logged = SubElement(root, "LogCategories")
-    SubElement(
-        logged, "Category", name="logStatusError", description="refusals, and with logging steps"
-    )
+    categories, text = SubElement(root, "LogCategories"), "refusals, and with logging steps"
+    SubElement(categories, "Category", name="logStatusError", description=text)
     times = {"startTime": "0", "stopTime": repr(_SECONDS), "stepSize": repr(1.0 / _STEPS)}
     SubElement(root, "DefaultExperiment", times)
-    table, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
-    if fmi == 3:
-        time = {"name": "time", "causality": "independent", "variability": "continuous"}
-        SubElement(table, "Float64", time, unit="s", valueReference=str(len(listed)))
-    for reference, variable in enumerate(listed):
-        (said, kind), place = _attributes(variable), str(reference)
-        if fmi == 2:
-            entry = SubElement(table, "ScalarVariable", said, valueReference=place)
-            SubElement(entry, _OF_FMI_2[variable.kind], kind)
-        else:
-            SubElement(table, variable.kind, said | kind, valueReference=place)
-    outputs = [n for n, variable in enumerate(listed) if variable.causality == "output"]
-    for name, more in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
-        part = SubElement(structure, f"{name}s") if fmi == 2 else structure
-        for n in outputs:
-            if fmi == 2:
-                SubElement(part, "Unknown", {"index": str(n + 1), **more})
-            else:
-                SubElement(part, name, {"valueReference": str(n), **more})
+    _add_variables(root, table, fmi)
+    _add_structure(root, table, fmi)
     return root
 
 
-def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
-    """Of a variable in both versions, and of its type."""
-    varies = "continuous" if variable.causality != "parameter" else "fixed"
-    said = {
+def _add_variables(root: Element, table: list[Variable], fmi: int) -> None:
+    """Add the variables; value references are their places in the table."""
+    parent = SubElement(root, "ModelVariables")
+    if fmi == 3:
+        time = {"name": "time", "causality": "independent", "variability": "continuous"}
+        SubElement(parent, "Float64", time, unit="s", valueReference=str(len(table)))
+    for reference, variable in enumerate(table):
+        place = {"valueReference": str(reference)}
+        attributes, type_attributes = _attributes(variable), _type_attributes(variable)
+        if fmi == 2:
+            entry = SubElement(parent, "ScalarVariable", attributes, **place)
+            SubElement(entry, _FMI_2_TYPES[variable.kind], type_attributes)
+        else:
+            SubElement(parent, variable.kind, attributes | type_attributes, **place)
+
+
+def _add_structure(root: Element, table: list[Variable], fmi: int) -> None:
+    """Add the outputs, each of which depends on the state alone."""
+    structure = SubElement(root, "ModelStructure")
+    outputs = [place for place, variable in enumerate(table) if variable.causality == "output"]
+    independent = {"dependencies": ""}
+    for name, attributes in (("Output", independent), ("InitialUnknown", dict[str, str]())):
+        parent = SubElement(structure, f"{name}s") if fmi == 2 else structure
+        for place in outputs:
+            if fmi == 2:  # which counts from 1
+                SubElement(parent, "Unknown", {"index": str(place + 1), **attributes})
+            else:
+                SubElement(parent, name, {"valueReference": str(place), **attributes})
+
+
+def _attributes(variable: Variable) -> dict[str, str]:
+    """Attributes of a variable of any type."""
+    attributes = {
         "name": variable.name,
         "causality": variable.causality,
-        "variability": varies,
+        "variability": "fixed" if variable.causality == "parameter" else "continuous",
         "description": variable.text,
     }
     if variable.causality != "input":
-        said["initial"] = "calculated" if variable.causality == "output" else "exact"
-    kind = {"unit": variable.unit} if variable.unit else {}
-    integer = variable.kind != "Float64"
-    for name, value in (("start", variable.start), ("min", variable.least), ("max", variable.most)):
+        attributes["initial"] = "calculated" if variable.causality == "output" else "exact"
+    return attributes
+
+
+def _type_attributes(variable: Variable) -> dict[str, str]:
+    """Attributes that depend on the type of a variable."""
+    attributes = {"unit": variable.unit} if variable.unit else {}
+    is_integer = variable.kind != "Float64"
+    for name, value in (
+        ("start", variable.start),
+        ("min", variable.minimum),
+        ("max", variable.maximum),
+    ):
         if value is not None:
-            kind[name] = str(int(value)) if integer else repr(float(value))
+            attributes[name] = str(int(value)) if is_integer else repr(float(value))
     if variable.kind == "Boolean":
-        kind["start"] = "false"
-    return said, kind
+        attributes["start"] = "false"
+    return attributes
 
 
-def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> None:
+def _write_reference(export: Export, table: list[Variable], folder: Path) -> None:
     """Write inputs, and what the Python loop makes of them, at every communication point."""
     points = np.arange(int(_SECONDS * _STEPS) + 1)
-    frame = np.floor(points * frozen.plant.machine.rate / _STEPS + 0.5).astype(np.int64)  # as C
-    inputs = [variable for variable in listed if variable.causality == "input"]
-    given = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
-    given[:, 2 if frozen.chain else 0] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3
-    record = _run(frozen, np.repeat(given[:-1], np.diff(frame), axis=0))
-    at, channels_read = np.maximum(frame - 1, 0), ("leg_extension", "valve_command")
-    found = np.concatenate([record[name][at] for name in channels_read], axis=1)
-    legs = range(1, frozen.plant.legs + 1)
-    names = [f"{name}[{leg}]" for name in channels_read for leg in legs]
-    time = points[:, None] / _STEPS
-    for name, header, values in (("in", [v.name for v in inputs], given), ("out", names, found)):
-        rows = np.concatenate([time, values], axis=1).tolist()
-        write_csv(folder / f"reference_{name}.csv", ["time", *header], rows, digits=17)
+    frames = np.floor(points * export.plant.machine.rate / _STEPS + 0.5).astype(np.int64)  # as C
+    inputs = [variable for variable in table if variable.causality == "input"]
+    values = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
+    column = 2 if export.has_host else 0  # heave, or the first actuator
+    values[:, column] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3
+    record = _run(export, np.repeat(values[:-1], np.diff(frames), axis=0))
+    rows, output_channels = np.maximum(frames - 1, 0), ("leg_extension", "valve_command")
+    outputs = np.concatenate([record[name][rows] for name in output_channels], axis=1)
+    legs = range(1, export.plant.legs + 1)
+    output_names = [f"{name}[{leg}]" for name in output_channels for leg in legs]
+    _write_table(folder / "reference_in.csv", [variable.name for variable in inputs], values)
+    _write_table(folder / "reference_out.csv", output_names, outputs)
 
 
-def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
+def _write_table(path: Path, names: list[str], values: NDArray[np.float64]) -> None:
+    """Write columns at every communication point, (N, n), behind their time."""
+    time = np.arange(len(values))[:, None] / _STEPS
+    write_csv(path, ["time", *names], np.concatenate([time, values], axis=1).tolist(), digits=17)
+
+
+def _run(export: Export, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
-    duration = rows.shape[0] * frozen.plant.machine.frame
-    source = LegDemand(rows) if frozen.run.law else ValveCommands(rows)
-    run = frozen.run.changed(duration=duration, operation=None, source=source)
-    if not frozen.chain:
+    duration = rows.shape[0] * export.plant.machine.frame
+    source = LegDemand(rows) if export.run.law else ValveCommands(rows)
+    run = export.run.changed(duration=duration, operation=None, source=source)
+    if not export.has_host:
         return run.record()
-    geometry = frozen.plant.machine.geometry
+    geometry = export.plant.machine.geometry
     motion, legs = np.zeros((2, 3, 6))
-    table = np.empty((rows.shape[0], 6))
+    leg_demand = np.empty((rows.shape[0], 6))
     for frame, pose in enumerate(rows[:, :6]):
         motion[0] = pose
         demand.step(geometry, motion, legs)
-        table[frame] = legs[0]
-    return run.changed(source=LegDemand(table), start=np.zeros(6)).record()
+        leg_demand[frame] = legs[0]
+    return run.changed(source=LegDemand(leg_demand), start=np.zeros(6)).record()

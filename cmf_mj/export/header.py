@@ -12,7 +12,7 @@ from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import LONGEST, MOST_FRAMES
-from cmf_mj.export.machine import ARRIVALS, EVENTS, Frozen
+from cmf_mj.export.machine import ARRIVALS, EVENTS, Export
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.oil import ATMOSPHERE
@@ -26,8 +26,8 @@ class ExportedParameter(NamedTuple):
     unit: str
     text: str
     start: float
-    least: float
-    most: float
+    minimum: float
+    maximum: float
 
 
 class ExportedChannel(NamedTuple):
@@ -39,111 +39,115 @@ class ExportedChannel(NamedTuple):
     first: int  #: Column of the loop's row; -1 for the platform's pose.
 
 
-def parameters(frozen: Frozen) -> list[ExportedParameter]:
+def parameters(export: Export) -> list[ExportedParameter]:
     """All parameters of a machine in the order of the C source."""
-    supply, plant = frozen.parts.dynamics.hydraulics.supply, frozen.plant
+    supply, plant = export.parts.dynamics.hydraulics.supply, export.plant
     low = 0.1 * supply.pressure if supply.constant else supply.precharge
-    guarded, high = float(frozen.parts.controller.guarded), supply.relief_pressure
-    listed = [
+    protection, high = float(export.parts.controller.guarded), supply.relief_pressure
+    text = "1: faults make an emergency stop"
+    rows = [
         ExportedParameter("settle", "s", "rest after a change of parameters", 5.0, 0.0, 60.0),
-        ExportedParameter("protection", "1", "1: faults make an emergency stop", guarded, 0.0, 1.0),
+        ExportedParameter("protection", "1", text, protection, 0.0, 1.0),
         ExportedParameter("supply.pressure", "Pa", "set pressure", supply.pressure, low, high),
     ]
     for name in SIGNALS:
         text = f"factor on the law's gains of {name}"
-        listed.append(ExportedParameter(f"gain.{name}", "1", text, 1.0, -10.0, 10.0))
-    if (body := payload_body(frozen)) >= 0:
+        rows.append(ExportedParameter(f"gain.{name}", "1", text, 1.0, -10.0, 10.0))
+    if (body := payload_body(export)) >= 0:
         mass = float(plant.model.body_mass[body])
-        listed.append(
-            ExportedParameter("payload.mass", "kg", "of the cab", mass, 0.1 * mass, 4.0 * mass)
-        )
+        low, high = 0.1 * mass, 4.0 * mass
+        rows.append(ExportedParameter("payload.mass", "kg", "of the cab", mass, low, high))
         for axis, value in zip("xyz", plant.model.body_ipos[body].tolist(), strict=True):
             text = f"centre of mass of the cab, {axis} of x forward, y left, z up"
-            listed.append(ExportedParameter(f"payload.{axis}", "m", text, value, -5.0, 5.0))
-    return listed
+            rows.append(ExportedParameter(f"payload.{axis}", "m", text, value, -5.0, 5.0))
+    return rows
 
 
-def payload_body(frozen: Frozen) -> int:
+def payload_body(export: Export) -> int:
     """Body of the cab in the model, -1 where there is none."""
-    return int(mujoco.mj_name2id(frozen.plant.model, mujoco.mjtObj.mjOBJ_BODY, "cab/cab"))
+    return int(mujoco.mj_name2id(export.plant.model, mujoco.mjtObj.mjOBJ_BODY, "cab/cab"))
 
 
-def channels(frozen: Frozen) -> list[ExportedChannel]:
+def channels(export: Export) -> list[ExportedChannel]:
     """All channels of a machine, the pose of a platform last."""
-    layout = frozen.session.layout
-    listed = [ExportedChannel(c.name, c.unit, c.width or 1, c.first) for c in layout.channels]
-    if platform_joint(frozen) >= 0:
-        listed.append(ExportedChannel("platform_pose", "m, rad", 6, -1))
-    return listed
+    rows = [
+        ExportedChannel(channel.name, channel.unit, channel.width or 1, channel.first)
+        for channel in export.session.layout.channels
+    ]
+    if platform_joint(export) >= 0:
+        rows.append(ExportedChannel("platform_pose", "m, rad", 6, -1))
+    return rows
 
 
-def platform_joint(frozen: Frozen) -> int:
+def platform_joint(export: Export) -> int:
     """First generalised position of the platform, -1 where there is none."""
-    model = frozen.plant.model
+    model = export.plant.model
     joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "platform")
     return int(model.jnt_qposadr[joint]) if joint >= 0 else -1
 
 
-def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
+def contents(export: Export) -> tuple[dict[str, NDArray[np.uint8]], str]:
     """Constant bytes by their C names, and the text of `cmf_machine.h`."""
-    listed, table = parameters(frozen), channels(frozen)
-    starts = np.array([parameter.start for parameter in listed])
-    inertia = frozen.plant.model.body_inertia[payload_body(frozen)].tolist()
-    half = frozen.plant.machine.half_stroke
-    slots = {path.replace(".", "_"): slot for path, slot in frozen.image.at.items()}
+    parameter_rows, channel_rows = parameters(export), channels(export)
+    starts = np.array([parameter.start for parameter in parameter_rows])
+    inertia = export.plant.model.body_inertia[payload_body(export)].tolist()
+    half_stroke = export.plant.machine.half_stroke
+    slots = {path.replace(".", "_"): slot for path, slot in export.image.first_slots.items()}
     text = [
         "/* One machine, as exported. */",
-        *defines("CMF", _numbers(frozen, listed, table)),
+        *defines("CMF", _numbers(export, parameter_rows, channel_rows)),
         *defines("AT", slots),
-        _array("int cmf_pointers", map(str, frozen.image.pointers)),
+        _array("int cmf_pointers", map(str, export.image.pointers)),
         _array("double cmf_starts", map(repr, starts.tolist())),
         _array("double cmf_inertia", map(repr, inertia)),
-        _array("cmf_channel_info cmf_channel_table", (_row(c) for c in table)),
-        _array("cmf_parameter_info cmf_parameter_table", (_row(p) for p in listed)),
-        _array("cmf_failure_info cmf_failure_table", (_failure(kind, half) for kind in KINDS)),
+        _array("cmf_channel_info cmf_channel_table", map(_row, channel_rows)),
+        _array("cmf_parameter_info cmf_parameter_table", map(_row, parameter_rows)),
+        _array(
+            "cmf_failure_info cmf_failure_table", (_failure(kind, half_stroke) for kind in KINDS)
+        ),
     ]
     for request in Request:
-        agree = f"CMF_REQUEST_{request.name} == {request.value}"
-        text.append(f"typedef char cmf_{request.name.lower()}_is_that[{agree} ? 1 : -1];")
-    return _blocks(frozen, starts), "\n".join([*text, ""])
+        is_equal = f"CMF_REQUEST_{request.name} == {request.value}"
+        text.append(f"typedef char cmf_{request.name.lower()}_is_that[{is_equal} ? 1 : -1];")
+    return _blocks(export, starts), "\n".join([*text, ""])
 
 
-def _blocks(frozen: Frozen, starts: NDArray[np.float64]) -> dict[str, NDArray[np.uint8]]:
+def _blocks(export: Export, starts: NDArray[np.float64]) -> dict[str, NDArray[np.uint8]]:
     """Constant bytes by their C names; a machine in memory begins as `cmf_start_data` says."""
-    image = frozen.image
-    # `head_t` of `cmf.c` up to its parameters: of the state nothing yet, whose state it is.
-    head = np.array([0, int(frozen.digest, 16), 0, 0, 0, 0, 0], dtype=np.int64)
-    warned = np.zeros(2 * int(mujoco.mjtWarning.mjNWARNING), dtype=np.int32)
-    start = (head, starts, frozen.mechanics, frozen.sensors, warned, image.block)
+    image = export.image
+    # `head_t` of `cmf.c` up to its parameters: digest, machine, and five numbers that begin at 0.
+    head = np.array([0, int(export.digest, 16), 0, 0, 0, 0, 0], dtype=np.int64)
+    warnings = np.zeros(2 * int(mujoco.mjtWarning.mjNWARNING), dtype=np.int32)
+    mechanics, sensors = export.mechanics, export.sensors
     return {
         "cmf_slots_data": _bytes(image.slots),
         "cmf_arena_data": image.block,
-        "cmf_model_data": frozen.model,
-        "cmf_start_data": _bytes(*start),
+        "cmf_model_data": export.model,
+        "cmf_start_data": _bytes(head, starts, mechanics, sensors, warnings, image.block),
     }
 
 
-_DEMAND = ("blocks.geometry.upper", "blocks.states.fade")
-"""Slots of the controller's source from and to which those are that make demands of host frames."""
+_DEMAND_BEGIN, _DEMAND_END = "blocks.geometry.upper", "blocks.states.fade"
+"""Paths in the controller's source: slots between them make leg demands of host frames."""
 
 
 def _numbers(
-    frozen: Frozen, listed: list[ExportedParameter], table: list[ExportedChannel]
+    export: Export, parameter_rows: list[ExportedParameter], channel_rows: list[ExportedChannel]
 ) -> dict[str, object]:
     """Numbers that the C source knows by name: sizes, places and what the machine has."""
-    image = frozen.image
-    columns = {channel.name: channel.first for channel in table}
-    joint = platform_joint(frozen)
+    image = export.image
+    columns = {channel.name: channel.first for channel in channel_rows}
+    joint = platform_joint(export)
     numbers: dict[str, object] = {
         "MUJOCO": mujoco.mj_version(),
-        "DIGEST": f"{int(frozen.digest, 16)}u",
+        "DIGEST": f"{int(export.digest, 16)}u",
         "SLOTS": image.slots.size,
         "ARENA": image.block.size,
-        "MODEL": frozen.model.size,
-        "MECHANICS": frozen.mechanics.size,
-        "SENSORS": frozen.sensors.size,
-        "LEGS": frozen.plant.legs,
-        "CHAIN": int(frozen.chain),
+        "MODEL": export.model.size,
+        "MECHANICS": export.mechanics.size,
+        "SENSORS": export.sensors.size,
+        "LEGS": export.plant.legs,
+        "CHAIN": int(export.has_host),
         "ARRIVALS": ARRIVALS,
         "EVENTS": EVENTS,
         "MOST": MOST_FRAMES,
@@ -152,18 +156,20 @@ def _numbers(
         "ENERGIES": len(ENERGIES),
         "ENERGY_COLUMN": columns["energy"],
         "PLATFORM": -1 if joint < 0 else columns["generalised_position"] + joint,
-        "BODY": payload_body(frozen),
-        "ACCUMULATORS": int(not frozen.parts.dynamics.hydraulics.supply.constant),
+        "BODY": payload_body(export),
+        "ACCUMULATORS": int(not export.parts.dynamics.hydraulics.supply.constant),
         "SUPPLY_OIL": ACCUMULATOR,
         "SUPPLY_GAS": GAS,
         "ATMOSPHERE": repr(ATMOSPHERE),
-        "PARAMETERS": len(listed),
+        "PARAMETERS": len(parameter_rows),
     }
-    numbers |= {f"P_{_upper(parameter.name)}": place for place, parameter in enumerate(listed)}
-    numbers["P_GAIN"] = numbers[f"P_GAIN_{_upper(SIGNALS[0])}"]
-    if frozen.chain:
-        begin, end = (image.at[f"controller.source.{name}"] for name in _DEMAND)
-        numbers["DEMAND_SLOTS"] = end - begin
+    for number, parameter in enumerate(parameter_rows):
+        numbers[f"P_{_upper(parameter.name)}"] = number
+    first_signal, *_ = SIGNALS
+    numbers["P_GAIN"] = numbers[f"P_GAIN_{_upper(first_signal)}"]
+    if export.has_host:
+        begin = image.first_slots[f"controller.source.{_DEMAND_BEGIN}"]
+        numbers["DEMAND_SLOTS"] = image.first_slots[f"controller.source.{_DEMAND_END}"] - begin
     return numbers
 
 
@@ -186,13 +192,14 @@ def _row(values: Iterable[object]) -> str:
 
 
 def _failure(kind: str, half_stroke: float) -> str:
+    """A kind of failure: its unit, whether it names a leg and a valve, and its usual size."""
     event, unit = default_event(kind, 0.0), ""
     for candidate in ("1", "N", "m", "m^2"):
         with suppress(InputError):
             default_event(kind, 0.0, size=(1.0, candidate))
             unit = candidate
-    leg, valve = int(event.leg is not None), int(kind.startswith("valve"))
-    return _row([kind, unit, leg, valve, event.magnitude(half_stroke)])
+    has_leg, has_valve = int(event.leg is not None), int(kind.startswith("valve"))
+    return _row([kind, unit, has_leg, has_valve, event.magnitude(half_stroke)])
 
 
 def _bytes(*arrays: NDArray[Any]) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents
 from cmf_mj.export.law_source import law_source
-from cmf_mj.export.machine import Frozen, freeze
+from cmf_mj.export.machine import Export, make_export
 from cmf_mj.export.machine_code import constant_data
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.plant import Plant
@@ -45,21 +45,21 @@ def export_library(
     are commanded; `electronics` are ideal by default. Raises `InputError` where there is no C
     compiler or the law does not fit the plant, `RunError` where the compiler refuses the code.
     """
-    frozen = freeze(plant, None if law is None else load_law(law, plant.machine), electronics)
-    return make(machine_files(frozen), out, "libcmf.so", ["cmf.c"])
+    export = make_export(plant, None if law is None else load_law(law, plant.machine), electronics)
+    return build(machine_files(export), out, "libcmf.so", ["cmf.c"])
 
 
-def machine_files(frozen: Frozen) -> Files:
+def machine_files(export: Export) -> Files:
     """All that a machine's library is built of."""
-    blocks, header = contents(frozen)
-    rate = str(frozen.plant.machine.rate)
-    code: Files = {f"{name}.o": code for name, code in frozen.objects().items()}
-    own: Files = {"cmf_data.o": constant_data(blocks), "cmf_machine.h": header}
-    own["cmf.h"] = (_SOURCES / "library" / "cmf.h").read_text("utf-8").replace("2048", rate)
-    home = Path(mujoco.__file__).parent
-    library = next(home.glob("libmujoco.so.*"))
-    own |= {library.name: library, "include": home / "include"}
-    return sources("library") | code | own | licences("mujoco", "cmf-mj")
+    blocks, header = contents(export)
+    rate = str(export.plant.machine.rate)
+    code: Files = {f"{name}.o": code for name, code in export.objects().items()}
+    machine: Files = {"cmf_data.o": constant_data(blocks), "cmf_machine.h": header}
+    machine["cmf.h"] = (_SOURCES / "library" / "cmf.h").read_text("utf-8").replace("2048", rate)
+    mujoco_folder = Path(mujoco.__file__).parent
+    library = next(mujoco_folder.glob("libmujoco.so.*"))
+    machine |= {library.name: library, "include": mujoco_folder / "include"}
+    return sources("library") | code | machine | licences("mujoco", "cmf-mj")
 
 
 def sources(kind: str) -> Files:
@@ -77,15 +77,17 @@ def licences(*packages: str) -> Files:
     }
 
 
-def make(files: Files, out: Path, library: str, chosen: Sequence[str]) -> list[Path]:
-    """Write files into a folder and build a shared library of the chosen sources and all objects.
+def build(files: Files, out: Path, library: str, arguments: Sequence[str]) -> list[Path]:
+    """Write files into a folder and build a shared library of all objects and some sources.
+
+    `arguments` of the compiler name the sources.
 
     The files written, the library last. Nothing is written where there is no C compiler.
     """
     compiler = _compiler()
     paths = write_files(files, out)
     command = [compiler, "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
-    command += ["-shared", "-s", "-isystem", "include", *chosen]
+    command += ["-shared", "-s", "-isystem", "include", *arguments]
     command += sorted(name for name in files if name.endswith(".o"))
     command += ["-Wl,-z,defs,-z,text,-z,now", "-Wl,-rpath,$ORIGIN", "-lm"]
     command += [path.name for path in out.glob("libmujoco.so.*")] + ["-o", library]
@@ -130,8 +132,7 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     are those of the cab's machine. It is C99 for any processor, and is not compiled here. Raises
     `InputError` where there is no such law or cab.
     """
-    carrier = load_cab(cab).assumed
-    chosen = bound(load_law(law), carrier)
-    said = f"{carrier.machine.title}, cab {carrier.name}"
-    source = law_source(chosen, said)
+    assumed_cab = load_cab(cab).assumed
+    bound_law = bound(load_law(law), assumed_cab)
+    source = law_source(bound_law, f"{assumed_cab.machine.title}, cab {assumed_cab.name}")
     return write_files(sources("source") | source | licences("cmf-mj"), out)

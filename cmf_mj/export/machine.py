@@ -33,7 +33,7 @@ from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.plant.native import saved_model
 from cmf_mj.plant.plant import Plant
 
-_ALIGNED = 64
+_ALIGNMENT = 64  #: Of arrays in the block [octets].
 
 
 class Image(NamedTuple):
@@ -41,52 +41,54 @@ class Image(NamedTuple):
 
     slots: NDArray[np.int64]  #: Table; of an array its place in the block, shape and strides.
     pointers: list[int]  #: Slots that hold places in the block.
-    at: dict[str, int]  #: First slot of each number and array by its dotted path.
+    first_slots: dict[str, int]  #: Of each number and array by its dotted path.
     block: NDArray[np.uint8]  #: All arrays.
 
 
 def make_image(value: Any, elsewhere: Collection[str] = ()) -> Image:
     """The image of nested tuples; arrays at the paths `elsewhere` are not in the block."""
     table: list[int] = []
-    pointers: list[int] = []
-    at: dict[str, int] = {}
-    arrays: list[tuple[int, NDArray[Any]]] = []
+    first_slots: dict[str, int] = {}
+    arrays: dict[int, NDArray[Any]] = {}  # by slot
     for path, leaf in leaves(value):
-        at[path] = len(table)
+        slot = first_slots[path] = len(table)
         if isinstance(leaf, np.ndarray):
             if path not in elsewhere:
-                pointers.append(len(table))
-                arrays.append((len(table), leaf))
+                arrays[slot] = leaf
             table += [0, *leaf.shape, *leaf.strides]
         elif isinstance(leaf, float | np.floating):
             table.append(int(np.float64(leaf).view(np.int64)))
         else:
             table.append(int(leaf))
-    block = _block(arrays, table)
-    return Image(np.array(table, dtype=np.int64), pointers, at, block)
+    block, places = _block(arrays)
+    for slot, place in places.items():
+        table[slot] = place
+    return Image(np.array(table, dtype=np.int64), list(arrays), first_slots, block)
 
 
-def _block(arrays: list[tuple[int, NDArray[Any]]], table: list[int]) -> NDArray[np.uint8]:
-    """All arrays in one block; writes their places into their slots."""
-    block = bytearray()
-    begin = end = place = 0
-    for slot, array in sorted(arrays, key=lambda pair: (_start(pair[1]), -pair[1].nbytes)):
+def _block(arrays: dict[int, NDArray[Any]]) -> tuple[NDArray[np.uint8], dict[int, int]]:
+    """All arrays in one block, and their places in it, by slot."""
+    block, places = bytearray(), dict[int, int]()
+    begin = end = begin_place = 0  # of the memory that arrays share, and where it is in the block
+    by_address = sorted(arrays.items(), key=lambda item: (_address(item[1]), -item[1].nbytes))
+    for slot, array in by_address:
         if not array.flags.c_contiguous:
             raise InputError(f"image: the array of slot {slot} is not contiguous")
-        start = _start(array)
-        if start >= end:  # shares no memory with those before
-            block += bytes(-len(block) % _ALIGNED)
-            begin, end, place = start, start, len(block)
-        table[slot] = place + start - begin
-        new = array.tobytes()[end - start :]
-        block += new
-        end += len(new)
-    block += bytes(-len(block) % _ALIGNED)
-    return np.frombuffer(bytes(block), dtype=np.uint8)
+        address = _address(array)
+        if address >= end:  # shares no memory with those before
+            block += bytes(-len(block) % _ALIGNMENT)
+            begin, end, begin_place = address, address, len(block)
+        places[slot] = begin_place + address - begin
+        new_bytes = array.tobytes()[end - address :]
+        block += new_bytes
+        end += len(new_bytes)
+    block += bytes(-len(block) % _ALIGNMENT)
+    return np.frombuffer(bytes(block), dtype=np.uint8), places
 
 
-def _start(array: NDArray[Any]) -> int:
-    return int(array.__array_interface__["data"][0])
+def _address(array: NDArray[Any]) -> int:
+    address, _ = array.__array_interface__["data"]
+    return int(address)
 
 
 ARRIVALS = 64  #: Host frames that may wait for the next step.
@@ -131,7 +133,7 @@ def legs_of_pose(parts, first, last):  # type: ignore[no-untyped-def]
     demand.step(parts.geometry, parts.motion, parts.legs)
 
 
-class Frozen(NamedTuple):
+class Export(NamedTuple):
     """A machine at rest as data."""
 
     run: Run
@@ -148,8 +150,8 @@ class Frozen(NamedTuple):
         return self.session.plant
 
     @property
-    def chain(self) -> bool:
-        """Whether a host's frames can move it."""
+    def has_host(self) -> bool:
+        """Whether frames of a host move it."""
         return isinstance(self.run.source, Arrivals)
 
     @property
@@ -161,14 +163,16 @@ class Frozen(NamedTuple):
     def objects(self) -> dict[str, bytes]:
         """Object files of the loop by their names."""
         source = self.parts.controller.source
-        made = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
-        if self.chain:
-            posed = PoseParts(source.blocks.geometry, source.motion, source.legs)
-            made["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(posed))
-        return made
+        objects = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
+        if self.has_host:
+            parts = PoseParts(source.blocks.geometry, source.motion, source.legs)
+            objects["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(parts))
+        return objects
 
 
-def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None = None) -> Frozen:
+def make_export(
+    plant: Plant, law: Law | None, electronics: ElectronicsSettings | None = None
+) -> Export:
     """A plant with a law at rest at neutral, the law engaged.
 
     A plant of the facility stands behind the whole chain from the host. Any other follows a table
@@ -176,38 +180,50 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
     """
     run = _run(plant, law, electronics)
     session = run.session(kept_seconds=plant.machine.frame)
-    first = session.dynamics.mechanics.sensordata.copy()
+    sensors = session.dynamics.mechanics.sensordata.copy()
     session.run(1)
-    row = session.record_rows.rows(0, 1)
+    first_row = session.record_rows.rows(0, 1)
     session = run.session(kept_seconds=plant.machine.frame)
-    size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
-    mechanics = np.empty(size)
-    mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)
+    state = mujoco.mjtState.mjSTATE_INTEGRATION
+    mechanics = np.empty(mujoco.mj_stateSize(plant.model, state))
+    mujoco.mj_getState(plant.model, plant.data, mechanics, state)
     dynamics, controller, memory, recorder = session.parts
-    recorder.out[:] = row
-    never = np.full(EVENTS, NEVER)
-    kind, leg, valve = np.zeros((3, EVENTS), dtype=np.int64)
-    dynamics = dynamics._replace(timeline=Timeline(never, kind, leg, valve, np.zeros(EVENTS)))
-    if controller.source.hosted:
-        poses = np.zeros((1, 6))
-        poses.flags.writeable = False
-        asked: Any = {"request_frame": np.full(1, -1), "request": np.zeros(1, dtype=np.int64)}
-        resting = controller.source._replace(hosted=False, poses=poses, **asked)
-        controller = controller._replace(source=resting)
-    parts = Parts(dynamics, controller, memory, recorder, np.full(3, -1))
+    recorder.out[:] = first_row
+    parts = Parts(
+        dynamics._replace(timeline=_empty_timeline()),
+        _at_rest(controller) if controller.source.hosted else controller,
+        memory,
+        recorder,
+        outcome=np.full(3, -1),
+    )
     image = make_image(parts, IN_MUJOCO)
     model = np.frombuffer(saved_model(plant.model), dtype=np.uint8)
-    return Frozen(run, session, parts, image, model, mechanics, first)
+    return Export(run, session, parts, image, model, mechanics, sensors)
+
+
+def _empty_timeline() -> Timeline:
+    """Room for `EVENTS` failures, none of which happens."""
+    kind, leg, valve = np.zeros((3, EVENTS), dtype=np.int64)
+    return Timeline(np.full(EVENTS, NEVER), kind, leg, valve, np.zeros(EVENTS))
+
+
+def _at_rest(controller: Controller) -> Controller:
+    """A controller that follows one pose until a host sends frames."""
+    poses = np.zeros((1, 6))
+    poses.flags.writeable = False
+    requests: Any = {"request_frame": np.full(1, -1), "request": np.zeros(1, dtype=np.int64)}
+    source = controller.source._replace(hosted=False, poses=poses, **requests)
+    return controller._replace(source=source)
 
 
 def _run(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None) -> Run:
-    given: dict[str, Any] = {"protection": "default", "source": make_log(ARRIVALS)}
+    options: dict[str, Any] = {"protection": "default", "source": make_log(ARRIVALS)}
     if law is None:
-        given = {"command_delay": 0, "source": from_table(np.zeros((1, plant.legs)))}
+        options = {"command_delay": 0, "source": from_table(np.zeros((1, plant.legs)))}
     elif plant.name in PLANTS:
-        given["operation"] = HostChain(begin="engaged", requests=())
+        options["operation"] = HostChain(begin="engaged", requests=())
     else:
         plant.start()
-        given["source"] = from_table(np.array([plant.extensions()]))
+        options["source"] = from_table(np.array([plant.extensions()]))
     frame = plant.machine.frame
-    return Run(plant=plant, law=law, electronics=electronics, duration=frame, **given)
+    return Run(plant=plant, law=law, electronics=electronics, duration=frame, **options)

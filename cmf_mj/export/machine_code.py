@@ -64,13 +64,13 @@ class _Reader:
     """Builds values of Numba's types from the table at an address, slot by slot."""
 
     def __init__(self, context: Any, builder: Any, address: Any) -> None:
-        self.context, self.builder, self.used = context, builder, 0
+        self.context, self.builder, self.next_slot = context, builder, 0
         self.table = builder.inttoptr(address, _WORD.as_pointer())
 
     def word(self) -> Any:
         """The next slot."""
-        place = self.builder.gep(self.table, [ir.Constant(_WORD, self.used)])
-        self.used += 1
+        place = self.builder.gep(self.table, [ir.Constant(_WORD, self.next_slot)])
+        self.next_slot += 1
         return self.builder.load(place)
 
     def value(self, kind: Any) -> Any:
@@ -144,30 +144,30 @@ def machine_code(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     files = Path(__file__), Path(function.__code__.co_filename)
     sources = [*(file.read_text(encoding="utf-8") for file in files)]
     sources += [version("numba"), version("llvmlite")]
-    of = (function.__qualname__, repr(kind))
-    return kept(name, of, sources, lambda: _compiled(name, function, kind))
+    key = (function.__qualname__, repr(kind))
+    return kept(name, key, sources, lambda: _compile(name, function, kind))
 
 
-def _compiled(name: str, function: Callable[..., Any], kind: Any) -> bytes:
+def _compile(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     """Compile what `machine_code` keeps."""
     overload = _called_with_a_table(function, kind)
     module = llvm.parse_assembly(overload.library.get_llvm_str())
     entry = overload.fndesc.llvm_func_name
-    for number, thing in enumerate([*module.functions, *module.global_variables]):
-        if thing.name == entry:
-            thing.name, thing.linkage, thing.visibility = name, "external", "hidden"
-        elif not thing.is_declaration:
-            thing.name, thing.linkage = f"{name}_{number}", "internal"
+    for number, symbol in enumerate([*module.functions, *module.global_variables]):
+        if symbol.name == entry:
+            symbol.name, symbol.linkage, symbol.visibility = name, "external", "hidden"
+        elif not symbol.is_declaration:
+            symbol.name, symbol.linkage = f"{name}_{number}", "internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.add_strip_dead_prototype_pass()
     target = _target()
     passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
     module.verify()
-    called = {f.name for f in module.functions if f.is_declaration}
-    foreign = {one for one in called if not one.startswith("llvm.")} - KNOWN
-    if foreign:
-        calls = ", ".join(sorted(foreign))
+    declared = {function.name for function in module.functions if function.is_declaration}
+    unknown = {symbol for symbol in declared if not symbol.startswith("llvm.")} - KNOWN
+    if unknown:
+        calls = ", ".join(sorted(unknown))
         raise RunError(f"machine code of {name}: calls {calls}; Numba has changed")
     return bytes(target.emit_object(module))
 
@@ -186,21 +186,22 @@ def constant_data(blocks: dict[str, NDArray[np.uint8]]) -> bytes:
     return bytes(_target().emit_object(parsed))
 
 
-def kept(name: str, of: Sequence[str], sources: Sequence[str], make: Callable[[], bytes]) -> bytes:
-    """Bytes that `make` makes of the things `of` by these `sources` and all compiled code.
+def kept(name: str, key: Sequence[str], sources: Sequence[str], make: Callable[[], bytes]) -> bytes:
+    """Bytes that `make` makes for a `key` by these `sources` and all compiled code.
 
-    Those of one name that other sources made are thrown away.
+    They are kept in a file; those of one name that other sources made are thrown away.
     """
-    stamp, which = (
-        hashlib.sha256("\0".join(texts).encode()).hexdigest()[:12]
-        for texts in ([digest(), *sources], of)
-    )
+    source_hash, key_hash = _hash([digest(), *sources]), _hash(key)
     folder = Path(cast("Any", assign).stats.cache_path)
-    file = folder / f"{name}-{stamp}-{which}.o"
+    file = folder / f"{name}-{source_hash}-{key_hash}.o"
     if not file.is_file():
-        made = make()
-        for old in set(folder.glob(f"{name}-*.o")) - set(folder.glob(f"{name}-{stamp}-*.o")):
+        content = make()
+        for old in set(folder.glob(f"{name}-*.o")) - set(folder.glob(f"{name}-{source_hash}-*.o")):
             old.unlink(missing_ok=True)
         with whole_file(file) as partial:
-            partial.write_bytes(made)
+            partial.write_bytes(content)
     return file.read_bytes()
+
+
+def _hash(texts: Sequence[str]) -> str:
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()[:12]

@@ -88,7 +88,7 @@ class Airframe:
 
     def on_ground(self, controls: Controls) -> None:
         """Stand on the ground with idling engines, after 12 s of coming to rest."""
-        self._begin({"h-agl-ft": 8.0, "vc-kts": 0.0}, controls)
+        self._initialise({"h-agl-ft": 8.0, "vc-kts": 0.0}, controls)
         for _ in range(12 * RATE):
             self.step(controls)
 
@@ -99,7 +99,7 @@ class Airframe:
         climbing [rad].
         """
         start = {"h-agl-ft": units.from_si("ft", height), "vc-kts": units.from_si("kt", airspeed)}
-        self._begin(start | {"gamma-deg": units.from_si("deg", path)}, controls)
+        self._initialise(start | {"gamma-deg": units.from_si("deg", path)}, controls)
         try:
             self["simulation/do_simple_trim"] = 1.0
         except self._trim_failure as error:
@@ -109,42 +109,40 @@ class Airframe:
             ) from error
         return self["fcs/throttle-cmd-norm[0]"]
 
-    def _begin(self, start: Mapping[str, float], controls: Controls) -> None:
-        """Langley's place on the Earth, heading north; systems where the controls want them."""
+    def _initialise(self, start: Mapping[str, float], controls: Controls) -> None:
+        """Begin at Langley, heading north, with gear and flaps of the controls."""
         for name, value in {"lat-geod-deg": 37.08, "long-gc-deg": -76.38, **start}.items():
             self[f"ic/{name}"] = value
-        for part in ("cmd", "pos"):
-            self[f"gear/gear-{part}-norm"] = controls.gear
-            self[f"fcs/flap-{part}-norm"] = controls.flaps
+        for signal in ("cmd", "pos"):  # both, or the systems would move first
+            self[f"gear/gear-{signal}-norm"] = controls.gear
+            self[f"fcs/flap-{signal}-norm"] = controls.flaps
         self._fdm.run_ic()
         self["propulsion/set-running"] = -1.0
 
-    def gust(self, velocity: tuple[float, float, float], length: float) -> None:
+    def start_gust(self, velocity: tuple[float, float, float], length: float) -> None:
         """Begin a gust v (1 - cos(2 pi t / T)) / 2 of the air, T its length [s].
 
         The velocity v [m/s] is in local axes (north, east, down).
         """
-        v = np.array(velocity)
-        size = float(np.linalg.norm(v))
-        for name, value in (("startup", length / 2), ("steady", 0.0), ("end", length / 2)):
-            self[f"atmosphere/cosine-gust/{name}-duration-sec"] = value
-        self["atmosphere/cosine-gust/magnitude-ft_sec"] = units.from_si("ft", size)
+        speed = float(np.linalg.norm(velocity))
+        for phase, duration in (("startup", length / 2), ("steady", 0.0), ("end", length / 2)):
+            self[f"atmosphere/cosine-gust/{phase}-duration-sec"] = duration
+        self["atmosphere/cosine-gust/magnitude-ft_sec"] = units.from_si("ft", speed)
         self["atmosphere/cosine-gust/frame"] = 3.0
-        for axis, part in zip("XYZ", v / size, strict=True):
-            self[f"atmosphere/cosine-gust/{axis}-velocity-ft_sec"] = part
+        for axis, direction in zip("XYZ", np.array(velocity) / speed, strict=True):
+            self[f"atmosphere/cosine-gust/{axis}-velocity-ft_sec"] = direction
         self["atmosphere/cosine-gust/start"] = 1.0
 
-    def turbulence(self, wind: float, model: str) -> None:
+    def start_turbulence(self, wind: float, model: str) -> None:
         """Turn on Dryden turbulence after MIL-F-8785C, in one of JSBSim's two discretisations.
 
         The mean wind 20 ft above the ground [m/s] sets its size below 2000 ft; above, it is of the
         third of seven severities.
         """
-        kinds = {"milspec": 3.0, "tustin": 4.0}
-        speed = units.from_si("ft", wind)
-        self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
+        wind_speed = units.from_si("ft", wind)
+        self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = wind_speed
         self["atmosphere/turbulence/milspec/severity"] = 3.0
-        self["atmosphere/turb-type"] = kinds[model]
+        self["atmosphere/turb-type"] = {"milspec": 3.0, "tustin": 4.0}[model]
 
     def fail_engine(self, engine: int) -> None:
         """Let an engine, 0 the left one, spool down to idle for the rest of the flight.
@@ -173,19 +171,20 @@ class Airframe:
     def state(self) -> AircraftState:
         """What is felt at the end of the last step."""
         rate = self.vector("velocities/{}i-rad_sec", "pqr")
-        turning = self.vector("accelerations/{}idot-rad_sec2", "pqr")
+        angular_acceleration = self.vector("accelerations/{}idot-rad_sec2", "pqr")
         force = self.vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
-        from_centre = self.vector("metrics/eyepoint-{}-in") - self.vector("inertia/cg-{}-in")
-        lever = from_centre * np.array([-1.0, 1.0, -1.0]) * units.INCH
+        structural = self.vector("metrics/eyepoint-{}-in") - self.vector("inertia/cg-{}-in")
+        lever = structural * np.array([-1.0, 1.0, -1.0]) * units.INCH
+        swing = _cross(angular_acceleration, lever)
         return AircraftState(
-            self["simulation/sim-time-sec"],
-            force + _cross(turning, lever) + _cross(rate, _cross(rate, lever)),
-            self.vector("velocities/{}-rad_sec", "pqr"),
-            self.vector("attitude/{}-rad", ("phi", "theta", "psi")),
-            lever,
-            self["velocities/vc-kts"] * units.KNOT,
-            self["position/h-agl-ft"] * units.FOOT,
-            self["aero/beta-rad"],
+            time=self["simulation/sim-time-sec"],
+            specific_force=force + swing + _cross(rate, _cross(rate, lever)),
+            angular_rate=self.vector("velocities/{}-rad_sec", "pqr"),
+            attitude=self.vector("attitude/{}-rad", ("phi", "theta", "psi")),
+            lever=lever,
+            airspeed=self["velocities/vc-kts"] * units.KNOT,
+            height=self["position/h-agl-ft"] * units.FOOT,
+            sideslip=self["aero/beta-rad"],
         )
 
     def vector(self, pattern: str, names: Iterable[str] = "xyz") -> NDArray[np.float64]:

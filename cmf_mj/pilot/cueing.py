@@ -28,11 +28,10 @@ from cmf_mj.pilot.perception import CueingError, cueing_error
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.pilot.washout_settings import WashoutSettings
 
-LIMITS = (
-    *("displacement", "velocity", "acceleration"),
-    *("leg_displacement", "leg_velocity", "leg_acceleration"),
-)
+_POSE_LIMITS = ("displacement", "velocity", "acceleration")
+LIMITS = (*_POSE_LIMITS, *(f"leg_{name}" for name in _POSE_LIMITS))
 """What a motion may use up: of the degrees of freedom, and of the legs."""
+_TRAVEL = [LIMITS.index("displacement"), LIMITS.index("leg_displacement")]  #: Their rows.
 
 
 class Excursion(NamedTuple):
@@ -51,13 +50,14 @@ class Excursion(NamedTuple):
     @property
     def travel(self) -> float:
         """Largest share of the travel of legs and pose."""
-        return float(self.share[[0, 3]].max())
+        return float(self.share[_TRAVEL].max())
 
     @property
     def binding(self) -> str:
         """What comes closest to its limit, or exceeds it most, and where."""
         row, column = np.unravel_index(int(self.share.argmax()), self.share.shape)
-        return f"{LIMITS[row]} of {DOFS[column] if row < 3 else f'leg_{column + 1}'}"
+        limit = LIMITS[row]
+        return f"{limit} of {DOFS[column] if limit in _POSE_LIMITS else f'leg_{column + 1}'}"
 
 
 def excursion(
@@ -71,7 +71,7 @@ def excursion(
     legs = pose_to_legs(stream.pose, machine)
     rates = pose_motion_to_legs(stream.pose, stream.velocity, stream.acceleration, machine)
     leg = bounds.leg
-    used = np.array(
+    shares = np.array(
         [
             np.maximum(stream.pose / high, stream.pose / low),
             np.abs(stream.velocity) / bounds.velocity,
@@ -81,7 +81,7 @@ def excursion(
             np.abs(rates.acceleration) / leg.acceleration.si,
         ]
     )
-    return Excursion(used.max(axis=1), stream.time[used.argmax(axis=1)])
+    return Excursion(shares.max(axis=1), stream.time[shares.argmax(axis=1)])
 
 
 def within_limits(
@@ -96,19 +96,23 @@ def within_limits(
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
     demand = (stream.pose, stream.velocity, stream.acceleration)
     platform = limit_history(make_pose_limiter(bounds)._replace(frame=frame), *demand)
-    pose, velocity, acceleration = (values.copy() for values in platform[:3])
+    pose, velocity = platform.position.copy(), platform.velocity.copy()
+    acceleration = platform.acceleration.copy()
     legs = pose_to_legs(pose, machine)
     rates = pose_motion_to_legs(pose, velocity, acceleration, machine)
     limiter = make_leg_limiter(bounds)._replace(frame=frame)
     limited = limit_history(limiter, legs, *rates, together=True)
-    moved = (limited.position != legs).any(axis=1)
-    if moved.any():
-        pose[moved] = legs_to_pose(limited.position[moved], machine)
-        velocity[moved], acceleration[moved] = leg_motion_to_pose(
-            pose[moved], limited.velocity[moved], limited.acceleration[moved], machine
+    leg_limited = (limited.position != legs).any(axis=1)
+    if leg_limited.any():
+        pose[leg_limited] = legs_to_pose(limited.position[leg_limited], machine)
+        velocity[leg_limited], acceleration[leg_limited] = leg_motion_to_pose(
+            pose[leg_limited],
+            limited.velocity[leg_limited],
+            limited.acceleration[leg_limited],
+            machine,
         )
-    changed = (pose != stream.pose).any(axis=1)
-    return stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), changed
+    is_changed = (pose != stream.pose).any(axis=1)
+    return stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), is_changed
 
 
 class Cue(NamedTuple):
@@ -139,12 +143,21 @@ def cue(
     Takes a washout by name, TOML file or loaded parameters, the frames a second `rate` [Hz] and the
     delay `lead` [s] that a predictive one makes up for.
     """
-    carried = load_cab(cab)
-    algorithm = Washout(washout, cab=carried, rate=rate, limits=limits, lead=lead)
-    flown = algorithm.flown(motion)
-    demanded = algorithm.run(flown)
-    stream, limited = within_limits(demanded, limits, carried.machine)
+    loaded_cab = load_cab(cab)
+    machine = loaded_cab.machine
+    algorithm = Washout(washout, cab=loaded_cab, rate=rate, limits=limits, lead=lead)
+    aircraft = algorithm.flown(motion)
+    demand = algorithm.run(aircraft)
+    stream, limited = within_limits(demand, limits, machine)
     simulator = PilotMotion.from_platform(stream, algorithm.station)
-    use, error = excursion(demanded, limits, carried.machine), cueing_error(flown, simulator)
-    parts = (flown, stream, limited, use, simulator, error, carried.machine, algorithm.plans)
-    return Cue(algorithm.settings, *parts)
+    return Cue(
+        settings=algorithm.settings,
+        aircraft=aircraft,
+        stream=stream,
+        limited=limited,
+        excursion=excursion(demand, limits, machine),
+        simulator=simulator,
+        error=cueing_error(aircraft, simulator),
+        machine=machine,
+        plans=algorithm.plans,
+    )

@@ -13,9 +13,9 @@ DRIVES = ("lane_change", "slalom", "braking", "s_curve", "urban")
 """Names of the drives of `drive`."""
 
 
-def _between(time: NDArray[np.float64], begin: float, end: float, rise: float) -> NDArray[Any]:
+def _pulse(time: NDArray[np.float64], begin: float, end: float, rise: float) -> NDArray[Any]:
     """1 from `begin` + `rise` to `end`, 0 before `begin` and after `end` + `rise`, smooth, (N,)."""
-    up, down = (np.clip((time - at) / rise, 0.0, 1.0) for at in (begin, end))
+    up, down = (np.clip((time - start) / rise, 0.0, 1.0) for start in (begin, end))
     return 0.5 * (np.cos(np.pi * down) - np.cos(np.pi * up))
 
 
@@ -29,42 +29,45 @@ def drive(name: str, seed: int | None = None) -> PilotMotion:
     """
     check_name("name", name, DRIVES)
     generator = np.random.default_rng(seed)
-    pace, hand = 1.0, 1.0
+    pace, side_sign = 1.0, 1.0
     if seed is not None:
-        pace, hand = generator.uniform(0.8, 1.25), generator.choice([-1.0, 1.0])
+        pace, side_sign = generator.uniform(0.8, 1.25), generator.choice([-1.0, 1.0])
 
-    def drawn(size: float) -> float:
+    def drawn_size(size: float) -> float:
         return size if seed is None else size * generator.uniform(0.7, 1.3)
 
     time = np.arange(round(40.0 * MOST_RATE)) / MOST_RATE
-    at = time * pace
-    forward, side, start = np.zeros(time.size), np.zeros(time.size), 20.0
+    phase = time * pace
+
+    def pulse(size: float, begin: float, end: float, rise: float) -> NDArray[Any]:
+        return drawn_size(size) * _pulse(phase, begin, end, rise)
+
+    forward, side, start_speed = np.zeros(time.size), np.zeros(time.size), 20.0
     if name == "lane_change":  # out and back again, each one sine of 4 s
-        for begin, sign in ((5.0, 1.0), (20.0, -1.0)):
-            sine = np.sin(0.5 * np.pi * (at - begin))
-            side += drawn(sign * 2.5) * sine * ((at >= begin) & (at < begin + 4.0))
+        for begin, size in ((5.0, 2.5), (20.0, -2.5)):
+            is_turning = (phase >= begin) & (phase < begin + 4.0)
+            side += drawn_size(size) * np.sin(0.5 * np.pi * (phase - begin)) * is_turning
     elif name == "slalom":
-        side = drawn(2.5) * np.sin(0.5 * np.pi * (at - 5.0)) * _between(at, 5.0, 29.0, 2.0)
+        sine = np.sin(0.5 * np.pi * (phase - 5.0))
+        side = drawn_size(2.5) * sine * _pulse(phase, 5.0, 29.0, 2.0)
     elif name == "braking":  # as they are, to rest from 20 m/s, and on after 8 s
-        forward = drawn(-4.0) * _between(at, 8.0, 13.0, 0.4)
-        forward += drawn(1.5) * _between(at, 22.0, 32.0, 1.5)
+        forward = pulse(-4.0, 8.0, 13.0, 0.4) + pulse(1.5, 22.0, 32.0, 1.5)
     elif name == "s_curve":
-        side = drawn(2.0) * _between(at, 5.0, 13.0, 2.0)
-        side -= drawn(2.0) * _between(at, 15.0, 23.0, 2.0)
+        side = pulse(2.0, 5.0, 13.0, 2.0) - pulse(2.0, 15.0, 23.0, 2.0)
     else:  # start, corner, brake, start, two corners, brake
-        start = 0.0
+        start_speed = 0.0
         for begin, end, size in ((3.0, 8.0, 2.0), (12.0, 14.0, -2.5), (20.0, 25.0, 1.8)):
-            forward += drawn(size) * _between(at, begin, end, 1.0)
-        forward -= drawn(3.0) * _between(at, 32.0, 36.0, 0.7)
+            forward += pulse(size, begin, end, 1.0)
+        forward -= pulse(3.0, 32.0, 36.0, 0.7)
         for begin, end, size in ((15.5, 18.0, 2.2), (26.0, 28.0, -2.5), (29.5, 31.5, 2.0)):
-            side += drawn(size) * _between(at, begin, end, 0.8)
-    side *= hand
-    speed = start + np.cumsum(forward) / MOST_RATE
-    stopped = np.maximum(-np.minimum.accumulate(speed), 0.0)  # brakes stop a car, and no more
-    speed += stopped
-    forward = forward + np.diff(stopped, prepend=0.0) * MOST_RATE
+            side += pulse(size, begin, end, 0.8)
+    side *= side_sign
+    speed = start_speed + np.cumsum(forward) / MOST_RATE
+    reversing = np.maximum(-np.minimum.accumulate(speed), 0.0)  # brakes stop a car, and no more
+    speed += reversing
+    forward = forward + np.diff(reversing, prepend=0.0) * MOST_RATE
     yaw_rate = side / np.maximum(speed, 5.0)
     zero, yaw = np.zeros(time.size), np.cumsum(yaw_rate) / MOST_RATE
     force = np.column_stack([forward, side, zero - STANDARD_GRAVITY])
-    rate, attitude = (np.column_stack([zero, zero, each]) for each in (yaw_rate, yaw))
+    rate, attitude = np.column_stack([zero, zero, yaw_rate]), np.column_stack([zero, zero, yaw])
     return PilotMotion(time, force, rate, attitude)

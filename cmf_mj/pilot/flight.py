@@ -72,7 +72,7 @@ class Flight:
     def __post_init__(self) -> None:
         """Freeze the other columns; lengths and numbers that are not finite are refused by name."""
         count = self.motion.time.size
-        others = {name: frozen(shaped(name, one, count)) for name, one in self.others.items()}
+        others = {name: frozen(shaped(name, column, count)) for name, column in self.others.items()}
         object.__setattr__(self, "others", FrozenDict(others))
 
     def save(self, path: str | Path) -> Path:
@@ -98,19 +98,24 @@ def all_flight_names() -> list[str]:
 
 def load_flight(source: str | Path) -> Flight:
     """Load a shipped flight or a drive by its name, a drawn one as `name:seed`, or a file."""
-    kind, drawn, seed = str(source).partition(":")
-    if kind in DRIVES:
-        if drawn and not (seed.isascii() and seed.isdigit()):
-            raise InputError(f"flight: seed {seed!r} of {kind}; allowed: a whole number from 0")
-        number = int(seed) if drawn else None
-        title = f"{kind.replace('_', ' ')} of a road vehicle"
+    drive_name, colon, seed = str(source).partition(":")
+    if drive_name in DRIVES:
+        if colon and not (seed.isascii() and seed.isdigit()):
+            raise InputError(
+                f"flight: seed {seed!r} of {drive_name}; allowed: a whole number from 0"
+            )
+        number = int(seed) if colon else None
+        title = f"{drive_name.replace('_', ' ')} of a road vehicle"
         origin = Origin(title=title, aircraft="road vehicle", source="pilot.drives", seed=number)
-        return Flight(drive(kind, number), origin)
+        return Flight(drive(drive_name, number), origin)
     path, columns, origin = read_columns(source)
     time = columns.pop("time")
-    channels = [np.column_stack([columns.pop(n) for n in names]) for names in COLUMNS.values()]
+    channels = {
+        channel: np.column_stack([columns.pop(name) for name in names])
+        for channel, names in COLUMNS.items()
+    }
     with within(path):
-        motion = PilotMotion(time, *channels)
+        motion = PilotMotion(time, **channels)
         if time.size < 2:
             raise InputError(f"time: has {time.size} row; at least 2 are needed")
         if (step := float(np.median(np.diff(time)))) > _SLOWEST:
@@ -128,23 +133,26 @@ def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64
             files = " nor a .csv or .parquet file"
             raise unknown_name("flight", str(source), all_flight_names(), files)
         path = _SHIPPED / f"{source}.parquet"
-    table, column_units, names = read_table(path), dict[str, str](), list[str]()
-    origin = Origin(title=path.stem, source=path.name)
+    table, origin = read_table(path), Origin(title=path.stem, source=path.name)
     if (raw := (table.schema.metadata or {}).get(_KEY.encode())) is not None:
-        where = f"{path}: header {_KEY}"
-        header = validated(FlightHeader, parsed_json(raw, where), where)
+        place = f"{path}: header {_KEY}"
+        header = validated(FlightHeader, parsed_json(raw, place), place)
         column_units, origin = header.units, header.origin
     else:
-        for cell in table.column_names:
-            if (title := _HEADER.match(cell)) is None:
-                allowed = "name or name [unit]"
-                raise InputError(f"{path}: header: {cell!r} is refused; allowed: {allowed}")
-            names.append(title["name"])
-            column_units[title["name"]] = title["unit"] or "1"
-        table = table.rename_columns(names)
+        titles = [_column_title(path, cell) for cell in table.column_names]
+        column_units = {title["name"]: title["unit"] or "1" for title in titles}
+        table = table.rename_columns([title["name"] for title in titles])
     columns = {}
     for name in dict.fromkeys(["time", *sum(COLUMNS.values(), ()), *table.column_names]):
         values = read_column(path, table, name)
         with within(f"{path}: {name}"):
             columns[name] = np.asarray(units.to_si(column_units.get(name, "1"), values))
     return path, columns, origin
+
+
+def _column_title(path: Path, cell: str) -> re.Match[str]:
+    """Name and unit in a cell `name` or `name [unit]` of a file's header."""
+    title = _HEADER.match(cell)
+    if title is None:
+        raise InputError(f"{path}: header: {cell!r} is refused; allowed: name or name [unit]")
+    return title

@@ -7,7 +7,6 @@ that which the host's frames ask of the platform, and the true one of the cab. T
 by the washout, the last two by delay, law and machine.
 """
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +23,7 @@ from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import Excursion, cue, excursion
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated
@@ -90,14 +90,14 @@ def fly(
     >>> fly(load_flight("gusts").motion).use.travel < 1.0
     True
     """
-    carried = load_cab(cab)
-    limits = load_motion_limits(options.get("limits"), carried.machine)
-    plant = Hexapod(carried, hydraulics)
+    loaded_cab = load_cab(cab)
+    limits = load_motion_limits(options.get("limits"), loaded_cab.machine)
+    plant = Hexapod(loaded_cab, hydraulics)
     lead = law_delay(plant, law, washout)
-    cued = cue(motion, washout, cab=carried, limits=limits, lead=lead)
-    operation = operate(plant, law, cued.stream, record_every=RECORD_EVERY, **options)
-    ride = flight_result(plant, cued.aircraft, cued.stream, operation, limits)
-    return ride._replace(limited=cued.limited, plans=cued.plans)
+    ideal = cue(motion, washout, cab=loaded_cab, limits=limits, lead=lead)
+    operation = operate(plant, law, ideal.stream, record_every=RECORD_EVERY, **options)
+    result = flight_result(plant, ideal.aircraft, ideal.stream, operation, limits)
+    return result._replace(limited=ideal.limited, plans=ideal.plans)
 
 
 def law_delay(plant: Hexapod, law: str | Path | Law, washout: str | WashoutSettings) -> float:
@@ -119,43 +119,60 @@ def flight_result(
     operation: Operation,
     limits: MotionLimits,
 ) -> FlightResult:
-    """What an operation on the frames of an aircraft was to the pilot, none of them held back."""
+    """What the pilot felt in an operation on the frames of an aircraft, none of them held back."""
     asked = PilotMotion.from_platform(stream, load_cab(plant.cab_parameters).station)
     record = operation.record
-    engaged = record["operating_state"] == State.ENGAGED
-    flown = make_stream(record.time[engaged], record["platform_pose"][engaged])
+    is_engaged = record["operating_state"] == State.ENGAGED
+    platform = make_stream(record.time[is_engaged], record["platform_pose"][is_engaged])
     simulator = crew_motion(record, asked.time)
-    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)
-    none = np.zeros(stream.time.size, dtype=bool)
-    motions = (aircraft, stream, none, asked, simulator)
-    errors = (cueing_error(aircraft, simulator), cueing_error(asked, simulator))
-    use = excursion(flown, limits, plant.machine)
-    law = str(record.metadata["law"])
-    return FlightResult(law, plant.cab, *motions, *errors, use, *_delays(legs, record), operation)
+    host_delay, loop_delay = _delays(stream, record, plant.machine)
+    return FlightResult(
+        law=str(record.metadata["law"]),
+        cab=plant.cab,
+        aircraft=aircraft,
+        stream=stream,
+        limited=np.zeros(stream.time.size, dtype=bool),
+        asked=asked,
+        simulator=simulator,
+        cueing=cueing_error(aircraft, simulator),
+        machine=cueing_error(asked, simulator),
+        use=excursion(platform, limits, plant.machine),
+        host_delay=host_delay,
+        loop_delay=loop_delay,
+        operation=operation,
+    )
 
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at some times [s], without what lies beyond 30 Hz."""
-    motion, since = PilotMotion.from_record(record), time - time[0]
-    channels = (low_passed(record, getattr(motion, name), motion.time, since) for name in COLUMNS)
+    motion, record_time = PilotMotion.from_record(record), time - time[0]
+    channels = (
+        low_passed(record, getattr(motion, name), motion.time, record_time) for name in COLUMNS
+    )
     return PilotMotion(time, *channels)
 
 
 def low_passed(
-    record: Record, values: NDArray[np.float64], time: NDArray[np.float64], at: NDArray[np.float64]
+    record: Record,
+    values: NDArray[np.float64],
+    time: NDArray[np.float64],
+    new_time: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Columns at a record's rate and some times [s], at others, without what lies beyond 30 Hz."""
     sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
-    return interpolated(at, time, signal.sosfiltfilt(sections, values, axis=0))
+    return interpolated(new_time, time, signal.sosfiltfilt(sections, values, axis=0))
 
 
-def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
+def _delays(stream: HostStream, record: Record, machine: Machine) -> tuple[float, float]:
     """Host to reference and reference to legs [s], by the leg that moves most."""
-    reference, moved = record["leg_reference"], record["leg_extension"]
-    rows = min(sent.shape[0], reference.shape[0])
+    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, machine)
+    reference, extension = record["leg_reference"], record["leg_extension"]
+    rows = min(len(legs), len(reference))
     leg = int(np.ptp(reference, axis=0).argmax())
     if np.ptp(reference[:, leg]) == 0.0:
         return float("nan"), float("nan")
-    rates = [np.diff(values[:rows, leg]) for values in (sent, reference, moved)]
-    host_delay, loop_delay = (transient_delay(*pair, record.rate) for pair in pairwise(rates))
-    return host_delay, loop_delay
+    host_rate, reference_rate, leg_rate = (
+        np.diff(values[:rows, leg]) for values in (legs, reference, extension)
+    )
+    host_delay = transient_delay(host_rate, reference_rate, record.rate)
+    return host_delay, transient_delay(reference_rate, leg_rate, record.rate)

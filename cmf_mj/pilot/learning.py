@@ -46,6 +46,8 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.unknowns import load_unknowns, with_valve_gains
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.fly import RECORD_EVERY, low_passed
@@ -54,13 +56,14 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.signals.single import quintic
 
-SHARE, CORNER, SLOWEST = 0.6, 6.0, 0.9
-"""Of what was missed, what the next trial makes up; corner of Q, where it is one half [Hz]; largest
-ratio of two trials."""
-BAND, LEAD = 4.0, 1.0
-"""Highest frequency of the errors that count [Hz]; rest before the manoeuvre [s]."""
-_HIGHEST, _PAD, _PARTS = 10.0, 320, np.linspace(0.0, 1.0, 21)
-"""Nothing is learnt above it [Hz]; frames reflected at the ends before a filter; factors on L."""
+SHARE = 0.6  #: Of an error, what the next trial makes up.
+CORNER = 6.0  #: Of Q, where it is one half [Hz].
+SLOWEST = 0.9  #: Largest ratio of two trials.
+BAND = 4.0  #: Highest frequency of the errors that count [Hz].
+LEAD = 1.0  #: Rest before the manoeuvre [s].
+_HIGHEST = 10.0  #: Nothing is learnt above it [Hz].
+_PAD_FRAMES = 320  #: Reflected at the ends before a filter.
+_LEARNING_FACTORS = np.linspace(0.0, 1.0, 21)  #: On L.
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -79,36 +82,41 @@ class Learner(NamedTuple):
 
     def ratio(self) -> Array:
         """Largest singular value of Q (1 - L G_i), (M, K): below 1 machine i learns."""
-        left = np.eye(self.learning.shape[1]) - self.learning @ self.responses
-        return np.asarray(np.linalg.norm(self.smoothing @ left, 2, axis=(-2, -1)))
+        unlearnt = np.eye(self.learning.shape[1]) - self.learning @ self.responses
+        return np.asarray(np.linalg.norm(self.smoothing @ unlearnt, 2, axis=(-2, -1)))
 
 
 def frequencies(rows: int) -> Array:
     """At which the filters of histories of some frames at 80 Hz are given [Hz], (K,)."""
-    lines = np.fft.rfftfreq(rows + 2 * _PAD, 1.0 / MOST_RATE)
+    lines = np.fft.rfftfreq(rows + 2 * _PAD_FRAMES, 1.0 / MOST_RATE)
     return np.asarray(lines[lines <= _HIGHEST])
 
 
 def through(response: Response, history: Array) -> Array:
     """A history (N, n) through a response (K, n, n), nothing above its frequencies."""
-    longer = np.pad(history, ((_PAD, _PAD), (0, 0)), mode="reflect", reflect_type="odd")
+    longer = np.pad(
+        history, ((_PAD_FRAMES, _PAD_FRAMES), (0, 0)), mode="reflect", reflect_type="odd"
+    )
     lines = np.fft.rfft(longer, axis=0)[: len(response)]
     passed = np.einsum("kij,kj->ki", response, lines)
-    return np.asarray(np.fft.irfft(passed, len(longer), axis=0)[_PAD:-_PAD])
+    return np.asarray(np.fft.irfft(passed, len(longer), axis=0)[_PAD_FRAMES:-_PAD_FRAMES])
 
 
 def make_learner(responses: Sequence[Response], frequency: Array, share: float = SHARE) -> Learner:
     """The filters for machines with the responses (K, n, n) at `frequencies`."""
-    each = np.array(responses)
-    turned = each.conj().swapaxes(-1, -2)
-    learning = share * turned.mean(axis=0) @ np.linalg.inv((each @ turned).mean(axis=0))
-    parts = _PARTS[:, None, None, None] * learning
-    unit = np.eye(each.shape[-1])
-    ratios = [np.linalg.norm(unit - part @ each, 2, axis=(-2, -1)) for part in parts]
-    worst = np.max(ratios, axis=1)
-    learning *= _PARTS[worst.argmin(axis=0)][:, None, None]
-    passed = np.minimum(1.0, SLOWEST / worst.min(axis=0)) / (1.0 + (frequency / CORNER) ** 8)
-    return Learner(each, learning, passed[:, None, None] * unit.astype(complex))
+    machines = np.array(responses)
+    adjoints = machines.conj().swapaxes(-1, -2)
+    learning = share * adjoints.mean(axis=0) @ np.linalg.inv((machines @ adjoints).mean(axis=0))
+    unit = np.eye(machines.shape[-1])
+    ratios = [
+        np.linalg.norm(unit - factor * learning @ machines, 2, axis=(-2, -1)).max(axis=0)
+        for factor in _LEARNING_FACTORS
+    ]
+    best_factors = _LEARNING_FACTORS[np.argmin(ratios, axis=0)]
+    learning *= best_factors[:, None, None]
+    smoothing = np.minimum(1.0, SLOWEST / np.min(ratios, axis=0))
+    smoothing /= 1.0 + (frequency / CORNER) ** 8
+    return Learner(machines, learning, smoothing[:, None, None] * unit.astype(complex))
 
 
 def leg_response(
@@ -132,7 +140,20 @@ class Trial(NamedTuple):
     legs: float  #: Of all legs [m].
     sensed: float  #: Of all legs as sensed [m].
     predicted: float  #: The same, by the first run and the first G alone [m].
-    held: int  #: Frames of the demand that the limits held back.
+    held_frames: int  #: Of the demand, that the limits held back.
+
+
+class Missed(NamedTuple):
+    """Errors of a run, asked less flown."""
+
+    sensed: Array  #: Of legs as sensed, at all times [m], (N, 6).
+    legs: Array  #: Of legs, as far as it counts [m], (M, 6).
+    pose: Array  #: Of the pose, as far as it counts [m, rad], (M, 6).
+
+    def trial(self, predicted: Array, held_frames: int) -> Trial:
+        """Sizes of the errors, and of the `predicted` one of the legs, (N, 6)."""
+        axes, legs = np.sqrt((self.pose**2).mean(axis=0)), rms(self.legs)
+        return Trial(axes, legs, rms(counted(self.sensed)), rms(counted(predicted)), held_frames)
 
 
 class Learning(NamedTuple):
@@ -165,55 +186,80 @@ def learn(
     >>> from cmf_mj.facility.host.stream import from_command
     >>> from cmf_mj.pilot.learning import learn
     >>> motion = from_command(cmf_mj.signals.sine("heave", 0.05, frequency=0.6, cycles=2), 80.0)
-    >>> done = learn(motion, "velocity", [cmf_mj.Hexapod()], trials=1)
-    >>> [f"{one.legs / done.trials[0].legs:.0%}" for one in done.trials]
+    >>> learnt = learn(motion, "velocity", [cmf_mj.Hexapod()], trials=1)
+    >>> [f"{trial.legs / learnt.trials[0].legs:.0%}" for trial in learnt.trials]
     ['100%', '39%']
     """
     if trials < 1:
         raise InputError(f"trials: {trials} must be at least 1")
-    loaded, machine, dcu = load_law(law), plants[0].machine, options.get("dcu")
+    loaded, machine = load_law(law), plants[0].machine
     limits = load_motion_limits(options.get("limits"), machine)
-    asked, still = resample(stream, MOST_RATE), np.zeros((round(LEAD * MOST_RATE), 6))
-    rest = [still + asked.pose[0], still, still]
-    motion = [np.vstack(pair) for pair in zip(rest, asked[2:], strict=True)]
-    led = make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
-    reference = within_limits(led, limits, machine)[0]
-    if (lasts := reference.time[-1] - LEAD) < 1.0 / BAND:
-        raise InputError(f"stream: lasts {lasts:.3g} s; allowed: at least {1.0 / BAND:g} s")
-    legs = pose_to_legs(reference.pose, machine)
+    reference = within_limits(_with_lead(stream), limits, machine)[0]
+    if (seconds := reference.time[-1] - LEAD) < 1.0 / BAND:
+        raise InputError(f"stream: lasts {seconds:.3g} s; allowed: at least {1.0 / BAND:g} s")
+    learner = _learner_of(reference, loaded, plants, options.get("dcu"))
+    window = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
+
+    demand = _Demand(reference, np.zeros_like(reference.pose), 0)
+    demands, runs, results = list[_Demand](), list[Missed](), list[Trial]()
+    prediction = prediction_error = np.zeros_like(reference.pose)  # of correction and error
+    for trial in range(trials + 1):
+        if trial:
+            prediction = window * learner.improved(prediction, prediction_error)
+            correction = window * learner.improved(demand.correction, runs[-1].sensed)
+            demand = _corrected(reference, correction, limits, machine)
+        demands.append(demand)
+        runs.append(missed(reference, demand.stream, loaded, plants[0], seed + trial, **options))
+        prediction_error = runs[0].sensed - through(learner.responses[0], prediction)
+        results.append(runs[-1].trial(prediction_error, demand.held_frames))
+        if progress is not None:
+            progress(trial + 1, trials + 1)
+    best = int(np.argmin([result.sensed for result in results]))
+    errors = runs[0].pose, runs[best].pose
+    return Learning(reference, demands[best].stream, tuple(results), best, errors, learner)
+
+
+def _with_lead(stream: HostStream) -> HostStream:
+    """Frames at 80 Hz that rest at the first pose for `LEAD` before they move."""
+    motion, rest = resample(stream, MOST_RATE), np.zeros((round(LEAD * MOST_RATE), 6))
+    pose = np.vstack([rest + motion.pose[0], motion.pose])
+    velocity = np.vstack([rest, motion.velocity])
+    acceleration = np.vstack([rest, motion.acceleration])
+    return make_stream(np.arange(len(pose)) / MOST_RATE, pose, velocity, acceleration)
+
+
+def _learner_of(reference: HostStream, law: Law, plants: Sequence[Hexapod], dcu: Any) -> Learner:
+    """The learner of plants in turn, at the mean pose and where a leg is longest or shortest."""
+    legs = pose_to_legs(reference.pose, plants[0].machine)
     ends = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
     poses, lines = [reference.pose.mean(axis=0), *reference.pose[ends]], frequencies(len(legs))
     responses = [
-        leg_response(loaded, plants[i % len(plants)], poses[i % len(poses)], lines, dcu)
+        leg_response(law, plants[i % len(plants)], poses[i % len(poses)], lines, dcu)
         for i in range(max(len(plants), len(poses)))
     ]
-    learner = make_learner(responses, lines)
-    window = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
-    correction = predicted_correction = np.zeros_like(legs)
-    first_error = error = predicted_error = np.zeros_like(legs)
-    demands, done, errors, held = [reference], list[Trial](), list[Array](), 0
-    for trial in range(trials + 1):
-        if trial:
-            predicted_correction = window * learner.improved(predicted_correction, predicted_error)
-            demanded = legs_to_pose(legs + window * learner.improved(correction, error), machine)
-            rates = differentiate(reference.time, demanded - reference.pose)
-            motion = [reference.velocity + rates[0], reference.acceleration + rates[1]]
-            corrected = make_stream(reference.time, demanded, *motion)
-            demand, back = within_limits(corrected, limits, machine)
-            correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
-            demands.append(demand)
-        left = missed(reference, demands[-1], loaded, plants[0], seed + trial, **options)
-        error = left.sensed
-        first_error = first_error if trial else error
-        predicted_error = first_error - through(responses[0], predicted_correction)
-        errors.append(left.pose)
-        sizes = (rms(left.legs), rms(counted(error)), rms(counted(predicted_error)))
-        done.append(Trial(np.sqrt((left.pose**2).mean(axis=0)), *sizes, held))
-        if progress is not None:
-            progress(trial + 1, trials + 1)
-    best = int(np.argmin([one.sensed for one in done]))
-    both = errors[0], errors[best]
-    return Learning(reference, demands[best], tuple(done), best, both, learner)
+    return make_learner(responses, lines)
+
+
+class _Demand(NamedTuple):
+    """What the host sends in a trial."""
+
+    stream: HostStream
+    correction: Array  #: Of the legs, as far as the limits let it pass [m], (N, 6).
+    held_frames: int  #: That the limits held back.
+
+
+def _corrected(
+    reference: HostStream, correction: Array, limits: MotionLimits, machine: Machine
+) -> _Demand:
+    """The demand with a correction of its legs, within the limits."""
+    legs = pose_to_legs(reference.pose, machine)
+    pose = legs_to_pose(legs + correction, machine)
+    velocity, acceleration = differentiate(reference.time, pose - reference.pose)
+    velocity, acceleration = reference.velocity + velocity, reference.acceleration + acceleration
+    corrected = make_stream(reference.time, pose, velocity, acceleration)
+    demand, held_back = within_limits(corrected, limits, machine)
+    passed = pose_to_legs(demand.pose, machine) - legs
+    return _Demand(demand, passed, int(held_back.sum()))
 
 
 def rms(error: Array) -> float:
@@ -221,30 +267,25 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-class Missed(NamedTuple):
-    """Errors of a run, asked less flown."""
-
-    sensed: Array  #: Of legs as sensed, at all times [m], (N, 6).
-    legs: Array  #: Of legs, as far as it counts [m], (M, 6).
-    pose: Array  #: Of the pose, as far as it counts [m, rad], (M, 6).
-
-
 def missed(
     reference: HostStream, demand: HostStream, law: Law, plant: Hexapod, seed: int, **options: Any
 ) -> Missed:
-    """Fly a demand, with noise of its own; what it missed of the reference."""
-    noise = options.get("electronics", ElectronicsSettings())
-    run = options | {"electronics": noise and noise.model_copy(update={"seed": seed})}
+    """Fly a demand, with the noise of a seed; what it missed of the reference."""
+    electronics = options.get("electronics", ElectronicsSettings())
+    if electronics is not None:
+        electronics = electronics.model_copy(update={"seed": seed})
+    run = options | {"electronics": electronics}
     record = operate(plant, law, demand, record_every=RECORD_EVERY, **run).record
     if (fault := record.metadata["fault"]) is not None:
         raise InputError(f"law: {law.name} ends a run: {fault['name']} at {fault['time']:.3f} s")
 
-    def apart(asked: Array, channel: str) -> Array:
-        return asked - low_passed(record, record[channel], record.time, reference.time)
+    def error(reference_values: Array, channel: str) -> Array:
+        values = low_passed(record, record[channel], record.time, reference.time)
+        return reference_values - values
 
     legs = pose_to_legs(reference.pose, plant.machine)
-    true, pose = apart(legs, "leg_extension"), apart(reference.pose, "platform_pose")
-    return Missed(apart(legs, "leg_position"), counted(true), counted(pose))
+    sensed, leg_error = error(legs, "leg_position"), error(legs, "leg_extension")
+    return Missed(sensed, counted(leg_error), counted(error(reference.pose, "platform_pose")))
 
 
 def counted(error: Array) -> Array:
@@ -254,9 +295,9 @@ def counted(error: Array) -> Array:
 
 
 def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
-    """One of `other_machines`, with valve gains of its own; laws take its cab for the nominal."""
-    generator, others = np.random.default_rng([seed, draw]), load_unknowns("other_machines")
-    (values,) = others.draw("random", 1, generator)
-    oil = others.apply(values, hydraulics)
-    gains = int(generator.integers(2**32))
-    return Hexapod(others.apply(values, cab, f"{cab.name}_{draw}"), with_valve_gains(oil, gains))
+    """A machine of `other_machines` with valve gains; laws take its cab for the nominal."""
+    generator, unknowns = np.random.default_rng([seed, draw]), load_unknowns("other_machines")
+    (values,) = unknowns.draw("random", 1, generator)
+    drawn_hydraulics = unknowns.apply(values, hydraulics)
+    valves = with_valve_gains(drawn_hydraulics, int(generator.integers(2**32)))
+    return Hexapod(unknowns.apply(values, cab, f"{cab.name}_{draw}"), valves)

@@ -56,7 +56,7 @@ TESTS = (
     *(("surge", "surge"), ("surge", "pitch"), ("sway", "sway"), ("sway", "roll")),
     ("heave", "heave"),
 )
-"""Input and output of the ten tests."""
+"""Input and output of the ten tests; results have a row for each."""
 FREQUENCIES = (0.1, 0.158, 0.251, 0.398, 0.631, 1.0, 1.585, 2.512, 3.981, 6.31, 10.0, 15.849)
 """Frequencies [rad/s], five a decade; recalled."""
 FORCE = 1.0  #: Amplitude of surge, sway and heave [m/s^2]; recalled.
@@ -67,7 +67,7 @@ STAGES = ("washout", "ideal")
 _SETTLE = 20.0  #: Least time before the cycles that are measured [s].
 _MEASURE = 5.0  #: Least time measured [s].
 _FADE = 5.0  #: Longest fade-in [s].
-_EVERY = 16  #: Control frames per sample of the machine's response: 128 Hz.
+_SAMPLE_EVERY = 16  #: Control frames a sample of the machine's response: 128 Hz.
 
 
 class Omct(NamedTuple):
@@ -106,18 +106,18 @@ def aircraft_motion(dof: str, frequency: float) -> PilotMotion:
     end = measured_from(frequency) + period * np.ceil(_MEASURE / period)
     time = np.arange(int(np.ceil((end + 0.5) * MOST_RATE))) / MOST_RATE
     span = min(period, _FADE)
-    inside = np.clip(time / span, 0.0, 1.0)
-    fade = 0.5 * (1.0 - np.cos(np.pi * inside))
-    slope = np.where(time < span, 0.5 * np.pi / span * np.sin(np.pi * inside), 0.0)
+    share = np.clip(time / span, 0.0, 1.0)
+    fade = 0.5 * (1.0 - np.cos(np.pi * share))
+    slope = np.where(time < span, 0.5 * np.pi / span * np.sin(np.pi * share), 0.0)
     sine, cosine = np.sin(frequency * time), np.cos(frequency * time)
     value, rate = size * fade * sine, size * (slope * sine + fade * frequency * cosine)
-    force, turning, attitude = np.zeros((3, time.size, 3))
+    force, angular_rate, attitude = np.zeros((3, time.size, 3))
     axis = dof_index(dof) % 3
     if dof in DOFS[:3]:
         force[:, axis] = value
     else:
-        attitude[:, axis], turning[:, axis] = value, rate
-    return PilotMotion(time, force - gravity_in_body(attitude), turning, attitude)
+        attitude[:, axis], angular_rate[:, axis] = value, rate
+    return PilotMotion(time, force - gravity_in_body(attitude), angular_rate, attitude)
 
 
 def omct(
@@ -139,7 +139,7 @@ def omct(
     """
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
-    chosen = load_cab(cab)
+    loaded_cab = load_cab(cab)
     for dof in dofs:
         check_name("dofs", dof, sorted(DOFS))
     if not frequencies:
@@ -159,29 +159,41 @@ def omct(
     def run(case: tuple[str, int, Law | None]) -> None:
         dof, column, law = case
         frequency = float(frequencies[column])
-        stream = Washout(settings, cab=chosen).run(aircraft_motion(dof, frequency))
-        motions = dict[str, PilotMotion]()
-        if law is None:  # by the host's frames, and by the DCU's demand at 128 Hz
-            played = _demanded(stream)
-            time = np.arange(len(played))[::_EVERY] / RATE
-            demand = make_stream(time, *np.swapaxes(played[::_EVERY], 0, 1))
-            for stage, frames in zip(STAGES, (stream, demand), strict=True):
-                motions[stage] = PilotMotion.from_platform(frames, chosen.station)
+        stream = Washout(settings, cab=loaded_cab).run(aircraft_motion(dof, frequency))
+        if law is None:
+            motions = _ideal_motions(stream, loaded_cab)
         else:
-            plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}
-            with suppress(OutOfBounds):
-                operation = operate(plant, law, stream, record_every=_EVERY, **ideal)
-                motions[law.name] = PilotMotion.from_record(operation.record)
+            motions = _machine_motion(stream, law, Hexapod(loaded_cab, parameters))
         for name, motion in motions.items():
-            for place, found in fundamentals(dof, frequency, motion).items():
-                responses[name][place, column], remainders[name][place, column] = found
+            for row, (response, remainder) in fundamentals(dof, frequency, motion).items():
+                responses[name][row, column], remainders[name][row, column] = response, remainder
 
     on_threads(run, cases, jobs, progress)
-    driven = np.array(frequencies, dtype=float)
-    return Omct(settings.name, chosen.name, parameters.name, driven, responses, remainders)
+    omega = np.array(frequencies, dtype=float)
+    return Omct(settings.name, loaded_cab.name, parameters.name, omega, responses, remainders)
 
 
-def _demanded(stream: HostStream) -> NDArray[np.float64]:
+def _ideal_motions(stream: HostStream, cab: Cab) -> dict[str, PilotMotion]:
+    """Motions by `STAGES`: by the host's frames, and by the DCU's demand at 128 Hz."""
+    samples = _dcu_demand(stream)[::_SAMPLE_EVERY]
+    time = np.arange(len(samples)) * _SAMPLE_EVERY / RATE
+    demand = make_stream(time, samples[:, 0], samples[:, 1], samples[:, 2])
+    return {
+        stage: PilotMotion.from_platform(frames, cab.station)
+        for stage, frames in zip(STAGES, (stream, demand), strict=True)
+    }
+
+
+def _machine_motion(stream: HostStream, law: Law, plant: Hexapod) -> dict[str, PilotMotion]:
+    """The motion of the machine by the law's name; none where it left its bounds."""
+    ideal = {"electronics": None, "protection": None}
+    with suppress(OutOfBounds):
+        operation = operate(plant, law, stream, record_every=_SAMPLE_EVERY, **ideal)
+        return {law.name: PilotMotion.from_record(operation.record)}
+    return {}
+
+
+def _dcu_demand(stream: HostStream) -> NDArray[np.float64]:
     """The DCU's demand of host frames, (N, 3, 6)."""
     unit, frames = make_dcu(load_dcu()), int(stream.time[-1] * RATE)
     return upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
@@ -190,10 +202,10 @@ def _demanded(stream: HostStream) -> NDArray[np.float64]:
 def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
     """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
     settings, rate = load_washout(str(table.get("washout", "simona"))), plant.machine.rate
-    flown = aircraft_motion(str(table["dof"]), float(table["frequency"]))
-    played = _demanded(Washout(settings, cab=plant.cab_parameters).run(flown))[:, 0]
-    rows = np.arange(int(len(played) * rate / RATE)) * RATE // rate
-    return Command(played[rows], PoseTable(**{**table, "rate": rate}))
+    aircraft = aircraft_motion(str(table["dof"]), float(table["frequency"]))
+    poses = _dcu_demand(Washout(settings, cab=plant.cab_parameters).run(aircraft))[:, 0]
+    rows = np.arange(int(len(poses) * rate / RATE)) * RATE // rate
+    return Command(poses[rows], PoseTable(**{**table, "rate": rate}))
 
 
 def cueing(record: Record) -> dict[str, float]:
@@ -201,28 +213,30 @@ def cueing(record: Record) -> dict[str, float]:
 
     The station is that of the cab that the metadata name.
     """
-    said, machine = record.metadata["command"], recorded_machine(record.metadata)
-    dof, frequency = str(said["dof"]), float(said["frequency"])
+    command, machine = record.metadata["command"], recorded_machine(record.metadata)
+    dof, frequency = str(command["dof"]), float(command["frequency"])
     stream = make_stream(record.time, legs_to_pose(record["leg_position"], machine))
     station = load_cab(record.metadata["cab"], machine).station
-    motion, found = PilotMotion.from_platform(stream, station), {}
-    for place, (response, _) in fundamentals(dof, frequency, motion).items():
-        name = f"{dof} > {TESTS[place][1]} {frequency:g} rad/s"
-        found[f"{name} modulus"] = abs(response)
-        found[f"{name} phase [deg]"] = float(np.degrees(np.angle(response)))
-    return found
+    motion, values = PilotMotion.from_platform(stream, station), {}
+    for row, (response, _) in fundamentals(dof, frequency, motion).items():
+        _, output = TESTS[row]
+        name = f"{dof} > {output} {frequency:g} rad/s"
+        values[f"{name} modulus"] = abs(response)
+        values[f"{name} phase [deg]"] = float(np.degrees(np.angle(response)))
+    return values
 
 
 def fundamentals(
     dof: str, frequency: float, motion: PilotMotion
 ) -> dict[int, tuple[complex, float]]:
-    """By place in `TESTS` of all that an input drives: response and remainder."""
-    found, sine = {}, (frequency, amplitude(dof, frequency), measured_from(frequency))
-    for place, (driven, output) in enumerate(TESTS):
-        if driven == dof:
+    """Response and remainder of all outputs that an input drives, by row of `TESTS`."""
+    results, size, begin = {}, amplitude(dof, frequency), measured_from(frequency)
+    for row, (driven_dof, output) in enumerate(TESTS):
+        if driven_dof == dof:
             channel = by_kind(output, motion.specific_force, motion.attitude)
-            found[place] = _fundamental(motion.time, channel[:, dof_index(output) % 3], *sine)
-    return found
+            values = channel[:, dof_index(output) % 3]
+            results[row] = _fundamental(motion.time, values, frequency, size, begin)
+    return results
 
 
 def _fundamental(
@@ -242,8 +256,8 @@ def _fundamental(
     start = int(np.searchsorted(time, begin))
     count = int(np.ceil(int((time.size - start) / period) * period))
     rows = slice(start, start + count)
-    driven = size * np.sin(frequency * time[rows])
-    estimate = sine_response(driven, values[rows], rate, frequency / (2.0 * np.pi))
+    sine = size * np.sin(frequency * time[rows])
+    estimate = sine_response(sine, values[rows], rate, frequency / (2.0 * np.pi))
     response = complex(estimate.response[0])
     power = 0.5 * abs(size * response) ** 2
     return response, float(np.sqrt(max(values[rows].var() - power, 0.0) / power))

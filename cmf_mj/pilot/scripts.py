@@ -33,7 +33,7 @@ LAG = 0.15
 """Time constant from what the pilot wants to the control surface [s]: arm and actuator, assumed.
 JSBSim's 737 moves its surfaces at once, which would jerk the cab."""
 
-_REFERENCE_SPEED = 80.0
+_REFERENCE_SPEED = 80.0  #: Airspeed below which the gains are largest [m/s].
 _PITCH, _PITCH_INTEGRAL, _PITCH_RATE = 4.0, 2.0, 3.0
 _BANK, _ROLL_RATE = 1.5, 1.0
 _HEADING, _YAW_RATE = 6.0, 4.0
@@ -60,16 +60,16 @@ class Pilot:
         """Begin with neutral surfaces and a throttle, 0 to 1."""
         self._airframe, self.state = airframe, airframe.state()
         self._pitch_integral, self._sideslip_integral = 0.0, 0.0
-        self._surfaces = np.zeros(3)
-        self._moved = np.array([0.0, 0.0, 0.0, throttle])
+        self._surface_demands = np.zeros(3)  # elevator, aileron, rudder
+        self._positions = np.array([0.0, 0.0, 0.0, throttle])  # of the surfaces, and the throttle
 
     def fly(self, targets: Targets) -> None:
         """Fly one step of 1/240 s."""
         blend = -np.expm1(-1.0 / (RATE * LAG))
-        self._moved += blend * (self._demand(self.state, targets) - self._moved)
-        elevator, aileron, rudder, throttle = self._moved
-        _, _, _, _, brakes, gear, flaps = targets.controls
-        self._airframe.step(Controls(elevator, aileron, rudder, throttle, brakes, gear, flaps))
+        self._positions += blend * (self._demand(self.state, targets) - self._positions)
+        elevator, aileron, rudder, throttle = self._positions
+        surfaces = {"elevator": elevator, "aileron": aileron, "rudder": rudder}
+        self._airframe.step(targets.controls._replace(throttle=throttle, **surfaces))
         self.state = self._airframe.state()
 
     def _demand(self, state: AircraftState, targets: Targets) -> NDArray[np.float64]:
@@ -81,18 +81,20 @@ class Pilot:
             error = targets.pitch - pitch
             self._pitch_integral += error / RATE
             pull = _PITCH * error + _PITCH_INTEGRAL * self._pitch_integral - _PITCH_RATE * q
-            self._surfaces[0] = -scale * pull
+            self._surface_demands[0] = -scale * pull
         if targets.bank is not None:
-            self._surfaces[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
+            self._surface_demands[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
         if targets.heading is not None:
-            away = _wrapped(targets.heading - heading)
-            self._surfaces[2] = scale * (-_HEADING * away + _YAW_RATE * r)
+            heading_error = _wrapped(targets.heading - heading)
+            self._surface_demands[2] = scale * (-_HEADING * heading_error + _YAW_RATE * r)
         elif targets.coordinate:
             self._sideslip_integral += state.sideslip / RATE
             slip = _SIDESLIP * state.sideslip + _SIDESLIP_INTEGRAL * self._sideslip_integral
-            self._surfaces[2] = -scale * slip
-        surfaces = np.clip(self._surfaces + targets.controls[:3], -1.0, 1.0)
-        return np.array([*surfaces, targets.controls.throttle])
+            self._surface_demands[2] = -scale * slip
+        controls = targets.controls
+        added = np.array([controls.elevator, controls.aileron, controls.rudder])
+        surfaces = np.clip(self._surface_demands + added, -1.0, 1.0)
+        return np.array([*surfaces, controls.throttle])
 
 
 def _wrapped(angle: float) -> float:
@@ -135,21 +137,22 @@ class _Clock(dict[str, float]):
 
 def _take_off(airframe: Airframe, *, failure: bool) -> tuple[float, Aim]:
     airframe.on_ground(Controls(brakes=1.0, flaps=_FLAPS))
-    runway = airframe.state().attitude[2]
-    best = (10.0 if failure else 15.0) * DEGREE
+    _, _, runway = airframe.state().attitude
+    climb_pitch = (10.0 if failure else 15.0) * DEGREE
     clock = _Clock()
 
     def aim(time: float, state: AircraftState) -> Targets:
-        failed = clock.since("failure", time, failure and state.airspeed > _FAILURE)
-        if failed == 0.0:
+        failure_time = clock.since("failure", time, failure and state.airspeed > _FAILURE)
+        if failure_time == 0.0:
             airframe.fail_engine(0)
-        rotating = clock.since("rotation", time, state.airspeed > _ROTATION)
-        airborne = clock.since("airborne", time, state.height > 15.0)
-        reacting = time > _REACTION and not 0.0 <= failed <= _REACTION
-        throttle, gear = float(time > _BRAKES_OFF), float(airborne <= 3.0)
+        rotation_time = clock.since("rotation", time, state.airspeed > _ROTATION)
+        airborne_time = clock.since("airborne", time, state.height > 15.0)
+        is_reacting = time > _REACTION and not 0.0 <= failure_time <= _REACTION
+        throttle, gear = float(time > _BRAKES_OFF), float(airborne_time <= 3.0)
         controls = Controls(throttle=throttle, brakes=1.0 - throttle, gear=gear, flaps=_FLAPS)
-        pitch = min(2.5 * DEGREE * rotating, best) if rotating >= 0.0 else None
-        heading = runway if reacting else None
+        rotation_pitch = min(2.5 * DEGREE * rotation_time, climb_pitch)
+        pitch = rotation_pitch if rotation_time >= 0.0 else None
+        heading = runway if is_reacting else None
         return Targets(controls, pitch, heading=heading, coordinate=False)
 
     return 0.0, aim
@@ -164,18 +167,21 @@ def _cruise(airframe: Airframe, height: float = 1500.0) -> tuple[Controls, float
 
 def _doublets(airframe: Airframe) -> tuple[float, Aim]:
     controls, level = _cruise(airframe)
+    doublets = {"elevator": (-0.10, 3.0), "aileron": (0.15, 17.0), "rudder": (-0.20, 31.0)}
 
     def doublet(time: float, start: float) -> float:
         return float(np.sign(start + 1.0 - time)) if start <= time < start + 2.0 else 0.0
 
     def aim(time: float, state: AircraftState) -> Targets:
-        free = [start <= time < start + 9.0 for start in (3.0, 17.0, 31.0)]
-        lateral = free[1] or free[2]
-        sizes = {"elevator": (-0.10, 3.0), "aileron": (0.15, 17.0), "rudder": (-0.20, 31.0)}
-        moves = {name: size * doublet(time, start) for name, (size, start) in sizes.items()}
-        moved = controls._replace(**moves)
-        pitch, bank = None if free[0] else level, None if lateral else 0.0
-        return Targets(moved, pitch, bank, coordinate=not lateral)
+        def is_free(surface: str) -> bool:
+            _, start = doublets[surface]
+            return start <= time < start + 9.0
+
+        surfaces = {name: size * doublet(time, start) for name, (size, start) in doublets.items()}
+        is_lateral_free = is_free("aileron") or is_free("rudder")
+        pitch, bank = None if is_free("elevator") else level, None if is_lateral_free else 0.0
+        moved_controls = controls._replace(**surfaces)
+        return Targets(moved_controls, pitch, bank, coordinate=not is_lateral_free)
 
     return controls.throttle, aim
 
@@ -185,8 +191,8 @@ def _turn(airframe: Airframe) -> tuple[float, Aim]:
 
     def aim(time: float, state: AircraftState) -> Targets:
         share = np.clip(min((time - 3.0) / 6.0, (38.0 - time) / 6.0), 0.0, 1.0)
-        pushed = controls._replace(throttle=min(controls.throttle + 0.08 * share, 1.0))
-        return Targets(pushed, level + 1.3 * DEGREE * share, 30.0 * DEGREE * share)
+        powered = controls._replace(throttle=min(controls.throttle + 0.08 * share, 1.0))
+        return Targets(powered, level + 1.3 * DEGREE * share, 30.0 * DEGREE * share)
 
     return controls.throttle, aim
 
@@ -196,7 +202,8 @@ def _gusts(airframe: Airframe) -> tuple[float, Aim]:
 
     def aim(time: float, state: AircraftState) -> Targets:
         if time in _GUSTS:
-            airframe.gust(*_GUSTS[time])
+            velocity, length = _GUSTS[time]
+            airframe.start_gust(velocity, length)
         return Targets(controls, level, coordinate=False)
 
     return controls.throttle, aim
@@ -204,26 +211,26 @@ def _gusts(airframe: Airframe) -> tuple[float, Aim]:
 
 def _turbulence(airframe: Airframe) -> tuple[float, Aim]:
     controls, level = _cruise(airframe, 450.0)
-    airframe.turbulence(30.0 * KNOT, "tustin")
+    airframe.start_turbulence(30.0 * KNOT, "tustin")
     return controls.throttle, lambda time, state: Targets(controls, level, coordinate=False)
 
 
 def _approach(airframe: Airframe) -> tuple[float, Aim]:
-    down = Controls(gear=1.0, flaps=1.0)
-    throttle = airframe.in_air(down, height=620.0 * FOOT, airspeed=145.0 * KNOT, path=-3.0 * DEGREE)
+    landing, path = Controls(gear=1.0, flaps=1.0), -3.0 * DEGREE
+    throttle = airframe.in_air(landing, height=620.0 * FOOT, airspeed=145.0 * KNOT, path=path)
     _, level, runway = airframe.state().attitude
-    airframe.turbulence(15.0 * KNOT, "milspec")
+    airframe.start_turbulence(15.0 * KNOT, "milspec")
     clock = _Clock()
 
     def aim(time: float, state: AircraftState) -> Targets:
-        flaring = clock.since("flare", time, state.height < _FLARE)
-        rolling = clock.since("ground", time, state.height < 1.3)
-        pitch = level + 4.0 * DEGREE * np.clip(flaring / 4.0, 0.0, 1.0)
-        if rolling > 0.0:
-            pitch = max(pitch - 2.0 * DEGREE * rolling, 0.0)
-        controls = down._replace(
-            throttle=throttle * float(np.clip(1.0 - flaring / 3.0, 0.0, 1.0)),
-            brakes=0.35 * float(np.clip((rolling - 2.0) / 2.0, 0.0, 1.0)),
+        flare_time = clock.since("flare", time, state.height < _FLARE)
+        roll_out_time = clock.since("ground", time, state.height < 1.3)
+        pitch = level + 4.0 * DEGREE * np.clip(flare_time / 4.0, 0.0, 1.0)
+        if roll_out_time > 0.0:
+            pitch = max(pitch - 2.0 * DEGREE * roll_out_time, 0.0)
+        controls = landing._replace(
+            throttle=throttle * float(np.clip(1.0 - flare_time / 3.0, 0.0, 1.0)),
+            brakes=0.35 * float(np.clip((roll_out_time - 2.0) / 2.0, 0.0, 1.0)),
         )
         return Targets(controls, pitch, heading=runway)
 
@@ -269,9 +276,12 @@ def script_states(name: str, seed: int = 1) -> Iterator[AircraftState]:
 
 def fly_script(name: str, seed: int = 1) -> Flight:
     """Fly one of `SCRIPTS` to its end; as `script_states`."""
-    flown = zip(*script_states(name, seed), strict=True)
-    states = dict(zip(AircraftState._fields, map(np.array, flown), strict=True))
-    x, y, z = (round(float(part), 6) for part in states["lever"][0])
+    states = list(script_states(name, seed))
+
+    def history(field: str) -> NDArray[np.float64]:
+        return np.array([getattr(state, field) for state in states])
+
+    x, y, z = (round(float(length), 6) for length in states[0].lever)
     origin = Origin(
         title=SCRIPTS[name].title,
         aircraft=AIRCRAFT,
@@ -279,5 +289,5 @@ def fly_script(name: str, seed: int = 1) -> Flight:
         source=f"JSBSim {version('jsbsim')}, script {name}",
         seed=seed,
     )
-    motion = PilotMotion(*(states[part] for part in ("time", *COLUMNS)))
-    return Flight(motion, origin, {part: states[part] for part in ("airspeed", "height")})
+    motion = PilotMotion(history("time"), **{channel: history(channel) for channel in COLUMNS})
+    return Flight(motion, origin, {name: history(name) for name in ("airspeed", "height")})

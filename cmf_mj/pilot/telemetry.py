@@ -13,33 +13,21 @@ What could not be verified is named in `docs/how_to/telemetry.md`. Datagrams hav
 arrival.
 """
 
-import contextlib
 import math
 import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
-from cmf_mj.facility.host.handover import make_ring, put
-from cmf_mj.facility.host.stream import HostFrame, make_stream
+from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.udp import LOOPBACK, open_socket
-from cmf_mj.facility.operation import serve
-from cmf_mj.facility.session import Session
-from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.flight import Flight, Origin, read_columns
-from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result, law_delay
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
-from cmf_mj.pilot.telemetry_check import Telemetry, check_telemetry
-from cmf_mj.pilot.washout import Washout
-from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters import HydraulicParameters
+from cmf_mj.pilot.telemetry_check import Telemetry
 
 _ROW, _BEAMNG = struct.Struct("<i8f"), struct.Struct("<4s21f")
 
@@ -90,8 +78,8 @@ def _line(data: bytes) -> Row:
         raise InputError(f"csv: {data[:40]!r} is not a line of numbers") from error
     if len(numbers) not in (10, 12):
         raise InputError(f"csv: {len(numbers)} numbers; allowed: 10, or 12 with speed and height")
-    when, fx, fy, fz, p, q, r, roll, pitch, yaw, *path = numbers
-    return Row(when, (fx, fy, fz), (p, q, r), (roll, pitch, yaw), *path)
+    stamp, fx, fy, fz, p, q, r, roll, pitch, yaw, *speed_and_height = numbers
+    return Row(stamp, (fx, fy, fz), (p, q, r), (roll, pitch, yaw), *speed_and_height)
 
 
 _DECODERS: dict[str, Callable[[bytes], Row]] = {"xplane": _xplane, "beamng": _beamng, "csv": _line}
@@ -103,8 +91,8 @@ def decode(source_format: str, data: bytes) -> Row:
     """A datagram's row; refused if of another format, infinite, or NaN but in time and path."""
     row = _DECODERS[check_name("source_format", source_format, FORMATS)](data)
     motion = (*row.specific_force, *row.angular_rate, *row.attitude)
-    others = (row.time, row.speed, row.height)
-    if not all(map(math.isfinite, motion)) or any(map(math.isinf, others)):
+    may_be_unknown = (row.time, row.speed, row.height)
+    if not all(map(math.isfinite, motion)) or any(map(math.isinf, may_be_unknown)):
         raise InputError(f"{source_format}: {tuple(row)} is refused; allowed: finite numbers")
     return row
 
@@ -114,20 +102,22 @@ def telemetry_of(
 ) -> tuple[Telemetry, int]:
     """All rows of timed datagrams, and how many datagrams were refused."""
     rows, refused = [], 0
-    for at, data in datagrams:
+    for arrival, data in datagrams:
         try:
             row = decode(source_format, data)
         except InputError:
             refused += 1
             continue
-        rows.append(row._replace(time=at) if math.isnan(row.time) else row)
+        rows.append(row._replace(time=arrival) if math.isnan(row.time) else row)
     if not rows:
         raise InputError(f"{source_format}: no datagram of this format, and {refused} others")
-    return _as_telemetry(rows), refused
+    return telemetry_of_rows(rows), refused
 
 
-def _as_telemetry(rows: list[Row]) -> Telemetry:
-    return Telemetry(*map(np.array, zip(*rows, strict=True)))
+def telemetry_of_rows(rows: list[Row]) -> Telemetry:
+    """Rows in the order of time as telemetry."""
+    columns = {name: np.array([getattr(row, name) for row in rows]) for name in Row._fields}
+    return Telemetry(**columns)
 
 
 def listen(
@@ -136,12 +126,12 @@ def listen(
     """What comes to a UDP port within some seconds, and how many datagrams were refused."""
 
     def datagrams() -> Iterator[tuple[float, bytes]]:
-        with open_socket(port, bind) as opened:
+        with open_socket(port, bind) as opened_socket:
             start = time.monotonic()
-            while (left := start + seconds - time.monotonic()) > 0.0:
-                opened.settimeout(left)
+            while (remaining := start + seconds - time.monotonic()) > 0.0:
+                opened_socket.settimeout(remaining)
                 try:
-                    yield time.monotonic() - start, opened.recv(65535)
+                    yield time.monotonic() - start, opened_socket.recv(65535)
                 except TimeoutError:
                     return
 
@@ -155,9 +145,12 @@ def read_telemetry(source: str | Path) -> Telemetry:
     """
     _, columns, _ = read_columns(source)
     unknown = np.full(columns["time"].size, np.nan)
-    motion = (np.column_stack([columns[n] for n in names]) for names in COLUMNS.values())
-    path_of = (columns.get(name, unknown) for name in ("airspeed", "height"))
-    return Telemetry(columns["time"], *motion, *path_of)
+    motion = {
+        channel: np.column_stack([columns[name] for name in names])
+        for channel, names in COLUMNS.items()
+    }
+    speed, height = columns.get("airspeed", unknown), columns.get("height", unknown)
+    return Telemetry(columns["time"], **motion, speed=speed, height=height)
 
 
 def flight_of(telemetry: Telemetry, source_format: str, title: str) -> Flight:
@@ -165,99 +158,3 @@ def flight_of(telemetry: Telemetry, source_format: str, title: str) -> Flight:
     angles, time = np.unwrap(telemetry.attitude, axis=0), telemetry.time - telemetry.time[0]
     motion = PilotMotion(time, telemetry.specific_force, telemetry.angular_rate, angles)
     return Flight(motion.resampled(MOST_RATE), Origin(title=title, source=source_format))
-
-
-_FADE = (0.1, 0.5)  #: Ages of the newest sample between which it fades to rest [s].
-_EXTRAPOLATION = 0.15  #: T, how long a slope counts [s].
-_SLOPE_LAG = 0.03  #: Time constant of the slope [s].
-_STALE = 1.0  #: Age of the newest sample from which on nothing is sent [s].
-_REST = np.array([0.0, 0.0, -STANDARD_GRAVITY, 0.0, 0.0, 0.0])
-"""Specific force and angular rate at rest."""
-
-
-class _Host:
-    """Turns telemetry into host frames, 80 a second, between parts of a session.
-
-    f(age) = f + slope T (1 - exp(-age / T)) of the newest sample, faded to rest over `_FADE`, for
-    specific force and angular rate alike. After a gap of `_STALE` the slope begins at 0.
-    """
-
-    def __init__(self, source_format: str, port: int, bind: str, washout: Washout) -> None:
-        self.ring, self.refused = make_ring(), 0
-        self.rows: list[Row] = []  #: What the washout got, one a frame: extrapolated and faded.
-        self.frames: list[HostFrame] = []
-        self._source_format, self._washout = source_format, washout
-        self._row: Row | None = None
-        self._came, self._steps = -math.inf, 0
-        self._felt, self._slope = np.zeros(6), np.zeros(6)
-        self.socket = open_socket(port, bind)
-        self.socket.setblocking(False)
-
-    def attend(self, session: Session) -> int:
-        """Send a frame of the newest sample; returns the control frames until the next call."""
-        now, before = session.frame / session.rate, self._came
-        with contextlib.suppress(OSError):  # nothing more has come
-            for _ in range(64):
-                try:
-                    self._row = decode(self._source_format, self.socket.recv(65535))
-                    self._came = now
-                except InputError:
-                    self.refused += 1
-        if (row := self._row) is not None and now - self._came <= _STALE:
-            if self._came > before:
-                felt, since = np.array([*row.specific_force, *row.angular_rate]), now - before
-                if since < _STALE:
-                    self._slope += (felt - self._felt - self._slope * since) / (since + _SLOPE_LAG)
-                else:
-                    self._slope[:] = 0.0
-                self._felt = felt
-            age, ahead = now - self._came, _EXTRAPOLATION
-            felt = self._felt + self._slope * ahead * (1.0 - math.exp(-age / ahead))
-            felt += (_REST - felt) * np.interp(age, _FADE, (0.0, 1.0))
-            force, rate = felt.reshape(2, 3).tolist()
-            self.rows.append(row._replace(specific_force=tuple(force), angular_rate=tuple(rate)))
-            self.frames.append(self._washout.frame(felt[:3], felt[3:]))
-            put(self.ring, self.frames[-1])
-        self._steps += 1
-        return round(self._steps * session.rate / MOST_RATE) - session.frame
-
-
-def fly_live(
-    source_format: str,
-    port: int,
-    law: str | Path | Law = "velocity",
-    *,
-    seconds: float,
-    cab: str | Path | Cab | None = None,
-    washout: str = "simona",
-    bind: str = LOOPBACK,
-    trial: float = 5.0,
-    hydraulics: str | HydraulicParameters | None = None,
-    **options: Any,
-) -> FlightResult:
-    """Fly what comes to a UDP port for some seconds.
-
-    Before anything moves, what comes within the `trial` [s] is checked; an error that is found is
-    refused in its words. Other arguments are as in `fly`; `options` go to `serve`. The
-    result's `aircraft` is what the washout got, extrapolated and faded, at the times of the frames
-    that were sent: a time without frames is left out.
-    """
-    telemetry, refused = listen(source_format, port, trial, bind=bind)
-    if errors := check_telemetry(telemetry).errors:
-        raise InputError(f"{source_format} at port {port}: {'; '.join(errors)}")
-    carried = load_cab(cab)
-    plant = Hexapod(carried, hydraulics)
-    algorithm = Washout(washout, cab=carried, lead=law_delay(plant, law, washout))
-    host = _Host(source_format, port, bind, algorithm)
-    options |= {"attend": host.attend, "record_every": RECORD_EVERY}
-    with host.socket:
-        operation = serve(plant, law, host.ring, seconds, **options)
-    if len(host.frames) < 2:
-        raise InputError(f"{source_format} at port {port}: nothing came within {seconds:g} s")
-    limits = load_motion_limits(options.get("limits"), carried.machine)
-    _, times, *motion = (np.array(column) for column in zip(*host.frames, strict=True))
-    felt = _as_telemetry(host.rows)
-    angles = np.unwrap(felt.attitude, axis=0)
-    aircraft = PilotMotion(times, felt.specific_force, felt.angular_rate, angles)
-    ride = flight_result(plant, aircraft, make_stream(times, *motion), operation, limits)
-    return ride._replace(plans=algorithm.plans, refused=refused + host.refused)

@@ -32,9 +32,9 @@ from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, interpolated
 Array = NDArray[np.float64]
 
 _RATE = 20.0  #: At which telemetry is compared [Hz].
-_MEAN = 1.0
+_WINDOW = 1.0
 """Length of the moving mean over which misfits are compared [s]; faster is not on the path."""
-_SHORTEST = 4.0 * _MEAN  #: Least length of telemetry [s].
+_SHORTEST = 4.0 * _WINDOW  #: Least length of telemetry [s].
 _TOLERANCE = {"rate": 0.003, "force": 0.15, "vertical": 0.5}
 """r0: misfits that do not count [rad/s, m/s^2, m/s^2]; the last without speed and height."""
 _LEAST_GAIN = np.log(2.0)  #: By which a correction has to lower the sum.
@@ -73,35 +73,42 @@ class TelemetryVerdict(NamedTuple):
     unseen: tuple[str, ...]  #: Errors that these data could not show.
 
 
-_ONE = np.eye(3)
+_UNIT = np.eye(3)
+
+
+def _swap(i: int, k: int) -> Array:
+    """Matrix that swaps two axes."""
+    matrix = np.eye(3)
+    matrix[[i, k]] = matrix[[k, i]]
+    return matrix
 
 
 def _axis_errors(channel: str, *axes: str) -> list[Correction]:
     """No error, the sign of each axis, the swap of each pair."""
     signs = [
-        Correction(f"{channel} {name} has the wrong sign", _ONE - 2.0 * np.outer(axis, axis))
-        for name, axis in zip(axes, _ONE, strict=True)
+        Correction(f"{channel} {name} has the wrong sign", _UNIT - 2.0 * np.outer(axis, axis))
+        for name, axis in zip(axes, _UNIT, strict=True)
     ]
     swaps = [
-        Correction(f"{channel} {axes[i]} and {axes[k]} are swapped", _ONE[order])
-        for i, k, order in ((0, 1, [1, 0, 2]), (1, 2, [0, 2, 1]), (0, 2, [2, 1, 0]))
+        Correction(f"{channel} {axes[i]} and {axes[k]} are swapped", _swap(i, k))
+        for i, k in ((0, 1), (1, 2), (0, 2))
     ]
-    return [Correction("", _ONE, price=0.0), *signs, *swaps]
+    return [Correction("", _UNIT, price=0.0), *signs, *swaps]
 
 
-_DEGREES = (
-    Correction("the angles are in deg, not in rad", DEGREE * _ONE, price=2.0),
-    Correction("the angular rates are in deg/s, not in rad/s", DEGREE * _ONE, price=2.0),
+_ANGLES_IN_DEG = Correction("the angles are in deg, not in rad", DEGREE * _UNIT, price=2.0)
+_RATES_IN_DEG = Correction(
+    "the angular rates are in deg/s, not in rad/s", DEGREE * _UNIT, price=2.0
 )
 CORRECTIONS = (
-    [*_axis_errors("the angle of", "roll", "pitch", "yaw"), _DEGREES[0]],
-    [*_axis_errors("the angular rate", "p", "q", "r"), _DEGREES[1]],
+    [*_axis_errors("the angle of", "roll", "pitch", "yaw"), _ANGLES_IN_DEG],
+    [*_axis_errors("the angular rate", "p", "q", "r"), _RATES_IN_DEG],
     [
         *_axis_errors("the specific force", "x", "y", "z"),
-        Correction("the specific force is in g, not in m/s^2", STANDARD_GRAVITY * _ONE),
-        Correction("gravity is left out: these are accelerations", _ONE, -1.0),
-        Correction("gravity is in twice", _ONE, 1.0),
-        Correction("all three specific forces have the wrong sign", -_ONE),
+        Correction("the specific force is in g, not in m/s^2", STANDARD_GRAVITY * _UNIT),
+        Correction("gravity is left out: these are accelerations", _UNIT, -1.0),
+        Correction("gravity is in twice", _UNIT, 1.0),
+        Correction("all three specific forces have the wrong sign", -_UNIT),
     ],
 )
 """Of attitude, rate and force, A, R and F of them; the first of each changes nothing."""
@@ -112,39 +119,54 @@ def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
     errors, unit = _time_errors(telemetry.time)
     telemetry = telemetry._replace(time=to_si(unit, telemetry.time))
     rows = _longest_rising(telemetry.time)
-    kept = Telemetry._make(values[rows] for values in telemetry)
-    if kept.time.size < 2 or kept.time[-1] - kept.time[0] < _SHORTEST:
+    rising = Telemetry._make(values[rows] for values in telemetry)
+    if rising.time.size < 2 or rising.time[-1] - rising.time[0] < _SHORTEST:
         return TelemetryVerdict((*errors, f"less than {_SHORTEST:g} s of data"), ())
-    misfit = _misfits(kept)
-    prices = ([one.price for one in corrections] for corrections in CORRECTIONS)
-    price_a, price_r, price_f = np.ix_(*prices)
-    cost = misfit + _LEAST_GAIN * (price_a + price_r + price_f)
-    cheapest = [tuple(one) for one in np.argwhere(cost < cost.min() + _LEAST_GAIN)]
+    misfit = _misfits(rising)
+    prices = np.ix_(*([item.price for item in channel] for channel in CORRECTIONS))
+    cost = misfit + _LEAST_GAIN * sum(prices)
+    cheapest = [Combination(*row) for row in np.argwhere(cost < cost.min() + _LEAST_GAIN)]
     best, *others = sorted(cheapest, key=lambda combination: cost[combination])
-    if len(_errors_of(best)) == 1:  # what fits as well is as likely
-        alike = map(_errors_of, [best, *others])
-        errors.append(" or ".join(found[0] for found in alike if len(found) == 1))
+    if len(best.errors) == 1:  # what fits as well is as likely
+        alike = [item.errors for item in (best, *others) if len(item.errors) == 1]
+        errors.append(" or ".join(error for (error,) in alike))
     else:
-        errors += _errors_of(best)
-    unseen = []
-    for channel, corrections in enumerate(CORRECTIONS):
-        for number, correction in enumerate(corrections):
-            changed = (*best[:channel], number, *best[channel + 1 :])
-            if number not in (0, best[channel]) and misfit[changed] - misfit[best] < _LEAST_GAIN:
-                unseen.append(correction.error)
-    return TelemetryVerdict(tuple(errors), tuple(unseen))
+        errors += best.errors
+    return TelemetryVerdict(tuple(errors), _unseen(misfit, best))
 
 
-def _errors_of(combination: tuple[int, ...]) -> list[str]:
-    """The errors of attitude, rate and force, by their places in `CORRECTIONS`."""
-    return [found[k].error for found, k in zip(CORRECTIONS, combination, strict=True) if k]
+class Combination(NamedTuple):
+    """A correction of each channel, by its place in `CORRECTIONS`; 0 changes nothing."""
+
+    attitude: int
+    rate: int
+    force: int
+
+    @property
+    def errors(self) -> list[str]:
+        """Errors of the channels that are changed."""
+        corrections = zip(CORRECTIONS, self, strict=True)
+        return [channel[place].error for channel, place in corrections if place]
+
+
+def _unseen(misfit: Array, best: Combination) -> tuple[str, ...]:
+    """Errors that alter the misfit (A, R, F) of the best combination too little to be shown."""
+    errors = []
+    for name, channel in zip(Combination._fields, CORRECTIONS, strict=True):
+        for place, correction in enumerate(channel):
+            altered = misfit[best._replace(**{name: place})] - misfit[best]
+            if place not in (0, getattr(best, name)) and altered < _LEAST_GAIN:
+                errors.append(correction.error)
+    return tuple(errors)
 
 
 def _time_errors(stamps: Array) -> tuple[list[str], str]:
     """Errors of time stamps, and the unit in which they seem to be: s, ms or us."""
-    usual = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
-    unit = "s" if usual <= 1.0 else "ms" if usual < 1e3 else "us"
-    time, step = to_si(unit, stamps), to_si(unit, usual)
+    median_step = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
+    unit = "s"
+    if median_step > 1.0:
+        unit = "ms" if median_step < 1e3 else "us"
+    time, step = to_si(unit, stamps), to_si(unit, median_step)
     steps, errors = np.diff(time), list[str]()
     if (steps <= 0.0).any():
         row = int((steps <= 0.0).argmax()) + 1
@@ -152,7 +174,7 @@ def _time_errors(stamps: Array) -> tuple[list[str], str]:
     for row in np.flatnonzero(steps > max(_GAP_FACTOR * step, _LEAST_GAP))[:3]:
         errors.append(f"a gap of {steps[row]:.3g} s after {time[row]:g} s; usual: {step:.3g} s")
     if unit != "s":
-        errors.append(f"time steps are {usual:g} s: is time in {unit}?")
+        errors.append(f"time steps are {median_step:g} s: is time in {unit}?")
     return errors, unit
 
 
@@ -165,21 +187,21 @@ def _longest_rising(time: Array) -> NDArray[np.bool_]:
     return np.asarray(rising & (stretch == longest))
 
 
-def _misfits(sent: Telemetry) -> Array:
+def _misfits(telemetry: Telemetry) -> Array:
     """Sum of ln(r + r0) over the axes for each correction of attitude, rate, force, (A, R, F)."""
-    time = sent.time - sent.time[0]
-    even = np.arange(0.0, time[-1], 1.0 / _RATE)
-    rate = interpolated(even, time, sent.angular_rate)
-    force = interpolated(even, time, sent.specific_force)
-    path = interpolated(even, time, np.column_stack([sent.speed, sent.height]))
-    known = path if np.isfinite(path).all() else None
+    time = telemetry.time - telemetry.time[0]
+    even_time = np.arange(0.0, time[-1], 1.0 / _RATE)
+    rate = interpolated(even_time, time, telemetry.angular_rate)
+    force = interpolated(even_time, time, telemetry.specific_force)
+    path = interpolated(even_time, time, np.column_stack([telemetry.speed, telemetry.height]))
+    known_path = path if np.isfinite(path).all() else None
     misfits = []
     for attitude in CORRECTIONS[0]:
-        angles = np.unwrap(attitude.apply(sent.attitude, sent.attitude), axis=0)
-        angles = interpolated(even, time, angles)
-        rates, forces = _expected(even, angles, known)
-        rate_costs = _rate_costs(rate, rates, angles, in_deg=attitude is _DEGREES[0])
-        force_costs = _force_costs(force, forces, angles, path_known=known is not None)
+        angles = np.unwrap(attitude.apply(telemetry.attitude, telemetry.attitude), axis=0)
+        angles = interpolated(even_time, time, angles)
+        rates, forces = _expected(even_time, angles, known_path)
+        rate_costs = _rate_costs(rate, rates, angles, in_deg=attitude is _ANGLES_IN_DEG)
+        force_costs = _force_costs(force, forces, angles, path_known=known_path is not None)
         misfits.append(np.add.outer(rate_costs, force_costs))
     return np.array(misfits)
 
@@ -189,7 +211,7 @@ def _rate_costs(rate: Array, expected: Array, angles: Array, *, in_deg: bool) ->
     costs = []
     for correction in CORRECTIONS[1]:
         rms = _rms(correction.apply(rate, angles) - expected)
-        if in_deg and correction is _DEGREES[1]:
+        if in_deg and correction is _RATES_IN_DEG:
             rms /= DEGREE  # both in rad, not deg, shrinks the misfit: compare it in the same unit
         costs.append(np.log(rms + _TOLERANCE["rate"]).sum())
     return costs
@@ -217,8 +239,8 @@ def _expected(time: Array, angles: Array, path: Array | None) -> tuple[Array, Ar
         climb, heading = np.gradient(height, 1.0 / _RATE), angles[:, 2]
         horizontal_speed = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
         north, east = horizontal_speed * np.cos(heading), horizontal_speed * np.sin(heading)
-        along = np.column_stack([north, east, -climb])
-        acceleration[:, :3] = np.gradient(along, 1.0 / _RATE, axis=0)
+        path_velocity = np.column_stack([north, east, -climb])
+        acceleration[:, :3] = np.gradient(path_velocity, 1.0 / _RATE, axis=0)
     stream = make_stream(time, pose, velocity, acceleration)
     motion = PilotMotion.from_platform(stream, np.zeros(3))
     return motion.angular_rate, motion.specific_force
@@ -226,5 +248,5 @@ def _expected(time: Array, angles: Array, path: Array | None) -> tuple[Array, Ar
 
 def _rms(values: Array) -> Array:
     """Root mean square of the moving mean, by axis, (3,)."""
-    windows = np.lib.stride_tricks.sliding_window_view(values, round(_MEAN * _RATE), axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(values, round(_WINDOW * _RATE), axis=0)
     return np.asarray(np.sqrt((windows.mean(axis=-1) ** 2).mean(axis=0)))

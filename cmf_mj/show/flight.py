@@ -147,7 +147,8 @@ def trial_table(learnt: Learning) -> Table:
     first, rows = learnt.trials[0], []
     for number, trial in enumerate(learnt.trials):
         shares = [100.0 * trial.legs / first.legs, 100.0 * trial.predicted / first.predicted]
-        rows.append([str(number), *(trial.axes * _SCALE), 1e3 * trial.legs, *shares, trial.held])
+        errors = [*(trial.axes * _SCALE), 1e3 * trial.legs, *shares]
+        rows.append([str(number), *errors, trial.held_frames])
     columns = [("legs [mm]", ".3f"), ("left [%]", ".2f"), ("linear [%]", ".2f"), ("held", "d")]
     title = f"tracking error below {BAND:g} Hz, rms; left of the first run's"
     return Table(title, ("trial", *axes, *columns), rows)

@@ -33,7 +33,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host import moog, udp
 from cmf_mj.facility.operation import Operation, serve
 from cmf_mj.facility.session import Session
-from cmf_mj.pilot import telemetry as live
+from cmf_mj.pilot import live
 from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.events import default_event
 from cmf_mj.plant.parameters import fitting
@@ -137,7 +137,7 @@ def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
             yield _Door(base.ring, base.attend)
         elif plan.door == "telemetry":
             washout = Washout("simona", cab=cab)
-            host = live._Host("csv", 0, HOST[0], washout)
+            host = live.LiveHost("csv", 0, HOST[0], washout)
             yield _Door(host.ring, host.attend)
         else:
             idle = SimpleNamespace(start=lambda: None, join=lambda: None)

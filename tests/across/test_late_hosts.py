@@ -37,7 +37,7 @@ from cmf_mj.facility.host_chain import HostChain
 from cmf_mj.facility.operation import Operation, operate, serve
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.pilot import telemetry as live
+from cmf_mj.pilot import live
 from cmf_mj.pilot.washout import Washout
 
 SLOW = pytest.mark.slow  #: A case among others that are not.
@@ -275,7 +275,7 @@ def test_jitter_of_a_moog_client_is_not_felt() -> None:
 
 def telemetry(silence: float) -> Record:
     """Slight pushes to and fro, sent 80 times a second but for a time in each half second."""
-    host = live._Host("csv", 0, "127.0.0.1", Washout("simona"))
+    host = live.LiveHost("csv", 0, "127.0.0.1", Washout("simona"))
     push = wave(0.2)
     with host.socket, socket.socket(type=socket.SOCK_DGRAM) as line:
 

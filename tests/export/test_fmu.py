@@ -21,7 +21,7 @@ from cmf_mj import Hexapod, load_law
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.fmu import export_fmu, fmu_files, variables
 from cmf_mj.export.library import write_files
-from cmf_mj.export.machine import freeze
+from cmf_mj.export.machine import make_export
 
 pytestmark = pytest.mark.slow
 FUZZ = Path(__file__).with_name("export_fuzz.c")
@@ -218,7 +218,7 @@ def test_a_heavier_cab_comes_to_rest_where_python_puts_it(file: Path, folder: Pa
 def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[bytes]]:
     """A process that calls an FMU as it is told, under AddressSanitizer."""
     out = tmp_path_factory.mktemp("fuzz")
-    frozen = freeze(Hexapod(), load_law("velocity"), ElectronicsSettings())
+    frozen = make_export(Hexapod(), load_law("velocity"), ElectronicsSettings())
     write_files(fmu_files(frozen, variables(frozen)), out)
     command = ["cc", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command += ["-I.", "-isystem", "include", FUZZ, "cmf.c", *sorted(out.glob("*.o")), "-o", "fuzz"]

@@ -24,8 +24,8 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import ExportedChannel, channels
-from cmf_mj.export.library import export_library, make
-from cmf_mj.export.machine import freeze
+from cmf_mj.export.library import build, export_library
+from cmf_mj.export.machine import make_export
 from cmf_mj.facility.operation import operate
 from cmf_mj.plant.events import KINDS, Event
 from tests.plant.test_attach_excavator import excavator
@@ -76,7 +76,7 @@ def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[E
     (out / "another.o").write_text("of another program in the same folder")
     export_library(plant, law, out, electronics=electronics)
     build_host(out)
-    return out, channels(freeze(plant, load_law(law), electronics))
+    return out, channels(make_export(plant, load_law(law), electronics))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_without_compiler_or_on_another_system_nothing_is_written(
     else:
         monkeypatch.setattr("platform.machine", lambda: value)
     with pytest.raises(InputError, match=said):
-        make({"cmf.h": ""}, tmp_path / "out", "libcmf.so", [])
+        build({"cmf.h": ""}, tmp_path / "out", "libcmf.so", [])
     assert not (tmp_path / "out").exists()
 
 
@@ -197,7 +197,7 @@ def test_cylinders_of_any_model(tmp_path: Path) -> None:
     plant = excavator()
     export_library(plant, None, tmp_path)
     build_host(tmp_path)
-    table = channels(freeze(plant, None))
+    table = channels(make_export(plant, None))
     valves = np.zeros((2048, plant.legs))
     valves[:, :2] = 0.1 * np.sin(np.arange(2048) / 300.0)[:, None]
     record = drive(plant, valves)

@@ -16,7 +16,7 @@ def test_jsbsims_own_pilot_acceleration_is_ours_one_step_later() -> None:
     the centripetal part is already that of the later step, which is the remaining difference."""
     airframe = Airframe(4)
     throttle = airframe.in_air(Controls(gear=0.0), height=450.0, airspeed=250.0 * KNOT, path=0.0)
-    airframe.turbulence(40.0 * KNOT, "milspec")
+    airframe.start_turbulence(40.0 * KNOT, "milspec")
     controls = Controls(throttle=throttle, gear=0.0, aileron=0.1, elevator=-0.05)
     airframe.step(controls)
     largest = 0.0
@@ -36,7 +36,7 @@ def test_jsbsims_own_pilot_acceleration_is_ours_one_step_later() -> None:
 def test_a_gust_has_its_size_and_shape() -> None:
     airframe = Airframe()
     throttle = airframe.in_air(Controls(gear=0.0), height=500.0, airspeed=120.0, path=0.0)
-    airframe.gust((0.0, 0.0, -8.0), 2.0)
+    airframe.start_gust((0.0, 0.0, -8.0), 2.0)
     felt = []
     for _ in range(2 * RATE + 10):
         airframe.step(Controls(throttle=throttle, gear=0.0))

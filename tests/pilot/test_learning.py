@@ -136,7 +136,7 @@ def test_limits_hold_the_demand_back_and_the_best_trial_stays() -> None:
     done = learn(wave(0.999 * high, 0.2, 1.0), "velocity", [Hexapod("gfd")], trials=2)
     legs = pose_to_legs(done.demand.pose)
     speed = np.abs(np.diff(legs, axis=0)).max() * RATE
-    assert done.trials[1].held > 0
+    assert done.trials[1].held_frames > 0
     assert np.abs(legs).max() <= limits.leg.position.si
     assert speed <= limits.leg.velocity.si * (1.0 + 1e-9)
     assert done.demand.pose[:, 2].max() <= high * (1.0 + 1e-9)

@@ -18,15 +18,9 @@ from cmf_mj import InputError
 from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.facility.host.udp import LOOPBACK
 from cmf_mj.pilot.flight import flight_names, load_flight
+from cmf_mj.pilot.live import LiveHost, fly_live
 from cmf_mj.pilot.motion import gravity_in_body
-from cmf_mj.pilot.telemetry import (
-    _Host,
-    decode,
-    flight_of,
-    fly_live,
-    read_telemetry,
-    telemetry_of,
-)
+from cmf_mj.pilot.telemetry import decode, flight_of, read_telemetry, telemetry_of
 from cmf_mj.pilot.telemetry_check import Telemetry, check_telemetry
 
 G, DEGREE = 9.80665, math.pi / 180.0
@@ -334,7 +328,7 @@ def test_live_telemetry_drives_the_cab_and_bad_telemetry_does_not() -> None:
 def attended(arrivals: dict[int, float], steps: int) -> list[float]:
     """Force x that a live host makes, 80 steps a second, of rows of a force at some steps."""
     washout = SimpleNamespace(frame=lambda force, rate: HostFrame(0, 0.0, *np.zeros((3, 6))))
-    host = _Host("csv", 0, LOOPBACK, washout)  # type: ignore[arg-type]
+    host = LiveHost("csv", 0, LOOPBACK, washout)  # type: ignore[arg-type]
     made = []
     with host.socket, socket.socket(type=socket.SOCK_DGRAM) as sender:
         for step in range(steps):
