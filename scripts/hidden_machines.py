@@ -278,8 +278,10 @@ def _tuned(truth: Hidden, folder: Path, options: argparse.Namespace) -> dict[str
     for law, friction in product((recorded, found["fit"]), contacts):
         one = certify(plant, law, folder / str(friction), box, friction=friction)
         what = f"{'recorded' if law is recorded else 'tuned'}, {friction}"
-        broken = one.broken if np.isfinite(one.broken) else LARGEST_SCALE  # nothing breaks it
-        said |= {f"{what}: proven": one.proven, f"{what}: broken": broken}
+        broken = (
+            one.breaking_scale if np.isfinite(one.breaking_scale) else LARGEST_SCALE
+        )  # nothing breaks it
+        said |= {f"{what}: proven": one.proven_scale, f"{what}: broken": broken}
     carried = _carried(found["fit"], plants)
     for name, law in {"recorded": recorded, "tuned": carried}.items():
         said[f"least damping on the truth, {name}"] = least_damping(

@@ -157,7 +157,6 @@ def certify_command(
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
-    from cmf_mj.core.result import Result
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.plant.cylinder import contact_text
     from cmf_mj.show import study as report
@@ -166,7 +165,8 @@ def certify_command(
     from cmf_mj.studies.certificate_box import load_box
     from cmf_mj.studies.engine import one_library_thread
 
-    unit_box, effort = load_box(box), run.QUICK if quick else run.Effort()
+    unit_box = load_box(box)
+    effort = (run.QUICK if quick else run.Effort())._replace(seed=seed)
     contacts = (
         [friction_option(text.strip()) for text in friction.split(",")] if friction else [None]
     )
@@ -182,19 +182,10 @@ def certify_command(
             folder = out / law.name / plant.cab
             if len(contacts) > 1:
                 folder /= contact_text(contact).replace(" m/s", "")
-            case = plant, law, folder, unit_box, effort
             with one_library_thread():  # so that the same seed gives the same bits
-                certificates.append(run.certify(*case, seed=seed, friction=contact))
+                certificates.append(run.certify(plant, law, folder, unit_box, effort, contact))
             update(len(certificates), len(cases))
-    proofs = [
-        {"law": each.law, "cab": each.cab, "friction": each.friction} | proof._asdict()
-        for each in certificates
-        for proof in each.proofs
-    ]
-    tables: dict[str, Result[Any]] = {
-        "certificates": Result(certificates, run.CERTIFICATES, *run.ABOUT_CERTIFICATES),
-        "proofs": Result(proofs, run.PROOFS, *run.ABOUT_PROOFS),
-    }
+    tables = run.certificate_tables(certificates)
     files = {f"{name}.{end}": table for name, table in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(certificates)}
     show(*tables.values(), written(save_files(files | figure, out), out))

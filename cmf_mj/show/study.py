@@ -217,8 +217,8 @@ def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     """Boxes of all laws: what is proven, what is not known, and where machines fail."""
     figure = look.new_figure(7.0, 1.2 + 0.32 * len(certificates))
     axes = figure.add_subplot()
-    proven = np.array([certificate.proven for certificate in certificates])
-    broken = np.array([certificate.broken for certificate in certificates])
+    proven = np.array([certificate.proven_scale for certificate in certificates])
+    broken = np.array([certificate.breaking_scale for certificate in certificates])
     right = 1.15 * float(np.nanmax([*proven, *broken, 1.0]))
     failing = np.where(np.isnan(broken), right, broken)
     rows = np.arange(len(certificates))

@@ -1,8 +1,9 @@
 """Certificates: the box of machines a law is proven to survive, and the one an attack breaks it in.
 
 **Proven.** In each pose the machines of a box, and more, are in the loop with parameters of
-`certificate_family`, where lags, ports, chambers and leak of each leg are free on their own; their
-`peak_bound` is the reciprocal of a scale within which no pole gets to the ray of a damping ratio.
+`certificate_family`, where the lags, ports, chambers and leak of each leg are free on their own.
+`peak_bound` of it is the reciprocal of a scale within which no pole gets to the ray of a damping
+ratio.
 
 **Attacked.** Latin hypercubes over the unit box; and from many starts the corner to which the
 slopes of the least damping ratio point, then CMA-ES (N. Hansen, package `cma`). A machine that
@@ -12,7 +13,7 @@ All is linear. The simulation replays the machine that fails first, a little bey
 """
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,11 +27,12 @@ from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.analysis.modes import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.files import plain_path, write_text
-from cmf_mj.core.result import Field
+from cmf_mj.core.result import Field, Result
+from cmf_mj.core.settings import Settings
 from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns, cube
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.geometry import DOFS, pose_text
+from cmf_mj.machine.geometry import DOFS, by_kind, pose_text
 from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
@@ -41,11 +43,11 @@ from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 
-_CHUNK = 256
-_CLOSER = 0.98  #: Scale that is attacked over the least that is known to break the law.
-_STEP = 0.02  #: Step of a slope of the damping ratio, over the side of the box.
-_PLACES = 5  #: Poses that are attacked: those with the least damped machines drawn.
-_WIDER = 1.1  #: Box whose widths are taken over the one found with those of a larger.
+_CHUNK = 256  #: Machines whose poles are found together.
+_SHRINKAGE = 0.98  #: Scale that is attacked over the least that is known to break the law.
+_SLOPE_STEP = 0.02  #: Step of a slope of the damping ratio, over the side of the box.
+_ATTACKED_POSES = 5  #: Those with the least damped machines drawn.
+_BOX_MARGIN = 1.1  #: Box whose widths are taken over the one found with those of a larger.
 BEYOND, WITHIN = 1.5, 0.5  #: Scales of the replays over that at which the machine just fails.
 
 
@@ -57,6 +59,7 @@ class Effort(NamedTuple):
     rounds: int = 60  #: Rounds of CMA-ES in each, of 16 machines.
     poses: int = 21  #: How many of the box's.
     ratios: int = 3  #: Damping ratios that are proven, from 0 towards the nominal.
+    seed: int = 1  #: Of machines drawn and of attacks.
 
 
 QUICK = Effort(samples=2_000, starts=4, rounds=15, poses=3, ratios=1)
@@ -76,60 +79,84 @@ class Certificate(NamedTuple):
     law: str
     cab: str
     friction: str  #: How dry friction entered: none, stuck, or the speed of sliding legs.
-    nominal: float  #: Damping ratio of the nominal machine.
+    nominal_damping: float  #: Damping ratio of the nominal machine.
     proofs: tuple[Proof, ...]  #: By damping ratio, from 0 on; none where nominal is unstable.
-    broken: float  #: Least scale at which a machine was found that is unstable; NaN for none.
-    share: float  #: Of machines drawn from the unit box, the share that is stable.
-    least: float  #: Damping ratio of them.
-    pose: Array  #: Where it breaks first, (6,) [m, rad].
-    beyond: float
+    breaking_scale: float
+    """Least scale at which a machine was found that is unstable; NaN for none."""
+    stable_share: float  #: Of machines drawn from the unit box.
+    least_damping: float  #: Damping ratio of them.
+    breaking_pose: Array  #: Where the law breaks first, (6,) [m, rad].
+    swing_beyond: float
     """Swing of that machine's legs 10 s after a step, over the step, in the simulation, `BEYOND`
     the scale; infinite where it leaves the bounds of the model."""
-    within: float  #: Likewise `WITHIN` the scale.
+    swing_within: float  #: Likewise `WITHIN` the scale.
 
     @property
-    def proven(self) -> float:
+    def proven_scale(self) -> float:
         """Scale within which all machines are stable."""
         return self.proofs[0].proven if self.proofs else 0.0
 
 
-def _down(scale: float) -> str:
+def _two_digits_down(scale: float) -> str:
     """A scale to two digits, never more than it is."""
     digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
     return f"{np.floor(scale / digit) * digit:.2g}"
 
 
-def _along(index: int) -> Callable[[Certificate], float]:
-    return lambda one: float(one.pose[index])
+def _coordinate(index: int) -> Callable[[Certificate], float]:
+    return lambda certificate: float(certificate.breaking_pose[index])
 
 
-CERTIFICATES = (
-    *map(Field, ("law", "cab", "friction")),
-    Field("nominal", "zeta", ".3f"),
-    Field("proven", form=_down),
-    Field("broken", form=".2g"),
-    *(Field(f"pose_{dof}", of=_along(i), printed=False) for i, dof in enumerate(DOFS)),
-    Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="pose"),
-    Field("share", "stable", ".1f %", "%"),
-    Field("least", "least zeta", ".3f"),
-    Field("beyond", form=".0f %", unit="%"),
-    Field("within", form=".1f %", unit="%"),
+_CASE_FIELDS = tuple(map(Field, ("law", "cab", "friction")))
+_CERTIFICATE_FIELDS = (
+    *_CASE_FIELDS,
+    Field("nominal", "zeta", ".3f", of="nominal_damping"),
+    Field("proven", form=_two_digits_down, of="proven_scale"),
+    Field("broken", form=".2g", of="breaking_scale"),
+    *(Field(f"pose_{dof}", of=_coordinate(i), printed=False) for i, dof in enumerate(DOFS)),
+    Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="breaking_pose"),
+    Field("share", "stable", ".1f %", "%", of="stable_share"),
+    Field("least", "least zeta", ".3f", of="least_damping"),
+    Field("beyond", form=".0f %", unit="%", of="swing_beyond"),
+    Field("within", form=".1f %", unit="%", of="swing_within"),
 )
-PROOFS = (
-    *map(Field, ("law", "cab", "friction")),
+_PROOF_FIELDS = (
+    *_CASE_FIELDS,
     Field("ratio", "zeta kept", ".3f"),
     Field("proven", "in a box of", ".3f"),
     Field("attacked", "least zeta found there", ".3f"),
 )
-ABOUT_CERTIFICATES = (
-    "How far machines may be off, all numbers at once; 1 is the whole unit box",
+_LEGEND = (
     "zeta: least damping ratio, in all poses, of the nominal machine. proven: scale of the box "
     "within which every machine is stable; broken: scale at which one is not, -: none up to "
     f"{LARGEST_SCALE:g}. stable, least zeta: of machines drawn from the unit box. beyond, within: "
     f"swing of the machine that breaks first, 10 s after a step, over the step, at {BEYOND:g} and "
-    f"{WITHIN:g} times that scale.",
+    f"{WITHIN:g} times that scale."
 )
-ABOUT_PROOFS = ("Scale of the box within which every machine keeps a damping ratio",)
+
+
+def certificate_tables(certificates: Sequence[Certificate]) -> dict[str, Result[Any]]:
+    """Certificates, and the damping ratios that are proven, by name."""
+    proofs = [
+        {"law": each.law, "cab": each.cab, "friction": each.friction} | proof._asdict()
+        for each in certificates
+        for proof in each.proofs
+    ]
+    title = "How far machines may be off, all numbers at once; 1 is the whole unit box"
+    kept = "Scale of the box within which every machine keeps a damping ratio"
+    return {
+        "certificates": Result(certificates, _CERTIFICATE_FIELDS, title, _LEGEND),
+        "proofs": Result(proofs, _PROOF_FIELDS, kept),
+    }
+
+
+class _Machine(NamedTuple):
+    """A machine in a pose."""
+
+    family: Family  #: That of the pose.
+    point: Array  #: Of the unit box.
+    damping: float  #: Least damping ratio, where the machine is off by what an attack allows.
+    scale: float = float("inf")  #: At which it just fails.
 
 
 def certify(
@@ -138,8 +165,6 @@ def certify(
     folder: Path,
     box: Box,
     effort: Effort = QUICK,
-    *,
-    seed: int = 1,
     friction: Contact | None = None,
 ) -> Certificate:
     """Certify a law on a machine with a cab; the machine that breaks it goes to `folder`.
@@ -151,47 +176,44 @@ def certify(
     >>> from cmf_mj.studies.certificate import certify
     >>> plant, law = cmf_mj.Hexapod("ifd"), cmf_mj.load_law("velocity")
     >>> result = certify(plant, law, Path("out/certify"), load_box())
-    >>> 0.15 < result.proven < result.broken < 0.25
+    >>> 0.15 < result.proven_scale < result.breaking_scale < 0.25
     True
     """
-    poses = [_pose(plant, law, box, pose, friction) for pose in box.poses(plant)[: effort.poses]]
-    points = cube("latin_hypercube", effort.samples, DIMENSIONS, seed)
-    drawn, worst = [], []
-    for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
-        parts = np.array_split(some, len(some) // _CHUNK + 1)
-        drawn.append(np.concatenate([pose.damping_in(box, part) for part in parts]))
-        worst.append(some[drawn[-1].argmin()])
-    nominal = [pose.nominal_damping() for pose in poses]
-    weakest = sorted(range(len(poses)), key=lambda i: drawn[i].min())
-    broken, proofs = (poses[int(np.argmin(nominal))], np.zeros(DIMENSIONS), 0.0), []
-    if min(nominal) > 0.0:
-        begins = [(poses[i], worst[i]) for i in weakest[:_PLACES]]
-        broken = _break(box, begins, effort, seed)
-        poses.sort(key=lambda pose: pose is not broken[0])
-        for ratio in np.arange(effort.ratios) / effort.ratios * min(nominal):
-            edge, turn = min(broken[2], LARGEST_SCALE), float(np.arcsin(ratio))
-            loop = poses[0].widen(poses[0].widths(box, edge))
-            first = peak_bound(loop, turn, 1.0 / edge, SLOW_POLE)
-            edge = min(edge, _WIDER / first)  # slopes differ less in a smaller box
-            beta = 1.0 / edge
-            for pose in poses:
-                beta = peak_bound(pose.widen(pose.widths(box, edge)), turn, beta, SLOW_POLE)
-            proven = 1.0 / beta
-            found = [_attack(p, box, proven, x, effort.rounds, seed, -1.0)[0] for p, x in begins]
-            proofs.append(Proof(float(ratio), proven, min(found)))
-    pose, point, scale = broken
-    swing = []
+    poses = box.poses(plant)[: effort.poses]
+    families = [_family(plant, law, box, pose, friction) for pose in poses]
+    damping, weakest = _draw_machines(families, box, effort)
+    nominal = [family.nominal_damping() for family in families]
+    breaking = _Machine(families[int(np.argmin(nominal))], np.zeros(DIMENSIONS), min(nominal), 0.0)
+    proofs: tuple[Proof, ...] = ()
+    if breaking.damping > 0.0:
+        starts = sorted(weakest, key=lambda machine: machine.damping)[:_ATTACKED_POSES]
+        breaking = _break_law(starts, box, effort)
+        families.sort(key=lambda family: family is not breaking.family)
+        edge = min(breaking.scale, LARGEST_SCALE)
+        ratios = np.arange(effort.ratios) / effort.ratios * min(nominal)
+        proofs = tuple(_prove(families, starts, box, effort, ratio, edge) for ratio in ratios)
+    swing = {}
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
-        changes = box.changes(factor * min(scale, LARGEST_SCALE) * point[None])
-        case = save_case(plain_path(folder, name), name, plant, law, pose.pose, box, changes)
-        swing.append(replayed(case))
-    every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
-    tried = limit, float((every > 0.0).mean()), float(every.min()), pose.pose
-    stated = contact_text(friction)
-    return Certificate(law.name, plant.cab, stated, min(nominal), tuple(proofs), *tried, *swing)
+        scale = factor * min(breaking.scale, LARGEST_SCALE)
+        changes = box.changes(scale * breaking.point[None])
+        case, pose = plain_path(folder, name), breaking.family.pose
+        swing[name] = replayed_swing(save_case(case, name, plant, law, pose, box, changes))
+    return Certificate(
+        law=law.name,
+        cab=plant.cab,
+        friction=contact_text(friction),
+        nominal_damping=min(nominal),
+        proofs=proofs,
+        breaking_scale=breaking.scale if np.isfinite(breaking.scale) else float("nan"),
+        stable_share=float((damping > 0.0).mean()),
+        least_damping=float(damping.min()),
+        breaking_pose=breaking.family.pose,
+        swing_beyond=swing["beyond"],
+        swing_within=swing["within"],
+    )
 
 
-def _pose(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
+def _family(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
     """The machines in a pose, drawn in until closed valves hold all of the largest box there.
 
     Where closed valves do not even at neutral, it is drawn in until open ones do.
@@ -199,65 +221,105 @@ def _pose(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | N
     for closed, share in product((True, False), (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)):
         family = Family(plant, law, share * pose, friction)
         if family.holds(box, LARGEST_SCALE, closed=closed):
-            break
+            return family
     return family
 
 
-def _break(
-    box: Box, begins: list[tuple[Family, Array]], effort: Effort, seed: int
-) -> tuple[Family, Array, float]:
-    """The machine that fails at the least scale: its pose, its point of the unit box, the scale."""
+def _draw_machines(
+    families: Sequence[Family], box: Box, effort: Effort
+) -> tuple[Array, list[_Machine]]:
+    """Damping ratios of machines drawn from the unit box, and the least damped of each pose."""
+    points = 2.0 * cube("latin_hypercube", effort.samples, DIMENSIONS, effort.seed) - 1.0
+    dampings, weakest = [], []
+    for family, of_pose in zip(families, np.array_split(points, len(families)), strict=True):
+        chunks = np.array_split(of_pose, len(of_pose) // _CHUNK + 1)
+        damping = np.concatenate([family.damping_in(box, chunk) for chunk in chunks])
+        dampings.append(damping)
+        weakest.append(_Machine(family, of_pose[damping.argmin()], float(damping.min())))
+    return np.concatenate(dampings), weakest
 
-    def damped(share: float, pose: Family, point: Array) -> float:
-        return float(pose.damping_in(box, share * point[None])[0])
 
-    best, scale = (*begins[0], np.inf), LARGEST_SCALE
-    generator = np.random.default_rng([seed, 1])
-    for start in range(effort.starts):
-        pose, point = begins[start % len(begins)]
-        if start >= len(begins):
-            point = 2.0 * cube("corners", 1, DIMENSIONS, generator)[0] - 1.0
+def _prove(
+    families: Sequence[Family],
+    starts: Sequence[_Machine],
+    box: Box,
+    effort: Effort,
+    ratio: float,
+    edge: float,
+) -> Proof:
+    """Prove a damping ratio in all poses, within the box of a scale `edge`, and attack the proof.
+
+    The bound of the first pose narrows the box, in which slopes differ less.
+    """
+
+    def beta(family: Family, least: float) -> float:
+        loop = family.widen(family.widths(box, edge))
+        return peak_bound(loop, float(np.arcsin(ratio)), least, SLOW_POLE)
+
+    edge = min(edge, _BOX_MARGIN / beta(families[0], 1.0 / edge))
+    largest_beta = 1.0 / edge
+    for family in families:
+        largest_beta = beta(family, largest_beta)
+    scale = 1.0 / largest_beta
+    attacks = [_attack(start, box, effort, scale, -1.0) for start in starts]
+    return Proof(float(ratio), scale, min(attack.damping for attack in attacks))
+
+
+def _break_law(starts: Sequence[_Machine], box: Box, effort: Effort) -> _Machine:
+    """The machine that fails at the least scale, from several starts and then from corners."""
+
+    def damping_at(scale: float, family: Family, point: Array) -> float:
+        return float(family.damping_in(box, scale * point[None])[0])
+
+    breaking, scale = starts[0], LARGEST_SCALE
+    generator = np.random.default_rng([effort.seed, 1])
+    for number in range(effort.starts):
+        machine = starts[number % len(starts)]
+        if number >= len(starts):
+            corner = 2.0 * cube("corners", 1, DIMENSIONS, generator)[0] - 1.0
+            machine = machine._replace(point=corner)
         while True:
-            damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
-            if damping > 0.0:
+            machine = _attack(machine, box, effort, scale, 0.0, number)
+            if machine.damping > 0.0:
                 break
-            reach = (
-                float(optimize.bisect(damped, 0.0, scale, (pose, point), 1e-4))
-                * np.abs(point).max()
-            )
-            best, scale = (pose, point / np.abs(point).max(), reach), _CLOSER * reach
-    return best
+            limit = optimize.bisect(damping_at, 0.0, scale, (machine.family, machine.point), 1e-4)
+            largest = np.abs(machine.point).max()
+            scale = float(limit) * largest
+            breaking = machine._replace(point=machine.point / largest, scale=scale)
+            scale *= _SHRINKAGE
+    return breaking
 
 
 def _attack(
-    pose: Family, box: Box, scale: float, point: Array, rounds: int, seed: int, enough: float
-) -> tuple[float, Array]:
-    """The least damping ratio found in a box, and where; ends at `enough`."""
+    start: _Machine, box: Box, effort: Effort, scale: float, enough: float, number: int = 0
+) -> _Machine:
+    """The least damped machine found in a box; the search ends at a damping ratio of `enough`."""
 
     def damping(points: Array) -> Array:
-        return pose.damping_in(box, scale * points)
+        return start.family.damping_in(box, scale * points)
 
-    best = float(damping(point[None])[0]), point
+    best = start._replace(damping=float(damping(start.point[None])[0]))
     for _ in range(4):
-        corner = np.sign(best[0] - damping(best[1] + _STEP * np.eye(DIMENSIONS)))
-        here = float(damping(corner[None])[0])
-        if here >= best[0]:
+        corner = np.sign(best.damping - damping(best.point + _SLOPE_STEP * np.eye(DIMENSIONS)))
+        corner_damping = float(damping(corner[None])[0])
+        if corner_damping >= best.damping:
             break
-        best = here, corner
-    options = {"bounds": [-1.0, 1.0], "seed": seed % (2**32 - 1) + 1, "verbose": -9, "popsize": 16}
+        best = best._replace(point=corner, damping=corner_damping)
+    seed = (effort.seed + number) % (2**32 - 1) + 1
+    options = {"bounds": [-1.0, 1.0], "seed": seed, "verbose": -9, "popsize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import cma
 
-        strategy = cma.CMAEvolutionStrategy(0.95 * best[1], 0.3, options)
-    for _ in range(rounds):
-        if best[0] <= enough or strategy.stop():
+        strategy = cma.CMAEvolutionStrategy(0.95 * best.point, 0.3, options)
+    for _ in range(effort.rounds):
+        if best.damping <= enough or strategy.stop():
             break
         points = np.array(strategy.ask())
-        found = damping(points)
-        strategy.tell(points, found.tolist())
-        if found.min() < best[0]:
-            best = float(found.min()), points[found.argmin()]
+        dampings = damping(points)
+        strategy.tell(points, dampings.tolist())
+        if dampings.min() < best.damping:
+            best = best._replace(point=points[dampings.argmin()], damping=float(dampings.min()))
     return best
 
 
@@ -274,51 +336,54 @@ def save_case(
 
     The law knows the nominal cab. The run begins in the pose and steps all axes by a small step.
     """
-    cab, oil, tables = plant.cab_parameters, plant.parameters, []
+    cab, oil = plant.cab_parameters, plant.parameters
     assert cab is not None
-    based = load_hydraulics(oil.name if oil.name in HYDRAULICS else None)
-    shipped = load_cab(cab.base, plant.machine)
-    for part, base in ((oil, based), (cab, shipped)):
-        changed = Unknowns(box.unknowns).apply(box.values(changes), part, name)
-        before, after = (
-            one.model_dump(mode="json", exclude_none=True, exclude={"nominal", "name"})
-            for one in (base, changed)
-        )
-        tables.append(
-            {field: value for field, value in after.items() if value != before.get(field)}
-        )
-    own = plant.machine.recorded()
-    modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
-    known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
-    save_law(known_law, plain_path(folder, "law.toml"))
+    unknowns, values = Unknowns(box.unknowns), box.values(changes)
+    base_oil = load_hydraulics(oil.name if oil.name in HYDRAULICS else None)
+    base_cab = load_cab(cab.base, plant.machine)
+    own_machine = plant.machine.recorded()
+    modes = bound(law, plant).bound_modes
+    changed = {"name": f"{law.name}_{name}", "modes": {} if modes is None else {name: modes}}
+    save_law(law.model_copy(update=changed), plain_path(folder, "law.toml"))
+    sizes = [float(SMALL * size) for size in REPORT_AMPLITUDES]
     steps = [
-        {"kind": "step", "dof": dof, "amplitude": [float(SMALL * size), unit], "at": 0.5}
-        for dof, size, unit in zip(DOFS, REPORT_AMPLITUDES, 3 * ("m",) + 3 * ("rad",), strict=True)
+        {"kind": "step", "dof": dof, "amplitude": [size, by_kind(dof, "m", "rad")], "at": 0.5}
+        for dof, size in zip(DOFS, sizes, strict=True)
     ]
     stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
+    own_oil = _changed_fields(base_oil, unknowns.apply(values, oil, name))
+    own_cab = _changed_fields(base_cab, unknowns.apply(values, cab, name))
     files: dict[str, dict[str, Any]] = {
-        "hydraulics.toml": {"base": based.name, name: tables[0]},
-        "cab.toml": {"base": cab.base, name: tables[1]},
+        "hydraulics.toml": {"base": base_oil.name, name: own_oil},
+        "cab.toml": {"base": cab.base, name: own_cab},
         "scenario.toml": {
             "title": f"{law.title}: the machine of its certificate that breaks it",
-            **{
-                "machine": "machine.toml" if own else plant.machine.name,
-                "cab": "cab.toml",
-                "hydraulics": "hydraulics.toml",
-            },
-            **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
+            "machine": "machine.toml" if own_machine else plant.machine.name,
+            "cab": "cab.toml",
+            "hydraulics": "hydraulics.toml",
+            "law": "law.toml",
+            "duration": 12.0,
+            "record_every": 16,
+            "signal": [stay, *steps],
         },
     }
-    if own:
-        files["machine.toml"] = own
+    if own_machine:
+        files["machine.toml"] = own_machine
     for file, table in files.items():
         write_text(folder / file, tomlkit.dumps(table))
     return folder / "scenario.toml"
 
 
-def replayed(path: Path) -> float:
+def _changed_fields(base: Settings, changed: Settings) -> dict[str, Any]:
+    """Fields of a changed part that differ from those of its base, as TOML values."""
+    how: dict[str, Any] = {"mode": "json", "exclude_none": True, "exclude": {"nominal", "name"}}
+    before, after = base.model_dump(**how), changed.model_dump(**how)
+    return {field: value for field, value in after.items() if value != before.get(field)}
+
+
+def replayed_swing(scenario: Path) -> float:
     """Swing of the legs left at the end of a case over its largest leg step, in the simulation."""
     try:
-        return float(measure_swing(load_scenario(path).record())["last"])
+        return float(measure_swing(load_scenario(scenario).record())["last"])
     except FloatingPointError:  # it left the bounds of the model
         return float("inf")

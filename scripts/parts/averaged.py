@@ -92,7 +92,7 @@ def proven(one: Drawn, cab: str, law: Law, at: Path) -> float:
     """Scale of the unit box within which all machines about this one are stable."""
     plant = one.machines[cab].plant
     assert isinstance(plant, Hexapod)
-    return certify(plant, one.law(law), at, load_box(), EFFORT, friction="none").proven
+    return certify(plant, one.law(law), at, load_box(), EFFORT, friction="none").proven_scale
 
 
 def spans(shipped: float, values: np.ndarray) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from cmf_mj.facility.scenario import load_scenario
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.plant.cylinder import Contact
 from cmf_mj.plant.parameters import hydraulics_of
-from cmf_mj.studies.certificate import QUICK, _attack, certify, save_case
+from cmf_mj.studies.certificate import QUICK, _attack, _Machine, certify, save_case
 from cmf_mj.studies.certificate_box import DIMENSIONS, load_box
 from cmf_mj.studies.certificate_family import REPETITIONS, Family
 
@@ -125,7 +125,7 @@ def test_a_leg_loaded_where_its_valve_begins_to_open_is_certified(tmp_path: Path
     }
     box = BOX.model_copy(update={"unknowns": narrow})
     one = certify(plant, law, tmp_path, box, QUICK._replace(poses=1), friction="none")
-    assert one.proven > 1.0
+    assert one.proven_scale > 1.0
     closed = set[bool]()
     for point in np.random.default_rng(5).uniform(-1.0, 1.0, (6, 1, DIMENSIONS)):
         values = box.values(box.changes(point))
@@ -153,19 +153,23 @@ def test_box_holds_its_machines(plant: cmf_mj.Hexapod) -> None:
 def test_no_sample_and_no_attack_beats_the_bound(tmp_path: Path, plant: cmf_mj.Hexapod) -> None:
     effort = QUICK._replace(poses=1, samples=300)
     one = certify(plant, cmf_mj.load_law("velocity"), tmp_path, BOX, effort)
-    assert 0.0 < one.proven < one.broken < 1.25 * one.proven
+    assert 0.0 < one.proven_scale < one.breaking_scale < 1.25 * one.proven_scale
     assert all(proof.attacked > proof.ratio for proof in one.proofs)
-    family = Family(plant, cmf_mj.load_law("velocity"), one.pose)
+    family = Family(plant, cmf_mj.load_law("velocity"), one.breaking_pose)
     points = np.sign(np.random.default_rng(7).uniform(-1.0, 1.0, (500, DIMENSIONS)))
-    assert family.damping_in(BOX, 0.999 * one.proven * points).min() > 0.0
-    assert one.within < 0.02 < 0.2 < one.beyond  # the simulation rings on beyond, not within
+    assert family.damping_in(BOX, 0.999 * one.proven_scale * points).min() > 0.0
+    assert (
+        one.swing_within < 0.02 < 0.2 < one.swing_beyond
+    )  # the simulation rings on beyond, not within
 
 
 def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> None:
     """The largest and its successors, one a start, were refused inside NumPy."""
-    family, point = Family(plant, cmf_mj.load_law("velocity"), POSE), np.zeros(DIMENSIONS)
+    family = Family(plant, cmf_mj.load_law("velocity"), POSE)
+    nominal = _Machine(family, np.zeros(DIMENSIONS), 0.0)
     for seed in (0, 2**32 - 2, 2**32 - 1, 2**32 + 19):
-        assert np.isfinite(_attack(family, BOX, 0.1, point, 1, seed, -1.0)[0])
+        once = QUICK._replace(rounds=1, seed=seed)
+        assert np.isfinite(_attack(nominal, BOX, once, 0.1, -1.0).damping)
 
 
 def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
@@ -173,9 +177,9 @@ def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
     plant = cmf_mj.Hexapod("ifd")
     effort = QUICK._replace(poses=1, samples=100)
     one = certify(plant, cmf_mj.load_law("position_error_rate"), tmp_path, BOX, effort)
-    assert one.nominal < 0.0
-    assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
-    assert one.beyond > 0.5
+    assert one.nominal_damping < 0.0
+    assert (one.proven_scale, one.breaking_scale, one.proofs) == (0.0, 0.0, ())
+    assert one.swing_beyond > 0.5
 
 
 @pytest.mark.parametrize("position", [0.0, 0.2, -0.2])
@@ -189,7 +193,7 @@ def test_a_law_that_lets_the_platform_creep_away_is_not_certified(
     assert (Family(plant, law, np.zeros(6)).nominal_damping() > 0.0) == held
     if not held:
         one = certify(plant, law, tmp_path, BOX, QUICK._replace(poses=1, samples=64))
-        assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
+        assert (one.proven_scale, one.breaking_scale, one.proofs) == (0.0, 0.0, ())
 
 
 def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
