@@ -266,7 +266,7 @@ class Run(Arguments):
         return make_plant(self.plant, self.loaded_cab, self.hydraulics)
 
     def session_settings(self, machine: Machine) -> SessionSettings:
-        """Settings of the run as its session takes them."""
+        """Settings of the run as its session on a `machine` takes them."""
         protection, electronics, chain = self.protection, self.electronics, self.operation
         if electronics is not None and electronics.seed is None:
             electronics = electronics.model_copy(update={"seed": self.seed})
