@@ -65,7 +65,7 @@ def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     compiled = make_dcu()
     demand = upsample(compiled, resting(compiled), arrivals_of(stream), 5000)
     spline = make_interp_spline(stream.time, stream.pose, k=5)
-    delay = 1.0 / 64.0 + compiled.hold + compiled.line / RATE
+    delay = 1.0 / 64.0 + compiled.hold + compiled.line_frames / RATE
     at = np.arange(3000, 5000) / RATE - delay  # the gap of the start has closed
     for order in range(3):
         assert np.abs(demand[3000:, order] - spline(at, nu=order)).max() < 1e-9
