@@ -85,7 +85,7 @@ def flood(seconds: float, rate: float) -> Flood:
             operation = serve(Hexapod(), "velocity", receiver.ring, seconds + START, progress=begin)
             if any([program.wait() for program in programs]):
                 raise RuntimeError("a program that sends has failed")
-        return Flood(stream.time.size, count, receiver.received, receiver.refused, operation)
+        return Flood(stream.time.size, count, receiver.received_frames, receiver.refused, operation)
 
 
 def main() -> None:

@@ -89,8 +89,7 @@ class ElectronicsSettings(Settings):
 
 
 ELECTRONICS = ("ideal", "noisy", "inertial")
-"""Electronics by name; `inertial` are noisy, of accelerometers that feel no gravity along six legs:
-for plants that are no motion base."""
+"""Electronics by name; `inertial` are noisy and feel no gravity, for what is no motion base."""
 
 
 def load_electronics(choice: str | ElectronicsSettings | None) -> ElectronicsSettings | None:
@@ -106,7 +105,7 @@ def load_electronics(choice: str | ElectronicsSettings | None) -> ElectronicsSet
     return ElectronicsSettings(sensors=load_sensors("noisy").model_copy(update=changes))
 
 
-_SettingsOrName: Any = ElectronicsSettings | Literal["ideal", "noisy", "inertial"] | None
+_SettingsOrName: Any = ElectronicsSettings | Literal[ELECTRONICS] | None
 AnyElectronics = Annotated[
     ElectronicsSettings | None,
     BeforeValidator(load_electronics, json_schema_input_type=_SettingsOrName),
@@ -122,10 +121,10 @@ class Electronics(NamedTuple):
     sensor_state: SensorState
     converters: LegFeedback  #: `Converter` of each channel.
     converter_state: LegFeedback  #: Filter states (n, s, 2).
-    axes_state: LegAxesState  #: The legs as tracked from measured positions.
+    measured_legs: LegAxesState  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]
     """Gravity that the accelerometers feel, (n,) [m/s^2]; 0 where they feel none."""
-    inertial: NDArray[np.float64]  #: Measured accelerations without gravity, (n,) [m/s^2].
+    inertial_acceleration: NDArray[np.float64]  #: As measured, without gravity, (n,) [m/s^2].
     servo: ServoElectronics
     servo_state: ServoState
     reading: LegFeedback  #: What the sensors put out.
@@ -162,9 +161,9 @@ def make_electronics(
         sensor_state=state,
         converters=converters,
         converter_state=converter_state(converters, reading),
-        axes_state=leg_axes_state(sensors.axes, extension),
+        measured_legs=leg_axes_state(sensors.axes, extension),
         gravity=np.zeros(legs),
-        inertial=np.zeros(legs),
+        inertial_acceleration=np.zeros(legs),
         servo=servo.make_servo_electronics(parts.servo, frame),
         servo_state=servo.start(legs),
         reading=reading,
@@ -172,58 +171,57 @@ def make_electronics(
 
 
 @compiled
-def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+def write_gravity(axes, measured_legs, position, gravity):  # type: ignore[no-untyped-def]
     """Write g n . up [m/s^2], which accelerometers feel, at measured extensions (6,) [m]."""
-    track(axes, state, position)
+    track(axes, measured_legs, position)
     for leg in range(6):
-        gravity[leg] = gravity_along(state, leg)
+        gravity[leg] = gravity_along(measured_legs, leg)
 
 
 @allocating
-def _find_gravity_history(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+def _write_gravity_history(axes, measured_legs, position, gravity):  # type: ignore[no-untyped-def]
     for frame in range(position.shape[0]):
-        find_gravity(axes, state, position[frame], gravity[frame])
+        write_gravity(axes, measured_legs, position[frame], gravity[frame])
 
 
 def gravity_history(
     position: NDArray[np.float64], machine: MachineOrGimbals = models.CMF
 ) -> NDArray[np.float64]:
     """Gravity along six legs at measured extensions (N, 6) [m], as the electronics find it."""
-    if position.shape[1:] != (6,):
-        shape = position.shape[1:]
+    if (shape := position.shape[1:]) != (6,):
         raise InputError(f"position: shape is {shape}; gravity along the legs needs (6,)")
     axes, gravity = make_leg_axes(machine), np.empty(position.shape)
     position = np.ascontiguousarray(position)
-    _find_gravity_history(axes, leg_axes_state(axes, position[0]), position, gravity)
+    _write_gravity_history(axes, leg_axes_state(axes, position[0]), position, gravity)
     return gravity
 
 
 @compiled
-def _measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
+def _read_and_convert(electronics, faults, frame, truth, reads_inertial, feedback):  # type: ignore[no-untyped-def]
     reading = electronics.reading
     sense(electronics.sensors, electronics.sensor_state, frame, truth, reading)
     for leg in range(truth.position.shape[0]):
         reading.position[leg] = read_position(faults, leg, reading.position[leg])
     convert_all(electronics.converters, electronics.converter_state, reading, feedback)
     if electronics.sensors.gravity:
-        axes, state = electronics.sensors.axes, electronics.axes_state
-        find_gravity(axes, state, feedback.position, electronics.gravity)
+        axes, measured_legs = electronics.sensors.axes, electronics.measured_legs
+        write_gravity(axes, measured_legs, feedback.position, electronics.gravity)
     for leg in range(truth.position.shape[0]):
-        inertial = feedback.acceleration[leg] - electronics.gravity[leg]
-        electronics.inertial[leg] = inertial
-        if compensated:
-            feedback.acceleration[leg] = inertial
+        acceleration = feedback.acceleration[leg] - electronics.gravity[leg]
+        electronics.inertial_acceleration[leg] = acceleration
+        if reads_inertial:
+            feedback.acceleration[leg] = acceleration
 
 
 @inlined
-def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
+def measure(electronics, faults, frame, truth, reads_inertial, feedback):  # type: ignore[no-untyped-def]
     """Write the feedback that the DCL reads; through ideal electronics it is the truth.
 
-    The number of the control frame chooses the noise; `compensated` says whether the law reads
-    accelerations without gravity.
+    The number of the control frame chooses the noise; the law reads accelerations without gravity
+    if `reads_inertial`.
     """
     if electronics.active:
-        _measure(electronics, faults, frame, truth, compensated, feedback)
+        _read_and_convert(electronics, faults, frame, truth, reads_inertial, feedback)
         return
     for leg in range(truth.position.shape[0]):
         feedback.position[leg] = read_position(faults, leg, truth.position[leg])
@@ -234,12 +232,12 @@ def measure(electronics, faults, frame, truth, compensated, feedback):  # type: 
 
 
 @inlined
-def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
-    """View of the feedback with inertial accelerations, for the protection."""
+def inertial_feedback(electronics, feedback):  # type: ignore[no-untyped-def]
+    """The feedback with accelerations without gravity, as views, for the protection."""
     return LegFeedback(
         feedback.position,
         feedback.velocity,
-        electronics.inertial if electronics.active else feedback.acceleration,
+        electronics.inertial_acceleration if electronics.active else feedback.acceleration,
         feedback.cap_pressure,
         feedback.rod_pressure,
     )
@@ -247,10 +245,10 @@ def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
 
 @inlined
 def deliver(electronics, watches_lower, position, command):  # type: ignore[no-untyped-def]
-    """Pass the DCL's commands on to the valves in place; whether a limit switch has tripped.
+    """Turn the DCL's commands into those of the valves, in place.
 
     Commands (n,) are fractions, positions (n,) true extensions [m]. The lower switches are watched
-    if `watches_lower`.
+    if `watches_lower`. Returns whether a limit switch has tripped, now or earlier.
     """
     if not electronics.active:
         return False

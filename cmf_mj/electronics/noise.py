@@ -42,7 +42,7 @@ def key_schedule(key: tuple[int, int]) -> NDArray[np.uint64]:
 
 
 @compiled
-def _product(first, second):  # type: ignore[no-untyped-def]
+def _multiply(first, second):  # type: ignore[no-untyped-def]
     """High and low word of a product of two words, from products of halves: nothing overflows."""
     first_high, first_low = first >> _SHIFT_32, first & _LOW_32
     second_high, second_low = second >> _SHIFT_32, second & _LOW_32
@@ -58,8 +58,8 @@ def philox(keys, first, second):  # type: ignore[no-untyped-def]
     """Four random words of the counter (first, second, 0, 0), lowest word first."""
     c0, c1, c2, c3 = first, second, _ZERO, _ZERO
     for i in range(keys.shape[0]):
-        high0, low0 = _product(_MULTIPLIER_0, c0)
-        high1, low1 = _product(_MULTIPLIER_1, c2)
+        high0, low0 = _multiply(_MULTIPLIER_0, c0)
+        high1, low1 = _multiply(_MULTIPLIER_1, c2)
         c0, c1, c2, c3 = high1 ^ c1 ^ keys[i, 0], low1, high0 ^ c3 ^ keys[i, 1], low0
     return c0, c1, c2, c3
 

@@ -201,10 +201,10 @@ class Sensors(NamedTuple):
 
 
 class SensorState(NamedTuple):
-    """States of the channels' filters, and the legs as tracked."""
+    """States of the channels' filters, and directions of the legs."""
 
     filters: LegFeedback  #: (n, s, 2) each.
-    axes: LegAxesState
+    legs: LegAxesState  #: The legs as tracked from true positions.
     direction_before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
 
 
@@ -240,12 +240,12 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
         text = f"shape is {truth.position.shape}; gravity along the legs needs (6,)"
         allowed = "electronics 'inertial', which feel none"
         raise InputError(f"position: {text}; allowed: {allowed}")
-    axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
-    gravity = [gravity_along(axes, leg) for leg in range(6)] if sensors.gravity else 0.0
+    legs = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
+    gravity = [gravity_along(legs, leg) for leg in range(6)] if sensors.gravity else 0.0
     inputs = truth._replace(acceleration=truth.acceleration + gravity)
     pairs = zip(sensors.channels, inputs, strict=True)
     settled = (filters.settled_filter_state(channel.low_pass, values) for channel, values in pairs)
-    return SensorState(LegFeedback(*settled), axes, axes.direction.copy())
+    return SensorState(LegFeedback(*settled), legs, legs.direction.copy())
 
 
 @compiled
@@ -261,24 +261,24 @@ def true_acceleration(mean, mean_before, step):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gravity_along(axes, leg):  # type: ignore[no-untyped-def]
+def gravity_along(legs, leg):  # type: ignore[no-untyped-def]
     """Gravity g n . up [m/s^2] along a leg, which its accelerometer feels at rest."""
-    return STANDARD_GRAVITY * upward(axes, leg)
+    return STANDARD_GRAVITY * upward(legs, leg)
 
 
 @compiled
 def _feel_gravity(sensors, state, position, acceleration):  # type: ignore[no-untyped-def]
     """Add what leg accelerometers feel of gravity and swing at the true positions."""
-    axes, direction_before = state.axes, state.direction_before
-    track(sensors.axes, axes, position)
+    legs, direction_before = state.legs, state.direction_before
+    track(sensors.axes, legs, position)
     for leg in range(6):
         squared_turn_rate = 0.0
         for i in range(3):
-            change = (axes.direction[leg, i] - direction_before[leg, i]) * sensors.rate
-            squared_turn_rate += change * change
-            direction_before[leg, i] = axes.direction[leg, i]
-        acceleration[leg] += gravity_along(axes, leg)
-        acceleration[leg] -= (axes.length[leg] - sensors.distance) * squared_turn_rate
+            turn_rate = (legs.direction[leg, i] - direction_before[leg, i]) * sensors.rate
+            squared_turn_rate += turn_rate * turn_rate
+            direction_before[leg, i] = legs.direction[leg, i]
+        acceleration[leg] += gravity_along(legs, leg)
+        acceleration[leg] -= (legs.length[leg] - sensors.distance) * squared_turn_rate
 
 
 @compiled

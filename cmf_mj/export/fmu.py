@@ -274,11 +274,8 @@ def _type_attributes(variable: Variable) -> dict[str, str]:
     """Attributes that depend on the type of a variable."""
     attributes = {"unit": variable.unit} if variable.unit else {}
     is_integer = variable.kind != "Float64"
-    for name, value in (
-        ("start", variable.start),
-        ("min", variable.minimum),
-        ("max", variable.maximum),
-    ):
+    numbers = {"start": variable.start, "min": variable.minimum, "max": variable.maximum}
+    for name, value in numbers.items():
         if value is not None:
             attributes[name] = str(int(value)) if is_integer else repr(float(value))
     if variable.kind == "Boolean":
@@ -294,7 +291,7 @@ def _write_reference(export: Export, table: list[Variable], folder: Path) -> Non
     values = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
     column = 2 if export.has_host else 0  # heave, or the first actuator
     values[:, column] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3
-    record = _run(export, np.repeat(values[:-1], np.diff(frames), axis=0))
+    record = _run_python_loop(export, np.repeat(values[:-1], np.diff(frames), axis=0))
     rows, output_channels = np.maximum(frames - 1, 0), ("leg_extension", "valve_command")
     outputs = np.concatenate([record[name][rows] for name in output_channels], axis=1)
     legs = range(1, export.plant.legs + 1)
@@ -309,7 +306,7 @@ def _write_table(path: Path, names: list[str], values: NDArray[np.float64]) -> N
     write_csv(path, ["time", *names], np.concatenate([time, values], axis=1).tolist(), digits=17)
 
 
-def _run(export: Export, rows: NDArray[np.float64]) -> Record:
+def _run_python_loop(export: Export, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
     duration = rows.shape[0] * export.plant.machine.frame
     source = LegDemand(rows) if export.run.law else ValveCommands(rows)

@@ -42,13 +42,14 @@ class ExportedChannel(NamedTuple):
 def parameters(export: Export) -> list[ExportedParameter]:
     """All parameters of a machine in the order of the C source."""
     supply, plant = export.parts.dynamics.hydraulics.supply, export.plant
-    low = 0.1 * supply.pressure if supply.constant else supply.precharge
-    protection, high = float(export.parts.controller.guarded), supply.relief_pressure
+    lowest_pressure = 0.1 * supply.pressure if supply.constant else supply.precharge
+    protection = float(export.parts.controller.guarded)
     text = "1: faults make an emergency stop"
+    pressures = supply.pressure, lowest_pressure, supply.relief_pressure
     rows = [
         ExportedParameter("settle", "s", "rest after a change of parameters", 5.0, 0.0, 60.0),
         ExportedParameter("protection", "1", text, protection, 0.0, 1.0),
-        ExportedParameter("supply.pressure", "Pa", "set pressure", supply.pressure, low, high),
+        ExportedParameter("supply.pressure", "Pa", "set pressure", *pressures),
     ]
     for name in SIGNALS:
         text = f"factor on the law's gains of {name}"
@@ -92,24 +93,23 @@ def contents(export: Export) -> tuple[dict[str, NDArray[np.uint8]], str]:
     starts = np.array([parameter.start for parameter in parameter_rows])
     inertia = export.plant.model.body_inertia[payload_body(export)].tolist()
     half_stroke = export.plant.machine.half_stroke
+    failure_rows = (_failure_row(kind, half_stroke) for kind in KINDS)
     slots = {path.replace(".", "_"): slot for path, slot in export.image.first_slots.items()}
-    text = [
+    lines = [
         "/* One machine, as exported. */",
         *defines("CMF", _numbers(export, parameter_rows, channel_rows)),
         *defines("AT", slots),
-        _array("int cmf_pointers", map(str, export.image.pointers)),
-        _array("double cmf_starts", map(repr, starts.tolist())),
-        _array("double cmf_inertia", map(repr, inertia)),
-        _array("cmf_channel_info cmf_channel_table", map(_row, channel_rows)),
-        _array("cmf_parameter_info cmf_parameter_table", map(_row, parameter_rows)),
-        _array(
-            "cmf_failure_info cmf_failure_table", (_failure(kind, half_stroke) for kind in KINDS)
-        ),
+        _c_array("int cmf_pointers", map(str, export.image.pointers)),
+        _c_array("double cmf_starts", map(repr, starts.tolist())),
+        _c_array("double cmf_inertia", map(repr, inertia)),
+        _c_array("cmf_channel_info cmf_channel_table", map(_c_row, channel_rows)),
+        _c_array("cmf_parameter_info cmf_parameter_table", map(_c_row, parameter_rows)),
+        _c_array("cmf_failure_info cmf_failure_table", failure_rows),
     ]
     for request in Request:
         is_equal = f"CMF_REQUEST_{request.name} == {request.value}"
-        text.append(f"typedef char cmf_{request.name.lower()}_is_that[{is_equal} ? 1 : -1];")
-    return _blocks(export, starts), "\n".join([*text, ""])
+        lines.append(f"typedef char cmf_{request.name.lower()}_is_that[{is_equal} ? 1 : -1];")
+    return _blocks(export, starts), "\n".join([*lines, ""])
 
 
 def _blocks(export: Export, starts: NDArray[np.float64]) -> dict[str, NDArray[np.uint8]]:
@@ -182,16 +182,16 @@ def _upper(name: str) -> str:
     return name.replace(".", "_").upper()
 
 
-def _array(name: str, rows: Iterable[str]) -> str:
+def _c_array(name: str, rows: Iterable[str]) -> str:
     return f"static const {name}[] = {{\n  " + ",\n  ".join(rows) + "};"
 
 
-def _row(values: Iterable[object]) -> str:
+def _c_row(values: Iterable[object]) -> str:
     cells = (f'"{value}"' if isinstance(value, str) else repr(value) for value in values)
     return "{" + ", ".join(cells) + "}"
 
 
-def _failure(kind: str, half_stroke: float) -> str:
+def _failure_row(kind: str, half_stroke: float) -> str:
     """A kind of failure: its unit, whether it names a leg and a valve, and its usual size."""
     event, unit = default_event(kind, 0.0), ""
     for candidate in ("1", "N", "m", "m^2"):
@@ -199,7 +199,7 @@ def _failure(kind: str, half_stroke: float) -> str:
             default_event(kind, 0.0, size=(1.0, candidate))
             unit = candidate
     has_leg, has_valve = int(event.leg is not None), int(kind.startswith("valve"))
-    return _row([kind, unit, has_leg, has_valve, event.magnitude(half_stroke)])
+    return _c_row([kind, unit, has_leg, has_valve, event.magnitude(half_stroke)])
 
 
 def _bytes(*arrays: NDArray[Any]) -> NDArray[np.uint8]:

@@ -56,14 +56,14 @@ def law_source(law: Law, carrier: str) -> dict[str, str]:
     features = _features(dcl)
     values = _template_values(law, dcl, features)
     blocks = [name for name, feature in _BLOCKS.items() if features.get(feature, True)]
-    source = "\n".join(_filled(f"{name}.c", features, values) for name in blocks)
+    source = "\n".join(_fill_template(f"{name}.c", features, values) for name in blocks)
     modes = f"modes of {law.bound_modes.source}" if law.bound_modes else ""
     sentences = [f"{law.title}, law {law.name}", law.source, f"For {carrier}", modes]
     head = ". ".join([*filter(None, sentences), f"{law.rate} frames a second."])
     # Nothing in a comment ends it, or joins lines.
     plain = re.sub(r"[*\\]|\?\?", "", head).encode("ascii", "replace").decode()
-    values["head"] = _wrapped(plain, " * ")
-    return {"cmf_law.h": _filled("cmf_law.h", features, values), "cmf_law.c": source}
+    values["head"] = _wrap(plain, " * ")
+    return {"cmf_law.h": _fill_template("cmf_law.h", features, values), "cmf_law.c": source}
 
 
 def _features(dcl: Dcl) -> dict[str, bool]:
@@ -100,8 +100,8 @@ def _template_values(law: Law, dcl: Dcl, features: Mapping[str, bool]) -> dict[s
         "gravity": "without" if law.gravity_compensation else "with",
         "errors_from": f"the {reference_model}" if follows else "the limited demand",
         "less": ", less the force m a that the plan asks for" if features["PLANNED"] else "",
-        "input_gain": _gains(compensator.input_gain, law.input_gain, "1", modal),
-        "direct_gain": _gains(compensator.direct_gain, law.direct_gain, "%", modal),
+        "input_gain": _gain_rows(compensator.input_gain, law.input_gain, "1", modal),
+        "direct_gain": _gain_rows(compensator.direct_gain, law.direct_gain, "%", modal),
         "per_mode": "[LEGS]" if modal else "",
         "by_mode": "[leg]" if modal else "",
         "near_stall": inverse.NEAR_STALL,
@@ -117,20 +117,20 @@ def _template_values(law: Law, dcl: Dcl, features: Mapping[str, bool]) -> dict[s
     }
 
 
-def _gains(values: Any, published: Gains, unit: str, modal: bool) -> str:
+def _gain_rows(values: Any, published: Gains, unit: str, modal: bool) -> str:
     """Rows of a table of gains in a unit per signal, with the published gains as comments."""
     rows = []
     for number, (name, signal_unit) in enumerate(zip(SIGNALS, UNITS, strict=True)):
         gain = getattr(published, name)
         is_compound = "/" in signal_unit or " " in signal_unit
         gain_unit = f"{unit}/({signal_unit})" if is_compound else f"{unit}/{signal_unit}"
-        comment = f"/* {_text(gain)} {gain_unit} */" if np.any(gain) else ""
-        row = f"[{name.upper()}] = {_text(values[:, number] if modal else values[0, number])},"
+        comment = f"/* {_c_text(gain)} {gain_unit} */" if np.any(gain) else ""
+        row = f"[{name.upper()}] = {_c_text(values[:, number] if modal else values[0, number])},"
         rows += [comment, row] if modal and comment else [f"{row} {comment}".strip()]
     return textwrap.indent("\n".join(rows), "    ")
 
 
-def _filled(name: str, features: Mapping[str, bool], values: Mapping[str, Any]) -> str:
+def _fill_template(name: str, features: Mapping[str, bool], values: Mapping[str, Any]) -> str:
     """A template for a law with these features and values."""
     lines, conditions = [], list[bool]()
     for line in (_TEMPLATES / name).read_text(encoding="utf-8").splitlines():
@@ -145,25 +145,25 @@ def _filled(name: str, features: Mapping[str, bool], values: Mapping[str, Any]) 
         elif all(conditions):
             lines.append(line)
     paths = SimpleNamespace(**values)
-    text = _TOKEN.sub(lambda token: _text(attrgetter(token[1])(paths)), "\n".join(lines))
+    text = _TOKEN.sub(lambda token: _c_text(attrgetter(token[1])(paths)), "\n".join(lines))
     return text + "\n"
 
 
-def _text(value: Any) -> str:
+def _c_text(value: Any) -> str:
     """A number, a table or a text as it stands in C."""
     if isinstance(value, tuple):
-        return ", ".join(map(_text, value))
+        return ", ".join(map(_c_text, value))
     if isinstance(value, np.ndarray):
-        rows = [", ".join(map(_text, row)) for row in np.atleast_2d(value)]
+        rows = [", ".join(map(_c_text, row)) for row in np.atleast_2d(value)]
         if value.ndim == 1 and len(rows[0]) < _WIDTH // 2:
             return f"{{{rows[0]}}}"
         rows = rows if value.ndim == 1 else [f"{{{row}}}" for row in rows]
-        filled = ",\n".join(_wrapped(row, " " * (value.ndim - 1)) for row in rows)
+        filled = ",\n".join(_wrap(row, " " * (value.ndim - 1)) for row in rows)
         return "{\n" + textwrap.indent(filled, "  ") + "\n}"
     return repr(float(value)) if isinstance(value, float | np.floating) else str(value)
 
 
-def _wrapped(text: str, indent: str) -> str:
+def _wrap(text: str, indent: str) -> str:
     wrapper = textwrap.TextWrapper(_WIDTH - 8, subsequent_indent=indent, break_on_hyphens=False)
     wrapper.break_long_words = False
     return wrapper.fill(text)

@@ -78,11 +78,10 @@ def licences(*packages: str) -> Files:
 
 
 def build(files: Files, out: Path, library: str, arguments: Sequence[str]) -> list[Path]:
-    """Write files into a folder and build a shared library of all objects and some sources.
+    """Write files into a folder, and build a shared library of all objects and some sources there.
 
-    `arguments` of the compiler name the sources.
-
-    The files written, the library last. Nothing is written where there is no C compiler.
+    The compiler's `arguments` name the sources. Returns the files written, the library last.
+    Nothing is written where there is no C compiler.
     """
     compiler = _compiler()
     paths = write_files(files, out)

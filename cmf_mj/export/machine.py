@@ -60,13 +60,13 @@ def make_image(value: Any, elsewhere: Collection[str] = ()) -> Image:
             table.append(int(np.float64(leaf).view(np.int64)))
         else:
             table.append(int(leaf))
-    block, places = _block(arrays)
+    block, places = _make_block(arrays)
     for slot, place in places.items():
         table[slot] = place
     return Image(np.array(table, dtype=np.int64), list(arrays), first_slots, block)
 
 
-def _block(arrays: dict[int, NDArray[Any]]) -> tuple[NDArray[np.uint8], dict[int, int]]:
+def _make_block(arrays: dict[int, NDArray[Any]]) -> tuple[NDArray[np.uint8], dict[int, int]]:
     """All arrays in one block, and their places in it, by slot."""
     block, places = bytearray(), dict[int, int]()
     begin = end = begin_place = 0  # of the memory that arrays share, and where it is in the block
@@ -112,7 +112,7 @@ class Parts(NamedTuple):
     outcome: NDArray[np.int64]  #: Frame, bound and leg where the state left its bounds, else -1.
 
 
-def frames(parts, first, last):  # type: ignore[no-untyped-def]
+def run_frames(parts, first, last):  # type: ignore[no-untyped-def]
     """Run frames of the loop; compiled where it is used."""
     frame, bound, leg = run(
         parts.dynamics, parts.controller, parts.memory, parts.recorder, first, last
@@ -128,7 +128,7 @@ class PoseParts(NamedTuple):
     legs: NDArray[np.float64]
 
 
-def legs_of_pose(parts, first, last):  # type: ignore[no-untyped-def]
+def write_legs(parts, first, last):  # type: ignore[no-untyped-def]
     """Write the leg demand of a motion; compiled where it is used."""
     demand.step(parts.geometry, parts.motion, parts.legs)
 
@@ -163,10 +163,10 @@ class Export(NamedTuple):
     def objects(self) -> dict[str, bytes]:
         """Object files of the loop by their names."""
         source = self.parts.controller.source
-        objects = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
+        objects = {"cmf_loop": machine_code("cmf_loop", run_frames, numba.typeof(self.parts))}
         if self.has_host:
             parts = PoseParts(source.blocks.geometry, source.motion, source.legs)
-            objects["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(parts))
+            objects["cmf_demand"] = machine_code("cmf_demand", write_legs, numba.typeof(parts))
         return objects
 
 
@@ -178,7 +178,7 @@ def make_export(
     A plant of the facility stands behind the whole chain from the host. Any other follows a table
     of extensions, or without law one of valve commands.
     """
-    run = _run(plant, law, electronics)
+    run = _make_run(plant, law, electronics)
     session = run.session(kept_seconds=plant.machine.frame)
     sensors = session.dynamics.mechanics.sensordata.copy()
     session.run(1)
@@ -216,7 +216,7 @@ def _at_rest(controller: Controller) -> Controller:
     return controller._replace(source=source)
 
 
-def _run(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None) -> Run:
+def _make_run(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None) -> Run:
     options: dict[str, Any] = {"protection": "default", "source": make_log(ARRIVALS)}
     if law is None:
         options = {"command_delay": 0, "source": from_table(np.zeros((1, plant.legs)))}

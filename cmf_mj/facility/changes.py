@@ -34,8 +34,8 @@ def name_of_state(value: Any) -> Any:
     return value.name.lower() if isinstance(value, State | Request) else value
 
 
-_OrList = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-Events = Annotated[tuple[Event, ...], _OrList]
+_ListAsTuple = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+Events = Annotated[tuple[Event, ...], _ListAsTuple]
 
 
 def plural(singular: str, name: str, default: Any = ()) -> Any:
@@ -119,7 +119,7 @@ class RequestAt(Settings):
         return value
 
 
-Requests = Annotated[tuple[RequestAt, ...], _OrList]
+Requests = Annotated[tuple[RequestAt, ...], _ListAsTuple]
 
 
 @lru_cache

@@ -139,7 +139,7 @@ def _idle_chain() -> Source:
 
 
 @compiled
-def _follow(source, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
+def _run_chain(source, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
     blocks, progress = source.blocks, source.progress[0]
     for i in range(source.request_frame.shape[0]):
         if source.request_frame[i] == frame:
@@ -181,7 +181,7 @@ def follow(source, frame, position, fault, tripped, reference):  # type: ignore[
     The chain goes by the legs' positions, the code of a fault, and whether something has tripped.
     """
     if source.hosted:
-        return _follow(source, frame, position, fault, tripped, reference)
+        return _run_chain(source, frame, position, fault, tripped, reference)
     row = frame % source.table.shape[0]
     for leg in range(reference.shape[0]):
         reference[leg] = source.table[row, leg]
@@ -189,7 +189,7 @@ def follow(source, frame, position, fault, tripped, reference):  # type: ignore[
 
 
 @compiled
-def _record(source, row, columns):  # type: ignore[no-untyped-def]
+def _record_chain(source, row, columns):  # type: ignore[no-untyped-def]
     for i in range(6):
         row[columns.demand_pose + i] = source.motion[0, i]
         row[columns.demand_velocity + i] = source.motion[1, i]
@@ -205,7 +205,7 @@ def _record(source, row, columns):  # type: ignore[no-untyped-def]
 def record_demand(source, frame, row, columns):  # type: ignore[no-untyped-def]
     """Write the demand into a row of the record."""
     if source.hosted:
-        _record(source, row, columns)
+        _record_chain(source, row, columns)
         return
     poses = source.poses
     for i in range(poses.shape[1]):

@@ -1,6 +1,5 @@
 """`HostChain`, the way from host to valves as scenario files have it, and the source it makes."""
 
-from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -90,8 +89,8 @@ class HostChain(Settings):
             states.make_states(state_settings, machine),
             limiter.make_leg_limiter(limits, frame=frame),
         )
-        requests = [(round(x.at * machine.rate), Request[x.request.upper()]) for x in self.requests]
-        requests.sort(key=itemgetter(0))
+        in_order = sorted(self.requests, key=lambda x: round(x.at * machine.rate))
+        requests = [(round(x.at * machine.rate), Request[x.request.upper()]) for x in in_order]
         source = from_host(blocks, arrivals, requests, begin, position=legs, pose=pose, ring=ring)
         return source, platform_pose
 

@@ -30,10 +30,10 @@ from cmf_mj.control.protection import (
 )
 from cmf_mj.core.arrays import record_array
 from cmf_mj.core.compiled import compiled, inlined
-from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
+from cmf_mj.electronics.chain import Electronics, deliver, inertial_feedback, measure, release
 from cmf_mj.electronics.sensors import true_acceleration, true_velocity
 from cmf_mj.facility import front
-from cmf_mj.facility.pace import Pace, begin, end
+from cmf_mj.facility.pace import Pace, begin_frame, end_frame
 from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Faults, Timeline, apply_event
@@ -82,10 +82,10 @@ class Controller(NamedTuple):
 class Recorder(NamedTuple):
     """What the loop records, and how often."""
 
-    sensors: NDArray[np.int64]  #: Indices into sensordata.
+    sensors: NDArray[np.int64]  #: Indices into MuJoCo's sensordata.
     gimbals: NDArray[np.int64]  #: Sites of the two halves of each gimbal, (gimbals, 2).
     steps: int  #: Mechanical steps in a frame.
-    every: int  #: Frames from row to row.
+    every: int  #: Control frames from row to row.
     columns: Columns  #: First column of each channel in a row.
     out: NDArray[np.float64]
     """Record, (rows, columns); overwritten from the start after its last row."""
@@ -146,7 +146,7 @@ def make_memory(dynamics: Dynamics, delay: int) -> Memory:
 
 
 @compiled
-def _bound_left(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
+def _find_bound_left(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
     """The bound that is left, -1 for none, and the leg."""
     cylinders, proof_pressure = hydraulics.cylinder, hydraulics.proof_pressure
     for leg in range(extension.shape[0]):
@@ -173,8 +173,8 @@ def _has_warned(warnings):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _let_happen(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
-    """Let the next event happen."""
+def _apply_next_event(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
+    """Apply the next event; one that calls for it makes an emergency stop."""
     if apply_event(timeline, progress.event, faults, position):
         progress.stopped = 1
     progress.event += 1
@@ -183,19 +183,19 @@ def _let_happen(timeline, faults, payload, bodies, progress, position):  # type:
 
 
 @inlined
-def _move(mechanics, hydraulics, state, faults, memory, command, started, sensed):  # type: ignore[no-untyped-def]
+def _move(mechanics, hydraulics, state, faults, memory, command, has_started, senses):  # type: ignore[no-untyped-def]
     """Position stage of a step, and pressures up to it; whether they have a solution.
 
-    The command is that at the valves. Position and velocity sensors are read if `sensed`.
+    The command is that at the valves. Position and velocity sensors are read if `senses`.
     """
-    call(mechanics.position_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
+    call(mechanics.position_stage, mechanics.model if senses else mechanics.quiet, mechanics.data)
     extension, extension_before = memory.extension, memory.extension_before
     for leg in range(extension.shape[0]):
         extension_before[leg] = extension[leg]
         extension[leg] = mechanics.length[mechanics.motors[leg]] - mechanics.neutral[leg]
         memory.mean_velocity_before[leg] = memory.mean_velocity[leg]
         memory.mean_velocity[leg] = (extension[leg] - extension_before[leg]) / hydraulics.step
-    if started:
+    if has_started:
         stopped = memory.progress[0].stopped != 0
         if not advance(hydraulics, state, faults, command, extension_before, extension, stopped):
             return False
@@ -205,12 +205,12 @@ def _move(mechanics, hydraulics, state, faults, memory, command, started, sensed
 
 @inlined
 def _sense(dynamics, controller, memory, frame):  # type: ignore[no-untyped-def]
-    """Let events happen; read the true motion and pressures, and what the sensors make of them."""
+    """Apply events that are due, then write the true motion and pressures, and the feedback."""
     timeline, faults, mechanics = dynamics.timeline, dynamics.faults, dynamics.mechanics
     progress, truth, feedback = memory.progress[0], memory.truth, memory.feedback
     while progress.event < timeline.frame.shape[0] and timeline.frame[progress.event] <= frame:
         payload, bodies = mechanics.payload, mechanics.payload_bodies
-        _let_happen(timeline, faults, payload, bodies, progress, feedback.position)
+        _apply_next_event(timeline, faults, payload, bodies, progress, feedback.position)
     pressure, step = dynamics.state.pressure, dynamics.hydraulics.step
     for leg in range(memory.extension.shape[0]):
         mean, mean_before = memory.mean_velocity[leg], memory.mean_velocity_before[leg]
@@ -219,8 +219,8 @@ def _sense(dynamics, controller, memory, frame):  # type: ignore[no-untyped-def]
         truth.acceleration[leg] = true_acceleration(mean, mean_before, step)
         truth.cap_pressure[leg] = pressure[leg, CAP]
         truth.rod_pressure[leg] = pressure[leg, ROD]
-    compensated = controller.dcl.feedback.gravity_compensation
-    measure(controller.electronics, faults, frame, truth, compensated, feedback)
+    reads_inertial = controller.dcl.feedback.gravity_compensation
+    measure(controller.electronics, faults, frame, truth, reads_inertial, feedback)
 
 
 @compiled
@@ -280,12 +280,11 @@ def _calls_for_stop(protection, guard, frame, reference, feedback, supply, age, 
 def _send_command(controller, memory, supply, frame):  # type: ignore[no-untyped-def]
     """Pass the command on through the servo electronics, and stop where the protection says so."""
     electronics, source, progress = controller.electronics, controller.source, memory.progress[0]
-    if deliver(
-        electronics, front.watches_switches(source), memory.truth.position, memory.command[0]
-    ):
+    watches_lower, position = front.watches_switches(source), memory.truth.position
+    if deliver(electronics, watches_lower, position, memory.command[0]):
         progress.tripped = 1
     if controller.guarded and progress.stopped == 0:
-        feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
+        feedback, closed = inertial_feedback(electronics, memory.feedback), controller.closed
         target = controller.dcl.workspace.limited_demand if closed else feedback.position
         protection, guard, age = controller.protection, controller.guard, front.host_age(source)
         pressure = supply[SUPPLY_PRESSURE]
@@ -304,7 +303,7 @@ def _note_gimbal_error(gimbals, site, gimbal_error):  # type: ignore[no-untyped-
 
 @compiled
 def _write(row, columns, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
-    """Write a row, but for demand and sensors."""
+    """Write a row, but for the demand and MuJoCo's sensors."""
     for leg in range(memory.extension.shape[0]):
         if closed:
             row[columns.leg_reference + leg] = work.limited_demand[leg]
@@ -340,11 +339,11 @@ def _record(recorder, row_number, controller, mechanics, state, memory, frame): 
 
 
 @inlined
-def _accelerate(mechanics, force, sensed):  # type: ignore[no-untyped-def]
-    """Force stage of a step; whether MuJoCo warns. It reads sensors of acceleration if `sensed`."""
+def _accelerate(mechanics, force, senses):  # type: ignore[no-untyped-def]
+    """Force stage of a step; whether MuJoCo warns. It reads sensors of acceleration if `senses`."""
     for leg in range(force.shape[0]):
         mechanics.ctrl[mechanics.motors[leg]] = force[leg]
-    call(mechanics.force_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
+    call(mechanics.force_stage, mechanics.model if senses else mechanics.quiet, mechanics.data)
     return _has_warned(mechanics.warnings)
 
 
@@ -357,12 +356,12 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
     mechanics, hydraulics, state = dynamics.mechanics, dynamics.hydraulics, dynamics.state
     faults, valve_command = dynamics.faults, memory.command[controller.delay]
     for frame in range(first, last):
-        begin(controller.pace, frame)
-        recorded = frame % recorder.every == 0
+        begin_frame(controller.pace, frame)
+        is_recorded = frame % recorder.every == 0
         for step in range(recorder.steps):
-            started, sensed = frame > 0 or step > 0, step == 0 and recorded
+            has_started, writes_row = frame > 0 or step > 0, step == 0 and is_recorded
             if not _move(
-                mechanics, hydraulics, state, faults, memory, valve_command, started, sensed
+                mechanics, hydraulics, state, faults, memory, valve_command, has_started, writes_row
             ):
                 return frame, SOLUTION, 0
             if step == 0:
@@ -370,15 +369,15 @@ def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no
                 gain = _find_reference(controller, memory, frame)
                 _find_command(controller, memory, gain)
                 _send_command(controller, memory, state.supply, frame)
-                bound, leg = _bound_left(hydraulics, state.pressure, memory.extension)
+                bound, leg = _find_bound_left(hydraulics, state.pressure, memory.extension)
                 if bound >= 0:
                     return frame, bound, leg
             _note_gimbal_error(recorder.gimbals, mechanics.site, memory.gimbal_error)
-            if sensed:
+            if writes_row:
                 row_number = frame // recorder.every % recorder.out.shape[0]
                 _record(recorder, row_number, controller, mechanics, state, memory, frame)
-            sensed_next = step == recorder.steps - 1 and (frame + 1) % recorder.every == 0
-            if _accelerate(mechanics, memory.force, sensed_next):
+            ends_at_row = step == recorder.steps - 1 and (frame + 1) % recorder.every == 0
+            if _accelerate(mechanics, memory.force, ends_at_row):
                 return frame, WARNING, 0
-        end(controller.pace, frame)
+        end_frame(controller.pace, frame)
     return -1, -1, 0

@@ -92,7 +92,7 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
     machine, cab = recorded_machine(metadata), recorded_cab(metadata)
     if law is None:
         if "law_parameters" not in metadata:
-            raise InputError("law: the recording does not say which law metadata it; name one")
+            raise InputError("law: the recording does not say which law made it; name one")
         law = validated(Law, metadata["law_parameters"], "law_parameters")
     carrier = cab.assumed if cab else str(metadata.get("plant", ""))
     loaded = bound(load_law(law, machine), carrier).for_machine(machine)
@@ -101,7 +101,7 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
         allowed = f"allowed: {machine.rate} Hz over an integer"
         raise InputError(f"sample_rate: {record.rate} Hz; {allowed}")
     frames_per_row = int(ratio)
-    feedback = _feedback(record, loaded)
+    feedback = _feedback_histories(record, loaded)
     reference = _leg_histories(record, "leg_reference")
     if frames_per_row > 1:
         reference = _interpolated(reference, frames_per_row)
@@ -114,8 +114,8 @@ def replay(record: Record, law: str | Law | None = None) -> Replay:
     )
     output, factor = np.empty((frames, legs)), np.empty((frames, legs))
     _run(dcl, state, reference, feedback, output, factor)
-    known = "compensator_output" in record.channels
-    recorded = _leg_histories(record, "compensator_output") if known else None
+    has_output = "compensator_output" in record.channels
+    recorded = _leg_histories(record, "compensator_output") if has_output else None
     rows = slice(None, None, frames_per_row)
     row_output = np.ascontiguousarray(output[rows])
     return Replay(loaded.name, record.time, row_output, recorded, frames_per_row > 1, factor[rows])
@@ -140,7 +140,7 @@ def _leg_histories(record: Record, channel: str) -> NDArray[np.float64]:
     return shaped(channel, record[channel], rows, legs)
 
 
-def _feedback(record: Record, law: Law) -> LegFeedback:
+def _feedback_histories(record: Record, law: Law) -> LegFeedback:
     """Histories (N, n) of what the DCL reads; zeros of what is neither recorded nor needed.
 
     What gravity adds to accelerometers is added to recorded accelerations where the law of the
@@ -170,9 +170,8 @@ def _feedback(record: Record, law: Law) -> LegFeedback:
 def _reads(law: Law, field: str) -> bool:
     if field.endswith("_pressure") and law.load_feedback is not None:
         return True
-    gains = [
-        getattr(g, x) for g in (law.direct_gain, law.input_gain) for x in _SIGNALS.get(field, ())
-    ]
+    tables, signals = (law.direct_gain, law.input_gain), _SIGNALS.get(field, ())
+    gains = [getattr(table, signal) for table in tables for signal in signals]
     is_read = field == "position" or (field == "velocity" and law.reads_velocity)
     return is_read or any(map(np.any, gains))
 

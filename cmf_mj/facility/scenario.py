@@ -43,7 +43,7 @@ def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None
     for name in ("source", "start"):
         if name in table:
             raise InputError(f"{where}: {name}: cannot stand in a file; give it to `cmf_mj.Run`")
-    return validated(Run, _with_folder(as_plain(table), folder or Path()), where)
+    return validated(Run, _with_absolute_files(as_plain(table), folder or Path()), where)
 
 
 def save_scenario(scenario: Run, path: str | Path) -> Path:
@@ -56,24 +56,24 @@ def scenario_toml(scenario: Run) -> str:
 
     File names, relative to the working folder, become absolute: the text may be saved anywhere.
     """
-    return tomlkit.dumps(_with_folder(scenario.table(), Path()))
+    return tomlkit.dumps(_with_absolute_files(scenario.table(), Path()))
 
 
-_NAMES = "machine cab hydraulics law protection sensors converters servo dcu limits states".split()
+_KEYS = "machine cab hydraulics law protection sensors converters servo dcu limits states".split()
 """Keys that hold the name of a shipped set, or a TOML file."""
 
 
-def _with_folder(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _with_absolute_files(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The table with its file names absolute; relative ones count from a folder."""
     base = folder.resolve()
 
-    def located(key: str, value: Any) -> Any:
+    def resolved(key: str, value: Any) -> Any:
         if isinstance(value, Mapping):
-            return _with_folder(value, base)
+            return _with_absolute_files(value, base)
         if isinstance(value, list | tuple):
-            return type(value)(located(key, entry) for entry in value)
-        if key in _NAMES and isinstance(value, str):
+            return type(value)(resolved(key, entry) for entry in value)
+        if key in _KEYS and isinstance(value, str):
             return str(beside(base, value))
         return str(base / value) if key == "file" and value and isinstance(value, str) else value
 
-    return {key: located(key, value) for key, value in table.items()}
+    return {key: resolved(key, value) for key, value in table.items()}

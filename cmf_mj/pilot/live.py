@@ -20,8 +20,8 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.handover import make_ring, put
+from cmf_mj.facility.host.port import LOOPBACK, open_socket
 from cmf_mj.facility.host.stream import HostFrame, make_stream
-from cmf_mj.facility.host.udp import LOOPBACK, open_socket
 from cmf_mj.facility.operation import serve
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab

@@ -24,7 +24,7 @@ import numpy as np
 
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.units import DEGREE
-from cmf_mj.facility.host.udp import LOOPBACK, open_socket
+from cmf_mj.facility.host.port import LOOPBACK, open_socket
 from cmf_mj.pilot.flight import Flight, Origin, read_columns
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.telemetry_check import Telemetry

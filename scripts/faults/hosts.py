@@ -172,7 +172,7 @@ def _octets(plan: Plan, number: int, stamp: float, values: Array) -> bytes:
     if plan.door == "native":
         return encode_frame(HostFrame(number, stamp, *values))
     if plan.door == "moog":
-        return struct.pack(">6f", *values[0][list(moog.ORDER)])
+        return struct.pack(">6f", *values[0][list(moog.DOF_ORDER)])
     # An aircraft that is pushed to and fro along an axis; the washout makes poses of it.
     force, axis = np.array([0.0, 0.0, -STANDARD_GRAVITY]), DOFS.index(plan.dof) % 3
     force[axis] += 20.0 * values[0, DOFS.index(plan.dof)]

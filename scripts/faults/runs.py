@@ -30,7 +30,7 @@ from cmf_mj.control.states import Request, State, StateSettings, load_state_sett
 from cmf_mj.core.errors import RunError
 from cmf_mj.core.files import exclusive_folder
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.host import moog, udp
+from cmf_mj.facility.host import moog, port, udp
 from cmf_mj.facility.operation import Operation, serve
 from cmf_mj.facility.session import Session
 from cmf_mj.pilot import live
@@ -130,7 +130,7 @@ def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
     """The production door of the plan's kind, with the line in place of its socket."""
     cab = plant.cab_parameters
     with ExitStack() as patches:
-        for module in (live, udp):
+        for module in (live, port):
             patches.enter_context(patch.object(module, "open_socket", lambda *_: line))
         if plan.door == "moog":
             base = patches.enter_context(moog.MoogServer(host_port=HOST[1]))
@@ -147,7 +147,7 @@ def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
 
             def attend(session: Session) -> int:
                 while line.next <= line.now:
-                    receiver._take()
+                    receiver._store_next_frame()
                 return 1
 
             yield _Door(receiver.ring, attend)

@@ -8,7 +8,7 @@ from shared import axial_gravity
 
 from cmf_mj import Hexapod, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.electronics.chain import ElectronicsSettings, find_gravity
+from cmf_mj.electronics.chain import ElectronicsSettings, write_gravity
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.leg_motion import leg_axes_state, make_leg_axes
 
@@ -76,5 +76,5 @@ def test_what_legs_at_rest_feel_of_gravity_is_known() -> None:
     state = leg_axes_state(AXES, legs)
     expected, gravity = axial_gravity(POSE), np.zeros(6)
     assert expected.min() > 7.0
-    find_gravity(AXES, state, legs, gravity)
+    write_gravity(AXES, state, legs, gravity)
     np.testing.assert_allclose(gravity, expected, rtol=0.0, atol=1e-9)

@@ -360,7 +360,7 @@ def test_writer_and_reader_at_once_tear_no_frame() -> None:
 def wait_for(receiver: UdpReceiver, count: int) -> None:
     """Until that many datagrams were taken or dropped; ten seconds at most."""
     end = clock.monotonic() + 10.0
-    while receiver.received + sum(receiver.refused.values()) < count:
+    while receiver.received_frames + sum(receiver.refused.values()) < count:
         assert clock.monotonic() < end, "datagrams did not arrive"
         clock.sleep(0.001)
 
@@ -391,7 +391,7 @@ def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
         raw.sendto(b"\0" * 5000, receiver.address)
         expected["wrong_length"] += 1
         wait_for(receiver, len(MALFORMED) + 2)
-        assert receiver.received == 1
+        assert receiver.received_frames == 1
         assert receiver.refused == expected
 
 
@@ -407,14 +407,14 @@ def test_other_senders_are_dropped_and_counted() -> None:
             for sender in (stranger, neighbour, mine):
                 sender.sendto(encode_frame(frame()), receiver.address)
             wait_for(receiver, 3)
-            assert receiver.received == 1
+            assert receiver.received_frames == 1
             assert receiver.refused["wrong_sender"] == 2
 
 
 def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -> None:
     """More than the buffer holds, while the thread has no turn."""
     with UdpReceiver() as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
-        take, count = receiver._take, 40_000
+        take, count = receiver._store_next_frame, 40_000
         begun = threading.Event()
 
         def held() -> None:
@@ -423,17 +423,17 @@ def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -
             take()
 
         closing = threading.Event()
-        receiver._take = held  # type: ignore[method-assign]
+        receiver._store_next_frame = held  # type: ignore[method-assign]
         raw.sendto(b"", receiver.address)
         assert begun.wait(10.0)
         for _ in range(count):
             raw.sendto(bytes(100), receiver.address)
-        receiver._take = take  # type: ignore[method-assign]
+        receiver._store_next_frame = take  # type: ignore[method-assign]
         receiver._ending.set()
         closing.set()
     dropped = receiver.refused
     assert dropped["overrun"] > 0 and dropped["wrong_length"] > 100
-    assert sum(dropped.values()) + receiver.received == count + 1
+    assert sum(dropped.values()) + receiver.received_frames == count + 1
 
 
 def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
@@ -532,7 +532,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
         target = f"127.0.0.1:{receiver.address[1]}"
         assert "33 frames in " in cmf("host", path, "--to", target, "--rate", "80")
         wait_for(receiver, 33)
-        assert receiver.received == 33
+        assert receiver.received_frames == 33
     for arguments, message in (
         (["nothing.csv", "--to", "127.0.0.1:2048"], "nothing.csv: cannot be read"),
         ([path, "--to", "127.0.0.1"], "ADDRESS:PORT"),

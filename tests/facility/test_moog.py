@@ -205,7 +205,7 @@ def simulated(
 
     def attend(session: Session) -> int:
         if not running:
-            ask = lambda data: None if (a := base.take(session, data)) is None else answer(a)  # noqa: E731
+            ask = lambda data: None if (a := base.obey(session, data)) is None else answer(a)  # noqa: E731
             running.append(script(ask, base))
         return next(running[0], session.frames)
 

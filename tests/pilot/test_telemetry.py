@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from cmf_mj import InputError
+from cmf_mj.facility.host.port import LOOPBACK
 from cmf_mj.facility.host.stream import HostFrame
-from cmf_mj.facility.host.udp import LOOPBACK
 from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.live import LiveHost, fly_live
 from cmf_mj.pilot.motion import gravity_in_body

@@ -25,6 +25,7 @@ NEVER = np.iinfo(np.int64).max  #: Control frame of an empty place in a log.
 LARGEST_RATE = 200
 """Frames a second that are handed over [Hz]: the DCU refuses what is faster than 100."""
 
+_NUMBERS_OF_A_FRAME = 21  #: Control frame, sequence number, time, and three times six.
 SPARE_FRAMES = 256  #: Frames that may come before `LARGEST_RATE` allows them.
 
 
@@ -68,7 +69,7 @@ def make_log(capacity: int) -> Arrivals:
     """An empty log for `collect`, for a number of frames."""
     if capacity < 1:
         raise InputError(f"capacity: {capacity} must be at least 1")
-    check_memory("duration", f"a log of {capacity} host frames", 21 * capacity)
+    check_memory("duration", f"a log of {capacity} host frames", _NUMBERS_OF_A_FRAME * capacity)
     return Arrivals(
         np.full(capacity, NEVER),
         np.zeros(capacity, dtype=np.int64),
@@ -112,13 +113,13 @@ def collect(ring, log, filled, frame, rate=RATE):  # type: ignore[no-untyped-def
     while ring.read[0] < written:
         count = ring.read[0]
         slot = count % slots
-        intact = filled < log.frame.shape[0] and ring.mark[slot] == count
-        if intact:
+        is_intact = filled < log.frame.shape[0] and ring.mark[slot] == count
+        if is_intact:
             log.sequence[filled] = ring.sequence[slot]
             log.time[filled] = ring.time[slot]
             copy(ring.values[slot], log.values[filled])
-            intact = ring.mark[slot] == count
-        if intact:
+            is_intact = ring.mark[slot] == count
+        if is_intact:
             log.frame[filled] = frame
             filled += 1
         else:

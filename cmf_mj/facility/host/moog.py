@@ -31,16 +31,18 @@ from numpy.typing import NDArray
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.facility.host.handover import make_ring, put
+from cmf_mj.facility.host.port import LOOPBACK, HostPort
 from cmf_mj.facility.host.stream import HostFrame
-from cmf_mj.facility.host.udp import LOOPBACK, HostPort
 from cmf_mj.facility.session import Session
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 
 RATE = 60  #: Commands a second [Hz].
 
 COMMAND, ANSWER = struct.Struct(">I6fI"), struct.Struct(">3I6fI")
 
-ORDER = (3, 4, 2, 0, 5, 1)  #: Degree of freedom of each of the six numbers.
+DOF_ORDER = tuple(map(DOFS.index, ("roll", "pitch", "heave", "surge", "yaw", "sway")))
+"""Degree of freedom of each of the six numbers, as its place in a pose."""
 
 POWER_UP = 1.0  #: Time from the start to idle [s]; assumed.
 
@@ -173,7 +175,7 @@ class MoogBase:
             return MachineState.ENGAGED
         return MachineState.IDLE if operating_state == State.OFF else MachineState.STANDBY
 
-    def take(self, session: Session, data: bytes) -> bytes | None:
+    def obey(self, session: Session, data: bytes) -> bytes | None:
         """Obey a command; its answer, or None for what is dropped."""
         state = self.state(session)
         if state == MachineState.DISABLED:
@@ -185,33 +187,33 @@ class MoogBase:
             return self._drop("wrong_word", Latched.INVALID_FRAME)
         if not all(map(math.isfinite, values)):
             return self._drop("not_finite", Latched.COMMAND_RANGE)
-        word, pose = Word(number), self._pose(session, values)
+        word, pose = Word(number), self._pose_of(session, values)
         if pose is None:
             return self._drop("out_of_range", Latched.COMMAND_RANGE)
         if word in (Word.ENGAGE, Word.START) and state == MachineState.IDLE:
-            free = pose if word == Word.ENGAGE else np.delete(pose, 2)
-            if self._mode == Word.DOF_MODE and free.any():
+            neutral_dofs = pose if word == Word.ENGAGE else np.delete(pose, DOFS.index("heave"))
+            if self._mode == Word.DOF_MODE and neutral_dofs.any():
                 return self._drop("out_of_range", Latched.COMMAND_RANGE)
         self.counts["commands"] += 1
         if state in _VALID_STATES.get(word, ()):
-            self._obey(session, word, pose)
+            self._carry_out(session, word, pose)
         else:
             self.counts["not_valid_now"] += 1
         if state in (MachineState.STANDBY, MachineState.ENGAGED):
             moved = state == MachineState.ENGAGED
-            self._position(session, pose if moved and word == Word.NEW_POSITION else None)
-        return self._answer(session)
+            self._send_position(session, pose if moved and word == Word.NEW_POSITION else None)
+        return self._make_answer(session)
 
-    def _drop(self, reason: str, bit: int = 0) -> bytes | None:
+    def _drop(self, reason: str, fault: int = 0) -> bytes | None:
         self.refused[reason] += 1
-        self.latched = self.latched | Latched(bit)
+        self.latched = self.latched | Latched(fault)
         return None
 
-    def _pose(self, session: Session, values: list[float]) -> NDArray[np.float64] | None:
+    def _pose_of(self, session: Session, values: list[float]) -> NDArray[np.float64] | None:
         """The pose of six numbers, or None if the machine has none."""
         pose, blocks = np.zeros(6), session.source.blocks
         if self._mode == Word.DOF_MODE:
-            pose[list(ORDER)] = values
+            pose[list(DOF_ORDER)] = values
         else:
             try:
                 pose = legs_to_pose(np.array(values) - blocks.states.travel, session.plant.machine)
@@ -219,7 +221,7 @@ class MoogBase:
                 return None
         return pose if (np.abs(pose) <= blocks.dcu.pose).all() else None
 
-    def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
+    def _carry_out(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
         """Do what a word says that is valid now."""
         self._mode = word if word in _MODES else self._mode
         if word in (Word.ENGAGE, Word.START):
@@ -233,7 +235,7 @@ class MoogBase:
         if word in _REQUESTS:
             session.source.progress[0].request = _REQUESTS[word].value
 
-    def _position(self, session: Session, pose: NDArray[np.float64] | None) -> None:
+    def _send_position(self, session: Session, pose: NDArray[np.float64] | None) -> None:
         """Let a position follow the one before; None for the one to begin at, and to stay."""
         now = session.frame / session.rate
         if pose is not None:
@@ -248,15 +250,16 @@ class MoogBase:
             self._stamp = now
         else:
             self._stamp += self._interval + _STAMP_SHARE * lateness
-            least, most = _INTERVALS
-            self._interval = min(max(self._interval + _INTERVAL_SHARE * lateness, least), most)
+            shortest, longest = _INTERVALS
+            interval = self._interval + _INTERVAL_SHARE * lateness
+            self._interval = min(max(interval, shortest), longest)
         if self._stamp - self._sent_stamp < session.source.blocks.dcu.minimum_interval:
             return
         self._sent_frames, self._sent_stamp = self._sent_frames + 1, self._stamp
         pose, stamp = self._target_pose, self._stamp
         put(self.ring, HostFrame(self._sent_frames, stamp, pose, _NO_MOTION, _NO_MOTION))
 
-    def _answer(self, session: Session) -> bytes:
+    def _make_answer(self, session: Session) -> bytes:
         memory, source = session.memory, session.source
         progress, fault = source.progress[0], session.fault
         is_fresh = progress.state == State.FAULT and progress.request != Request.RESET
@@ -277,7 +280,7 @@ class MoogBase:
         if self._mode == Word.DOF_MODE:
             with suppress(NoPoseError):  # a failed sensor: the last pose that the legs had
                 self._measured_pose = legs_to_pose(legs, session.plant.machine)
-            values = self._measured_pose[list(ORDER)]
+            values = self._measured_pose[list(DOF_ORDER)]
         discrete_io = sum(bit for bit, is_on in bits.items() if is_on)
         mode_bits = self.state(session) | _MODES[self._mode]
         return ANSWER.pack(self.latched, discrete_io, mode_bits, *values, 0)
@@ -308,13 +311,13 @@ class MoogServer(MoogBase, HostPort):
         """Answer what has come; the control frames until the next look."""
         for _ in range(sys.maxsize if self._lockstep else _POLL_DATAGRAMS):
             try:
-                data, sender, is_host = self.receive(COMMAND.size + 1)
+                datagram = self.receive(COMMAND.size + 1)
             except OSError:  # nothing has come, or an answer was refused
                 return session.frames if self._lockstep else _POLL_FRAMES
-            if not is_host:
+            if not datagram.is_from_host:
                 self._drop("wrong_sender")
-            elif (answer := self.take(session, data)) is not None:
-                self._socket.sendto(answer, sender)
+            elif (answer := self.obey(session, datagram.data)) is not None:
+                self._socket.sendto(answer, datagram.sender)
                 if self._lockstep:
                     break
         else:

@@ -1,4 +1,4 @@
-"""Host frames as arrays: a stream the host means to send, with derivatives made where it has none.
+"""Streams of host frames: how they are made, sent with errors of timing, doubted, read and written.
 
 Derivatives of a stream of poses are those of the quintic spline through them (not-a-knot ends).
 Its pieces are what the DCU puts between two frames, so that the demand is that spline. It looks
@@ -68,8 +68,8 @@ class HostStream(NamedTuple):
 
     def row(self, index: int) -> HostFrame:
         """One frame."""
-        number, time, *motion = (column[index] for column in self)
-        return HostFrame(int(number), float(time), *motion)
+        motion = self.pose[index], self.velocity[index], self.acceleration[index]
+        return HostFrame(int(self.sequence[index]), float(self.time[index]), *motion)
 
 
 def make_stream(
@@ -177,11 +177,11 @@ class HostTiming(NamedTuple):
             value, low = getattr(self, name), 0.01 if name == "speed" else 0.0
             if not low <= value <= high or (name == "loss" and value == 1.0):
                 raise InputError(f"{name}: {value} is refused; allowed: {low} to {high:g}")
-        random = np.random.default_rng(self.seed)
+        generator = np.random.default_rng(self.seed)
         times = (stream.time - stream.time[0]) / self.speed
-        times = times + self.jitter * random.uniform(size=times.size)
+        times = times + self.jitter * generator.uniform(size=times.size)
         times += np.maximum(self.stutter - times % _STUTTER_PERIOD, 0.0)
-        is_sent = random.uniform(size=times.size) >= self.loss
+        is_sent = generator.uniform(size=times.size) >= self.loss
         is_sent[0] = True
         sent_stream = HostStream._make(column[is_sent] for column in stream)
         return sent_stream, np.maximum.accumulate(times)[is_sent]
@@ -227,11 +227,9 @@ def unit_doubts(
     doubts = []
     stamps = time[np.isfinite(time)]
     interval = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
-    for unit, size in _TIME_UNITS.items():
-        if (
-            interval > LONGEST_INTERVAL
-            and _SHORTEST_INTERVAL <= interval * size <= LONGEST_INTERVAL
-        ):
+    for unit, seconds in _TIME_UNITS.items():
+        fits_unit = _SHORTEST_INTERVAL <= interval * seconds <= LONGEST_INTERVAL
+        if interval > LONGEST_INTERVAL and fits_unit:
             doubts.append(
                 f"time: {interval:g} s from frame to frame; host times are in s: is this {unit}?"
             )
@@ -260,11 +258,11 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
     """
     source = Path(path)
     table = read_table(source)
-    _poses, velocities, accelerations = (f"{DOFS[0]}{end}" for end in _NAME_ENDS)
-    if (velocities in table.column_names) != (accelerations in table.column_names):
+    has_velocities = "surge_velocity" in table.column_names
+    if has_velocities != ("surge_acceleration" in table.column_names):
         raise InputError(f"{source}: velocity and acceleration columns: give both or neither")
     time = read_column(source, table, "time")
-    ends = _NAME_ENDS if velocities in table.column_names else _NAME_ENDS[:1]
+    ends = _NAME_ENDS if has_velocities else ("",)
     motion, numbers = [_motion(source, table, end) for end in ends], None
     if "sequence" in table.column_names:
         numbers = read_column(source, table, "sequence", pa.int64())

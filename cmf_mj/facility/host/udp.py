@@ -16,7 +16,6 @@ thread does not run waits in the system's buffer, and the system counts what doe
 """
 
 import contextlib
-import errno
 import socket
 import struct
 import sys
@@ -24,28 +23,31 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.handover import Ring, make_ring, put
+from cmf_mj.facility.host.port import LOOPBACK, HostPort, check_address, check_port
 from cmf_mj.facility.host.stream import HostFrame, HostStream, HostTiming
 
 MAGIC, VERSION = b"CMFH", 1
 _FRAME, _CHECKSUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
 SIZE = _FRAME.size + _CHECKSUM.size  #: Octets of a datagram.
 MOST_SEQUENCE = 2**63 - 1  #: Largest sequence number.
-LOOPBACK = "127.0.0.1"  #: Address at which a machine reaches itself, and nobody else does.
 
 _RECEIVE_WAIT = 0.05  #: Longest wait of the thread, which then looks whether it is to end [s].
-_BUFFER = 4 * 2**20
-"""Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""
-_FORCE_BUFFER, _MEMINFO = 33, 55
-"""SO_RCVBUFFORCE and SO_MEMINFO of Linux, whose ninth number counts what did not fit."""
+_MEMINFO, _MEMINFO_COUNTS = 55, struct.Struct("9I")
+"""SO_MEMINFO of Linux, and its numbers, the last of which counts what did not fit the buffer."""
 
-DATAGRAM_REASONS = tuple(
-    f"wrong_{what}" for what in ("sender", "length", "magic", "version", "checksum", "sequence")
+DATAGRAM_REASONS = (
+    "wrong_sender",
+    "wrong_length",
+    "wrong_magic",
+    "wrong_version",
+    "wrong_checksum",
+    "wrong_sequence",
 )
 """Why a datagram is refused, in the order of the tests."""
 
@@ -91,44 +93,8 @@ def decode_frame(data: bytes) -> HostFrame:
     return HostFrame(sequence, stamp, *np.array(motion).reshape(3, 6))
 
 
-class HostPort:
-    """A UDP socket that takes datagrams of one host. A context manager."""
-
-    def __init__(self, port: int, host: str, host_port: int | None, bind: str, wait: float) -> None:
-        """Open it, for the host's IPv4 address and port, None for any; `wait` of `receive` [s]."""
-        if host_port is not None:
-            check_port("host_port", host_port, 1)
-        check_address("host", host)
-        self._host, self._host_port, self._socket = host, host_port, open_socket(port, bind)
-        self._socket.settimeout(wait)
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Address and port it listens on."""
-        address, port = self._socket.getsockname()
-        return address, port
-
-    def receive(self, octets: int) -> tuple[bytes, tuple[str, int], bool]:
-        """A datagram of at most some octets, its sender, whether that is the host; or `OSError`."""
-        data, (address, port) = self._socket.recvfrom(octets)
-        is_host = address == self._host and self._host_port in (None, port)
-        return data, (address, port), is_host
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-    def __enter__(self) -> Self:
-        """Return the open port."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
-
-
 class UdpReceiver(HostPort):
-    """Receives host frames in a thread and puts them into a ring."""
+    """A port whose thread puts the frames of the host into a ring."""
 
     def __init__(
         self,
@@ -148,7 +114,7 @@ class UdpReceiver(HostPort):
         self.ring = ring if ring is not None else make_ring()  #: Well-formed frames received.
         self._refused, self._overrun = dict.fromkeys(DATAGRAM_REASONS, 0), 0
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
+        self._thread = threading.Thread(target=self._run_thread, name="host frames", daemon=True)
         self._thread.start()
 
     @property
@@ -158,7 +124,7 @@ class UdpReceiver(HostPort):
         return self._refused | {"overrun": self._overrun}
 
     @property
-    def received(self) -> int:
+    def received_frames(self) -> int:
         """Frames put into the ring so far."""
         return int(self.ring.written[0])
 
@@ -172,48 +138,29 @@ class UdpReceiver(HostPort):
     def _read_overrun(self) -> None:
         """Read the system's count of what its buffer had no room for."""
         if sys.platform == "linux" and self._socket.fileno() >= 0:
-            counts = self._socket.getsockopt(socket.SOL_SOCKET, _MEMINFO, 36)
-            self._overrun = struct.unpack("9I", counts)[8]
+            data = self._socket.getsockopt(socket.SOL_SOCKET, _MEMINFO, _MEMINFO_COUNTS.size)
+            *_, self._overrun = _MEMINFO_COUNTS.unpack(data)
 
-    def _receive(self) -> None:
+    def _run_thread(self) -> None:
+        """Work of the thread; when it is to end, it takes what still waits, for at most 1 s."""
         while not self._ending.is_set():
             with contextlib.suppress(OSError):  # nothing came, or an ICMP error of an earlier send
-                self._take()
+                self._store_next_frame()
         self._socket.settimeout(0.0)
-        end = time.monotonic() + 1.0  # a flood does not end
+        end = time.monotonic() + 1.0
         with contextlib.suppress(OSError):
             while time.monotonic() < end:
-                self._take()
+                self._store_next_frame()
 
-    def _take(self) -> None:
+    def _store_next_frame(self) -> None:
         """Put the frame of the next datagram into the ring, or count why not."""
-        data, sender, is_host = self.receive(SIZE + 1)  # so that a longer one is seen to be longer
+        datagram = self.receive(SIZE + 1)  # so that a longer one is seen to be longer
         try:
-            if not is_host:
-                raise DatagramError("wrong_sender", f"{sender[0]}:{sender[1]}")
-            put(self.ring, decode_frame(data))
+            if not datagram.is_from_host:
+                raise DatagramError("wrong_sender", "not the host")
+            put(self.ring, decode_frame(datagram.data))
         except DatagramError as error:
             self._refused[error.reason] += 1
-
-
-def open_socket(port: int, bind: str) -> socket.socket:
-    """A UDP socket at an IPv4 address and port, 0 for a free one; `OSError` for one in use."""
-    check_port("port", port, 0)
-    check_address("bind", bind)
-    udp_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    with contextlib.suppress(OSError):  # as much as the system and our rights allow
-        udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-        if sys.platform == "linux":
-            udp_socket.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
-    try:
-        udp_socket.bind((bind, port))
-    except OSError as error:
-        udp_socket.close()
-        if error.errno == errno.EADDRNOTAVAIL:
-            text = f"bind: {bind!r} is no address of this machine"
-            raise InputError(f"{text}; allowed: one of its own, or 0.0.0.0") from None
-        raise
-    return udp_socket
 
 
 class SendReport(NamedTuple):
@@ -271,17 +218,3 @@ def parse_target(text: str) -> tuple[str, int]:
     check_port("to: port", int(port), 1)
     check_address("to", address)
     return address, int(port)
-
-
-def check_port(name: str, port: int, least: int) -> None:
-    """Refuse what is no port; `least` is 0 where that takes a free one."""
-    if not least <= port <= 65535:
-        raise InputError(f"{name}: {port} is refused; allowed: {least} to 65535")
-
-
-def check_address(name: str, address: str) -> None:
-    """Refuse what is no IPv4 address."""
-    try:
-        socket.inet_pton(socket.AF_INET, address)
-    except OSError as error:
-        raise InputError(f"{name}: {address!r} is not an IPv4 address") from error

@@ -166,7 +166,7 @@ int cmf_start(cmf_machine *m) {
 #endif
   memset(numbers(m, AT_dynamics_state_energy), 0, 8 * CMF_ENERGIES);
   memset(numbers(m, AT_recorder_out) + CMF_ENERGY_COLUMN, 0, 8 * CMF_ENERGIES);
-  numbers(m, AT_memory_closure)[0] = 0.0;
+  numbers(m, AT_memory_gimbal_error)[0] = 0.0;
   m->data->time = 0.0;
   look(m);
   return stopped < 0 ? CMF_OK : ended(m, 0);
