@@ -26,8 +26,8 @@ def _watch(protection, state, reference, feedback, supply_pressure):  # type: ig
 def fault_of(record: Record, protection: Protection, supply_pressure: float) -> Fault | None:
     """The fault that the protection detects in a record at 2048 Hz, or none."""
     assert record.rate == 2048.0
-    reference = replay._legs(record, "leg_reference")
-    readings = (replay._legs(record, name) for name in replay.FEEDBACK.values())
+    reference = replay._leg_histories(record, "leg_reference")
+    readings = (replay._leg_histories(record, name) for name in replay.FEEDBACK.values())
     histories = LegFeedback(*readings)
     made = record.metadata
     felt = (made.get("electronics") or {}).get("sensors", {}).get("gravity", False)

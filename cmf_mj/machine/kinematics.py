@@ -235,7 +235,14 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
 
 
 def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
-    """Leg extensions from neutral [m], (..., 6), of platform poses [m, rad], (..., 6), Eq C.6.
+    """Leg extensions from neutral [m] of platform poses, Eq C.6.
+
+    Args:
+        pose: (..., 6): surge, sway, heave [m], roll, pitch, yaw [rad], z down.
+        machine: machine or gimbals.
+
+    Returns:
+        (..., 6) extensions [m]; zero at the pose zero.
 
     >>> cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0]).round(3).tolist()
     [0.084, 0.084, 0.084, 0.084, 0.084, 0.084]
@@ -249,10 +256,19 @@ def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
 def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
 
-    Extensions from neutral [m] and poses [m, rad] are (..., 6). Of the several assemblies a Stewart
-    platform has, the solution is the one that holds the pose zero, with angles within +-90 deg;
-    `pose_to_legs` gives the legs back within 1e-11 m. Raises `NoPoseError` for legs that no pose
-    has, or beyond a third of their neutral length, which a cylinder of one stage cannot reach.
+    Of the several assemblies a Stewart platform has, the solution is the one that holds the pose
+    zero; its angles lie within +-90 deg.
+
+    Args:
+        legs: (..., 6) extensions from neutral [m].
+        machine: machine or gimbals.
+
+    Returns:
+        (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
+
+    Raises:
+        NoPoseError: no pose has these legs, named by their row, or a leg is beyond what a cylinder
+            of one stage can do, a third of its neutral length either way.
 
     >>> legs = cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0])
     >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()

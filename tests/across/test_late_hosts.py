@@ -25,7 +25,7 @@ import search_amplification as search
 from search_amplification import DERIVATIVES, Host
 
 from cmf_mj import Hexapod, Record, signals
-from cmf_mj.cli.facility import _end
+from cmf_mj.cli.facility import _end_text
 from cmf_mj.control.dcu.acceptance import play_delay
 from cmf_mj.control.dcu.play import Arrivals, feed, step, upsample
 from cmf_mj.control.dcu.state import resting
@@ -156,7 +156,7 @@ def test_the_operator_sees_that_the_host_is_late() -> None:
         given = arrivals(sine(0.005, 80.0), timing=HostTiming(speed))
         operation = operate(Hexapod(), "velocity", given, seconds=8.0, record_every=64)
         told[speed] = operation.record
-        assert ("the host was late for" in _end(operation)) == (speed != 1.0)
+        assert ("the host was late for" in _end_text(operation)) == (speed != 1.0)
     late = {speed: record["host_late"] for speed, record in told.items()}
     assert late[1.0].max() == 0.0 and told[1.0].metadata["host_late"] == 0.0
     assert late[0.35][-1] == 1.0 and told[0.35].metadata["host_late"] > 5.0

@@ -22,18 +22,18 @@ from cmf_mj.facility.run import Run
 FORCES = """
 import numpy as np
 from cmf_mj.plant.parameters import load_hydraulics
-from cmf_mj.plant.hydraulics import loads, make_hydraulics, rest
+from cmf_mj.plant.hydraulics import make_hydraulics, rest, write_loads
 hydraulics = make_hydraulics(load_hydraulics("report"), ["leg"], 1 / 2048)
 state = rest(hydraulics, np.zeros(1), np.zeros(1))
 state.pressure[0] = 2.0e6, 0.0
 out = np.zeros(1)
-loads(hydraulics.cylinder, state.pressure, state.friction, out)
+write_loads(hydraulics.cylinder, state.pressure, state.friction, out)
 print(out[0] / hydraulics.cylinder.cap_area[0])
 """
 
 
 def test_editing_a_called_block_recompiles_its_callers(tmp_path: Path) -> None:
-    """`loads` of hydraulics.py inlines `force` of cylinder.py: doubling that doubles this."""
+    """`write_loads` of hydraulics.py inlines `force` of cylinder.py: doubling that doubles this."""
     package = tmp_path / "cmf_mj"
     source = Path(cmf_mj.__file__).parent
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -22,7 +22,7 @@ def test_shares_have_wilsons_interval() -> None:
 def test_damped_counts_the_overshoot_of_a_damping_ratio_of_three_tenths() -> None:
     """exp(-pi 0.3 / sqrt(1 - 0.09)) = 0.3723."""
     columns = {"stable": [True, True, False, True], "overshoot": [0.372, 0.373, 0.0, float("nan")]}
-    assert effects.damped(pa.table(columns)).tolist() == [True, False, False, False]
+    assert effects.are_damped(pa.table(columns)).tolist() == [True, False, False, False]
 
 
 def test_the_summary_of_a_study_has_its_least_bandwidth() -> None:

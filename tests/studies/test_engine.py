@@ -271,7 +271,7 @@ def test_a_finished_study_is_not_run_again_also_by_another_title(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before, folder = bits(finished), shutil.copytree(finished, tmp_path / "study")
-    monkeypatch.setattr(engine, "attempt", None)
+    monkeypatch.setattr(engine, "evaluate_tasks", None)
     run_study(study, finished)
     assert bits(finished) == before
     table = run_study(load_study(specification, changes={"title": "A better title"}), folder)

@@ -191,7 +191,9 @@ class Linear:
         return loop_damping(self.loop(law))
 
     def margins(self, law: str | Law, signals: Sequence[str] = DOFS) -> Array:
-        """Gain [dB] and phase margins [deg] under a `law` along degrees of freedom or legs, (n, 2).
+        """Gain [dB] and phase margins [deg] under a `law` along `signals`, (n, 2).
+
+        Signals are degrees of freedom or legs.
 
         The change that brings a stable loop to the limit of stability, the nearer one of two: a
         negative gain margin is one by which gain may fall. NaN without a crossing from 0.05 to 500
@@ -228,7 +230,10 @@ class Linear:
         return measure_axes(self.loop(law)).measures
 
     def compliance(self, law: str | Law, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Motion of legs per force that extends them, (K, n, n) [m/N], at `frequency` (K,) [Hz]."""
+        """Motion of legs per force that extends them, (K, n, n) [m/N], under a `law`.
+
+        At `frequency` (K,) [Hz]; at 0 Hz the force stays.
+        """
         loop, a, legs = self.leg_loop(law), np.asarray(self.system.A), self.plant.legs
         speeds = self._indices(self.system.state_labels, "leg_velocity")
         cap_pressures = self._indices(self.system.state_labels, "cap_pressure")
