@@ -37,7 +37,7 @@ from cmf_mj.machine.models import CABS
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.flight import flight_names, load_flight
-from cmf_mj.pilot.learning import Learning, counted, drawn_machine, learn, missed, rms
+from cmf_mj.pilot.learning import Learning, draw_machine, learn, measure_errors, rms, within_band
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, interpolated
 from cmf_mj.pilot.washout_settings import WASHOUTS, WashoutSettings, load_washout
 from cmf_mj.record.record import Record
@@ -236,8 +236,8 @@ def out_of_reach(done: Learning, plant: Hexapod) -> tuple[float, float]:
     held = within_limits(sent, limits, plant.machine)[0]
     back = static * (legs / static - pose_to_legs(held.pose, plant.machine))
     first = done.trials[0].legs
-    cut = rms(counted(legs - np.clip(legs, -reach, reach)))
-    return cut / first, rms(counted(back)) / first
+    cut = rms(within_band(legs - np.clip(legs, -reach, reach)))
+    return cut / first, rms(within_band(back)) / first
 
 
 def learn_options(parser: argparse.ArgumentParser) -> None:
@@ -254,7 +254,7 @@ def learn_options(parser: argparse.ArgumentParser) -> None:
 def learn_flights(options: argparse.Namespace) -> None:
     """Learn all flights."""
     cab, hydraulics, law = load_cab(options.cab), load_hydraulics("hardware"), load_law(options.law)
-    machines = [drawn_machine(cab, hydraulics, SEED, n) for n in range(KNOWN + options.on)]
+    machines = [draw_machine(cab, hydraulics, SEED, n) for n in range(KNOWN + options.on)]
     plants = [Hexapod(cab, hydraulics), *machines[:KNOWN]]
     percent = ["left with lead [%]", "beyond stroke", "held back"]
     percent += ["trial 1", "trial 4", f"trial {options.trials}", "linear"]
@@ -273,7 +273,7 @@ def learn_flights(options: argparse.Namespace) -> None:
         if name in options.tried.split(","):
             seed, both = SEED + options.trials + 1, (done.reference, done.demand)
             flown = [
-                [rms(missed(done.reference, sent, law, plant, seed).legs) for sent in both]
+                [rms(measure_errors(done.reference, sent, law, plant, seed).legs) for sent in both]
                 for plant in machines[KNOWN:]
             ]
             save_learning(done, options.out / name)

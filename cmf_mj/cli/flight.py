@@ -108,11 +108,11 @@ def learn_command(
     """Repeat a flight and learn the demand with which the cab follows it."""
     from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
-    from cmf_mj.pilot.learning import drawn_machine, learn
+    from cmf_mj.pilot.learning import draw_machine, learn
     from cmf_mj.show import flight as report
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
-    machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN)]  # type: ignore[arg-type]
+    machines = [draw_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN)]  # type: ignore[arg-type]
     plants = [cmf_mj.Hexapod(cab, hydraulics), *machines]
     run: dict[str, Any] = {"electronics": noise_option(noise), "trials": trials, "seed": seed}
     with progress_bar(f"learning {flight}") as update:

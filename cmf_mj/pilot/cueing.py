@@ -95,21 +95,18 @@ def within_limits(
     bounds = load_motion_limits(limits, machine)
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
     demand = (stream.pose, stream.velocity, stream.acceleration)
-    platform = limit_history(make_pose_limiter(bounds)._replace(frame=frame), *demand)
-    pose, velocity = platform.position.copy(), platform.velocity.copy()
-    acceleration = platform.acceleration.copy()
+    limited_pose = limit_history(make_pose_limiter(bounds)._replace(frame=frame), *demand)
+    pose, velocity = limited_pose.position.copy(), limited_pose.velocity.copy()
+    acceleration = limited_pose.acceleration.copy()
     legs = pose_to_legs(pose, machine)
     rates = pose_motion_to_legs(pose, velocity, acceleration, machine)
     limiter = make_leg_limiter(bounds)._replace(frame=frame)
-    limited = limit_history(limiter, legs, *rates, together=True)
-    leg_limited = (limited.position != legs).any(axis=1)
-    if leg_limited.any():
-        pose[leg_limited] = legs_to_pose(limited.position[leg_limited], machine)
-        velocity[leg_limited], acceleration[leg_limited] = leg_motion_to_pose(
-            pose[leg_limited],
-            limited.velocity[leg_limited],
-            limited.acceleration[leg_limited],
-            machine,
+    limited_legs = limit_history(limiter, legs, *rates, together=True)
+    rows = (limited_legs.position != legs).any(axis=1)
+    if rows.any():
+        pose[rows] = legs_to_pose(limited_legs.position[rows], machine)
+        velocity[rows], acceleration[rows] = leg_motion_to_pose(
+            pose[rows], limited_legs.velocity[rows], limited_legs.acceleration[rows], machine
         )
     is_changed = (pose != stream.pose).any(axis=1)
     return stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), is_changed

@@ -70,7 +70,7 @@ Response = NDArray[np.complex128]
 
 
 class Learner(NamedTuple):
-    """Filters of histories of n legs, at K `frequencies`."""
+    """Filters of histories of n legs, at K `filter_frequencies`."""
 
     responses: Response  #: G_i of the machines, (M, K, n, n).
     learning: Response  #: L, (K, n, n).
@@ -78,7 +78,7 @@ class Learner(NamedTuple):
 
     def improved(self, correction: Array, error: Array) -> Array:
         """Q (c + L e) of a correction and an error, (N, n)."""
-        return through(self.smoothing, correction + through(self.learning, error))
+        return filtered(self.smoothing, correction + filtered(self.learning, error))
 
     def ratio(self) -> Array:
         """Largest singular value of Q (1 - L G_i), (M, K): below 1 machine i learns."""
@@ -86,24 +86,24 @@ class Learner(NamedTuple):
         return np.asarray(np.linalg.norm(self.smoothing @ unlearnt, 2, axis=(-2, -1)))
 
 
-def frequencies(rows: int) -> Array:
-    """At which the filters of histories of some frames at 80 Hz are given [Hz], (K,)."""
-    lines = np.fft.rfftfreq(rows + 2 * _PAD_FRAMES, 1.0 / MOST_RATE)
+def filter_frequencies(frame_count: int) -> Array:
+    """Frequencies [Hz] of the filters of histories of so many frames at 80 Hz, (K,)."""
+    lines = np.fft.rfftfreq(frame_count + 2 * _PAD_FRAMES, 1.0 / MOST_RATE)
     return np.asarray(lines[lines <= _HIGHEST])
 
 
-def through(response: Response, history: Array) -> Array:
+def filtered(response: Response, history: Array) -> Array:
     """A history (N, n) through a response (K, n, n), nothing above its frequencies."""
-    longer = np.pad(
+    padded = np.pad(
         history, ((_PAD_FRAMES, _PAD_FRAMES), (0, 0)), mode="reflect", reflect_type="odd"
     )
-    lines = np.fft.rfft(longer, axis=0)[: len(response)]
-    passed = np.einsum("kij,kj->ki", response, lines)
-    return np.asarray(np.fft.irfft(passed, len(longer), axis=0)[_PAD_FRAMES:-_PAD_FRAMES])
+    lines = np.fft.rfft(padded, axis=0)[: len(response)]
+    filtered_lines = np.einsum("kij,kj->ki", response, lines)
+    return np.asarray(np.fft.irfft(filtered_lines, len(padded), axis=0)[_PAD_FRAMES:-_PAD_FRAMES])
 
 
 def make_learner(responses: Sequence[Response], frequency: Array, share: float = SHARE) -> Learner:
-    """The filters for machines with the responses (K, n, n) at `frequencies`."""
+    """The filters for machines with the responses (K, n, n) at `filter_frequencies`."""
     machines = np.array(responses)
     adjoints = machines.conj().swapaxes(-1, -2)
     learning = share * adjoints.mean(axis=0) @ np.linalg.inv((machines @ adjoints).mean(axis=0))
@@ -134,32 +134,32 @@ def leg_response(
 
 
 class Trial(NamedTuple):
-    """What one run missed; errors as the module defines them."""
+    """Sizes of the errors of one run: root mean squares of what counts."""
 
-    axes: Array  #: By degree of freedom [m, rad], (6,).
+    pose: Array  #: By degree of freedom [m, rad], (6,).
     legs: float  #: Of all legs [m].
     sensed: float  #: Of all legs as sensed [m].
     predicted: float  #: The same, by the first run and the first G alone [m].
     held_frames: int  #: Of the demand, that the limits held back.
 
 
-class Missed(NamedTuple):
-    """Errors of a run, asked less flown."""
+class RunErrors(NamedTuple):
+    """Errors of a run: reference less flown."""
 
-    sensed: Array  #: Of legs as sensed, at all times [m], (N, 6).
-    legs: Array  #: Of legs, as far as it counts [m], (M, 6).
-    pose: Array  #: Of the pose, as far as it counts [m, rad], (M, 6).
+    sensed: Array  #: Of legs as sensed, at all times and frequencies [m], (N, 6).
+    legs: Array  #: Of legs, `within_band` [m], (M, 6).
+    pose: Array  #: Of the pose, `within_band` [m, rad], (M, 6).
 
     def trial(self, predicted: Array, held_frames: int) -> Trial:
         """Sizes of the errors, and of the `predicted` one of the legs, (N, 6)."""
-        axes, legs = np.sqrt((self.pose**2).mean(axis=0)), rms(self.legs)
-        return Trial(axes, legs, rms(counted(self.sensed)), rms(counted(predicted)), held_frames)
+        pose, sensed = np.sqrt((self.pose**2).mean(axis=0)), rms(within_band(self.sensed))
+        return Trial(pose, rms(self.legs), sensed, rms(within_band(predicted)), held_frames)
 
 
 class Learning(NamedTuple):
     """A manoeuvre as it was learnt."""
 
-    reference: HostStream  #: The motion asked, after its lead.
+    reference: HostStream  #: The motion to follow, with the lead before it.
     demand: HostStream  #: What the host sent in its stead in the best trial.
     trials: tuple[Trial, ...]  #: The first without correction.
     best: int  #: The trial that missed least, as sensed.
@@ -192,26 +192,27 @@ def learn(
     """
     if trials < 1:
         raise InputError(f"trials: {trials} must be at least 1")
-    loaded, machine = load_law(law), plants[0].machine
+    loaded_law, machine = load_law(law), plants[0].machine
     limits = load_motion_limits(options.get("limits"), machine)
     reference = within_limits(_with_lead(stream), limits, machine)[0]
     if (seconds := reference.time[-1] - LEAD) < 1.0 / BAND:
         raise InputError(f"stream: lasts {seconds:.3g} s; allowed: at least {1.0 / BAND:g} s")
-    learner = _learner_of(reference, loaded, plants, options.get("dcu"))
-    window = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
-
+    learner = _learner_of(reference, loaded_law, plants, options.get("dcu"))
+    fade_in = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
     demand = _Demand(reference, np.zeros_like(reference.pose), 0)
-    demands, runs, results = list[_Demand](), list[Missed](), list[Trial]()
-    prediction = prediction_error = np.zeros_like(reference.pose)  # of correction and error
+    demands, runs, results = list[_Demand](), list[RunErrors](), list[Trial]()
+    predicted_correction = predicted_error = np.zeros_like(reference.pose)
     for trial in range(trials + 1):
         if trial:
-            prediction = window * learner.improved(prediction, prediction_error)
-            correction = window * learner.improved(demand.correction, runs[-1].sensed)
+            predicted_correction = fade_in * learner.improved(predicted_correction, predicted_error)
+            correction = fade_in * learner.improved(demand.correction, runs[-1].sensed)
             demand = _corrected(reference, correction, limits, machine)
         demands.append(demand)
-        runs.append(missed(reference, demand.stream, loaded, plants[0], seed + trial, **options))
-        prediction_error = runs[0].sensed - through(learner.responses[0], prediction)
-        results.append(runs[-1].trial(prediction_error, demand.held_frames))
+        runs.append(
+            measure_errors(reference, demand.stream, loaded_law, plants[0], seed + trial, **options)
+        )
+        predicted_error = runs[0].sensed - filtered(learner.responses[0], predicted_correction)
+        results.append(runs[-1].trial(predicted_error, demand.held_frames))
         if progress is not None:
             progress(trial + 1, trials + 1)
     best = int(np.argmin([result.sensed for result in results]))
@@ -231,8 +232,9 @@ def _with_lead(stream: HostStream) -> HostStream:
 def _learner_of(reference: HostStream, law: Law, plants: Sequence[Hexapod], dcu: Any) -> Learner:
     """The learner of plants in turn, at the mean pose and where a leg is longest or shortest."""
     legs = pose_to_legs(reference.pose, plants[0].machine)
-    ends = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
-    poses, lines = [reference.pose.mean(axis=0), *reference.pose[ends]], frequencies(len(legs))
+    end_frames = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
+    poses = [reference.pose.mean(axis=0), *reference.pose[end_frames]]
+    lines = filter_frequencies(len(legs))
     responses = [
         leg_response(law, plants[i % len(plants)], poses[i % len(poses)], lines, dcu)
         for i in range(max(len(plants), len(poses)))
@@ -267,10 +269,10 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def missed(
+def measure_errors(
     reference: HostStream, demand: HostStream, law: Law, plant: Hexapod, seed: int, **options: Any
-) -> Missed:
-    """Fly a demand, with the noise of a seed; what it missed of the reference."""
+) -> RunErrors:
+    """Fly a demand, with the noise of a seed, and measure its errors from the reference."""
     electronics = options.get("electronics", ElectronicsSettings())
     if electronics is not None:
         electronics = electronics.model_copy(update={"seed": seed})
@@ -284,17 +286,17 @@ def missed(
         return reference_values - values
 
     legs = pose_to_legs(reference.pose, plant.machine)
-    sensed, leg_error = error(legs, "leg_position"), error(legs, "leg_extension")
-    return Missed(sensed, counted(leg_error), counted(error(reference.pose, "platform_pose")))
+    leg_error, pose_error = error(legs, "leg_extension"), error(reference.pose, "platform_pose")
+    return RunErrors(error(legs, "leg_position"), within_band(leg_error), within_band(pose_error))
 
 
-def counted(error: Array) -> Array:
-    """An error below `BAND` after the lead."""
+def within_band(error: Array) -> Array:
+    """An error (N, n) below `BAND` after the lead, (M, n): as far as it counts."""
     sections = signal.butter(4, BAND, fs=MOST_RATE, output="sos")
     return np.asarray(signal.sosfiltfilt(sections, error, axis=0)[round(LEAD * MOST_RATE) :])
 
 
-def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
+def draw_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
     """A machine of `other_machines` with valve gains; laws take its cab for the nominal."""
     generator, unknowns = np.random.default_rng([seed, draw]), load_unknowns("other_machines")
     (values,) = unknowns.draw("random", 1, generator)

@@ -91,14 +91,14 @@ class LiveHost:
     def _extrapolated(self, age: float) -> NDArray[np.float64]:
         """Specific force and angular rate at an age [s] of the newest sample, (6,)."""
         duration = _EXTRAPOLATION
-        cab_motion = self._motion + self._slope * duration * (1.0 - math.exp(-age / duration))
-        return np.asarray(cab_motion + (_REST - cab_motion) * np.interp(age, _FADE, (0.0, 1.0)))
+        seat_motion = self._motion + self._slope * duration * (1.0 - math.exp(-age / duration))
+        return np.asarray(seat_motion + (_REST - seat_motion) * np.interp(age, _FADE, (0.0, 1.0)))
 
-    def _send(self, row: Row, cab_motion: NDArray[np.float64]) -> None:
+    def _send(self, row: Row, seat_motion: NDArray[np.float64]) -> None:
         """Send a frame of a specific force and an angular rate, (6,)."""
-        force, rate = cab_motion.reshape(2, 3).tolist()
+        force, rate = seat_motion.reshape(2, 3).tolist()
         self.rows.append(row._replace(specific_force=tuple(force), angular_rate=tuple(rate)))
-        self.frames.append(self._washout.frame(cab_motion[:3], cab_motion[3:]))
+        self.frames.append(self._washout.frame(seat_motion[:3], seat_motion[3:]))
         put(self.ring, self.frames[-1])
 
 
@@ -139,11 +139,9 @@ def fly_live(
         np.array([getattr(frame, name) for frame in host.frames])
         for name in ("time", "pose", "velocity", "acceleration")
     )
-    flown_telemetry = telemetry_of_rows(host.rows)
-    angles = np.unwrap(flown_telemetry.attitude, axis=0)
-    aircraft = PilotMotion(
-        time, flown_telemetry.specific_force, flown_telemetry.angular_rate, angles
-    )
+    inputs = telemetry_of_rows(host.rows)
+    angles = np.unwrap(inputs.attitude, axis=0)
+    aircraft = PilotMotion(time, inputs.specific_force, inputs.angular_rate, angles)
     stream = make_stream(time, pose, velocity, acceleration)
     result = flight_result(plant, aircraft, stream, operation, limits)
     return result._replace(plans=algorithm.plans, refused=refused + host.refused)

@@ -40,7 +40,6 @@ from cmf_mj.pilot.washout_settings import OptimalSettings
 
 Matrix = NDArray[np.float64]
 
-
 _FIRST_INPUT = {"rate": 0, "force": 3}
 """Of each axis' inputs among Euler rates (3) and specific force (3)."""
 _FIRST_OUTPUTS = {

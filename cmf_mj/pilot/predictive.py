@@ -116,9 +116,8 @@ class ModePlan:
 
     def follow(self, inputs: Matrix, plan: Matrix, horizon: Horizon) -> None:
         """Move by a frame along a plan of the efforts at t_1 .. t_N, (N, m)."""
-        self.state = self.condensed.states[1] @ np.concatenate(
-            [self.parameters(inputs), plan.ravel()]
-        )
+        signals = np.concatenate([self.parameters(inputs), plan.ravel()])
+        self.state = self.condensed.states[1] @ signals
         efforts = np.vstack([self.efforts[:1], plan])
         self.slope = (efforts[1] - efforts[0]) / horizon.times[1]
         self.efforts = horizon.shift @ efforts

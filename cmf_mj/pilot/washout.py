@@ -43,9 +43,7 @@ from cmf_mj.pilot.washout_settings import (
 )
 
 _SOLVER_SHARE = 0.5  #: Share of a live frame that the solver may take.
-
 _WARM_FRAMES = 3  #: Frames before the first.
-
 _REST = np.array([0.0, 0.0, -STANDARD_GRAVITY])  #: f0 [m/s^2].
 
 

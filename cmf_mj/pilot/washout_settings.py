@@ -32,7 +32,6 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.geometry import DOFS
 
 WASHOUTS = ("simona", "reid_nahon", "optimal", "predictive")  #: Names of the shipped sets.
-
 _FILE = Path(__file__).with_name("washouts.toml")
 
 Gain = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]

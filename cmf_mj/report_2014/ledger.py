@@ -23,7 +23,7 @@ _FILE = Path(__file__).with_suffix(".toml")
 _Text = Annotated[str, Field(min_length=1)]
 
 
-class Evidence(Settings):
+class LedgerFigure(Settings):
     """A number that the finding rests on, as its demonstration computes it."""
 
     name: _Text
@@ -32,7 +32,7 @@ class Evidence(Settings):
 
     @field_validator("unit")
     @classmethod
-    def _known(cls, unit: str) -> str:
+    def _check_unit(cls, unit: str) -> str:
         if unit != "dB":
             units.factor(unit)
         return unit
@@ -56,7 +56,7 @@ class LedgerEntry(Settings):
         str, Field(pattern=r"^tests/report_2014/test_ledger\w*\.py::test_\w+$")
     ]
     """The test that shows it in numbers."""
-    figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()  #: What the test computes.
+    figures: Annotated[tuple[LedgerFigure, ...], Field(strict=False)] = ()  #: Of that test.
 
     def figure(self, name: str) -> float:
         """The value of a figure; a name that the entry lacks is refused."""

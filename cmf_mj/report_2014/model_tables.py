@@ -1,4 +1,4 @@
-"""Tables and figures of laws around the report's linear models, Table 4-1 among them."""
+"""Laws around the report's linear models: measures, Bode diagrams and steps, and Table 4-1."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -29,7 +29,7 @@ class LawLoop(NamedTuple):
 
     law: Law
     model: int  #: Linear model 1 to 3.
-    loop: control.StateSpace
+    system: control.StateSpace  #: Closed, from reference to leg position.
     measures: Measures
 
 
@@ -40,7 +40,7 @@ class LoopFigures(NamedTuple):
     step: Figure  #: Steps, as Figures 4-6, 4-9 and 4-12.
 
 
-LOOPS = (
+LOOP_FIELDS = (
     Field("law", of="law.name"),
     Field("model", form="#{}".format),
     Field("", "-90 deg", "", of=lambda row: phase_text(row.measures)),
@@ -50,7 +50,7 @@ LOOPS = (
     Field("", "zeta step", ".2f", of=lambda row: _step_damping(row.measures)),
     Field("mode_damping_ratio", "zeta pole", ".2f", of="measures.mode_damping_ratio"),
 )
-"""Bandwidths and damping of laws around the hardware models."""
+"""Fields of a table of `LawLoop`: bandwidths and damping."""
 
 
 def _step_damping(measures: Measures) -> float | str:
@@ -59,12 +59,12 @@ def _step_damping(measures: Measures) -> float | str:
 
 def law_loops(laws: str | Sequence[str]) -> Result[LawLoop]:
     """Laws around linear models 1 to 3, pressures zero, as in Figure 4-5."""
-    rows = []
+    loops = []
     names = [laws] if isinstance(laws, str) else laws
-    for law, number in product(map(load_law, names), HARDWARE_MODELS):
-        loop = closed_loop(law, hardware_velocity(number))
-        rows.append(LawLoop(law, number, loop, measure_loop(loop)))
-    return Result(rows, LOOPS, "laws around the report's linear models, pressures zero")
+    for law, model in product(map(load_law, names), HARDWARE_MODELS):
+        system = closed_loop(law, hardware_velocity(model))
+        loops.append(LawLoop(law, model, system, measure_loop(system)))
+    return Result(loops, LOOP_FIELDS, "laws around the report's linear models, pressures zero")
 
 
 class TableRow(NamedTuple):
@@ -81,7 +81,7 @@ class TableRow(NamedTuple):
     within: Annotated[bool, Field(printed=False)]
 
 
-TABLE_4_1 = (
+TABLE_4_1_FIELDS = (
     *fields_of(TableRow),
     Field("", "allowed", "", of=lambda row: f"{row.tolerance:g} {row.unit}".removesuffix(" 1")),
     Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
@@ -90,7 +90,8 @@ TABLE_4_1 = (
 _CAPTION = (
     "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
     "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg "
-    "{0.phase_bandwidth_hz} Hz, -3 dB {0.gain_bandwidth_hz} Hz, damping {0.damping_ratio}"
+    "{hardware.phase_bandwidth_hz} Hz, -3 dB {hardware.gain_bandwidth_hz} Hz, damping "
+    "{hardware.damping_ratio}"
 )
 
 
@@ -99,32 +100,41 @@ def table_4_1() -> Result[TableRow]:
 
     The damping ratio stands in all three readings, the hardware under the same law in the caption.
     """
-    rows, printed = list[TableRow](), printed_table_4_1()
-    for number in HARDWARE_MODELS:
-        loop = measure_loop(closed_loop("velocity", hardware_velocity(number)))
-        row = printed[f"linear_{number}"]
-        damping = row.damping_ratio
+    rows, published = list[TableRow](), printed_table_4_1()
+    for loop in law_loops("velocity"):
+        model, measures, printed = loop.model, loop.measures, published[f"linear_{loop.model}"]
+        phase_hz, gain_hz = printed.phase_bandwidth_hz, printed.gain_bandwidth_hz
+        damping = printed.damping_ratio
         rows += [
-            _table_row(number, "-90 deg", "Hz", row.phase_bandwidth_hz, loop.phase_bandwidth_hz),
-            _table_row(number, "-3 dB", "Hz", row.gain_bandwidth_hz, loop.gain_bandwidth_hz),
-            _table_row(number, "damping, step", "1", damping, loop.damping_ratio),
-            _table_row(number, "damping, demand", "1", damping, loop.demand_damping_ratio),
-            _table_row(number, "damping, peak", "1", damping, loop.peak_damping_ratio),
+            _table_row(model, "-90 deg", "Hz", phase_hz, measures.phase_bandwidth_hz),
+            _table_row(model, "-3 dB", "Hz", gain_hz, measures.gain_bandwidth_hz),
+            _table_row(model, "damping, step", "1", damping, measures.damping_ratio),
+            _table_row(model, "damping, demand", "1", damping, measures.demand_damping_ratio),
+            _table_row(model, "damping, peak", "1", damping, measures.peak_damping_ratio),
         ]
     title = "Table 4-1: velocity law around linear models 1 to 3"
-    return Result(rows, TABLE_4_1, title, _CAPTION.format(printed["hardware"]), grouped=True)
+    caption = _CAPTION.format(hardware=published["hardware"])
+    return Result(rows, TABLE_4_1_FIELDS, title, caption, grouped=True)
 
 
 def _table_row(
-    number: int, quantity: str, unit: str, printed: float | None, computed: float
+    model: int, quantity: str, unit: str, printed: float | None, computed: float
 ) -> TableRow:
-    """A quantity of a linear model by its number."""
+    """A quantity of a linear model, 1 to 3."""
     published = float("nan") if printed is None else printed
-    deviation, equation = computed - published, HARDWARE_MODELS[number]
+    deviation = computed - published
     tolerance = BANDWIDTH_TOLERANCE if unit == "Hz" else DAMPING_TOLERANCE
-    within = abs(deviation) <= tolerance
-    judgement = (published, computed, deviation, tolerance, within)
-    return TableRow(number, equation, quantity, unit, *judgement)
+    return TableRow(
+        model=model,
+        equation=HARDWARE_MODELS[model],
+        quantity=quantity,
+        unit=unit,
+        published=published,
+        computed=computed,
+        deviation=deviation,
+        tolerance=tolerance,
+        within=abs(deviation) <= tolerance,
+    )
 
 
 def loop_figures(loops: Sequence[LawLoop]) -> LoopFigures:
@@ -133,16 +143,16 @@ def loop_figures(loops: Sequence[LawLoop]) -> LoopFigures:
         raise InputError("loops: none given; at least one is needed")
     bode, gain, phase = look.bode_axes(limits=True)
     step = look.new_figure(8.0, 7.0)
-    step_axes, circles, printed = step.subplots(), "", printed_table_4_1()
+    step_axes, circles, published = step.subplots(), "", printed_table_4_1()
     for loop in loops:
-        stable, label = loop.measures.stable, f"linear model #{loop.model}"
-        label += f", Eq {HARDWARE_MODELS[loop.model]}" + ("" if stable else ", unstable")
-        response = loop_response(loop.loop, _FREQUENCIES)
+        stable, equation = loop.measures.stable, HARDWARE_MODELS[loop.model]
+        label = f"linear model #{loop.model}, Eq {equation}" + ("" if stable else ", unstable")
+        response = loop_response(loop.system, _FREQUENCIES)
         colour = look.plot_bode(gain, phase, response, label=label, stable=stable)
-        times, positions = loop_step(loop.loop, 2.0) if stable else ((), ())
+        times, positions = loop_step(loop.system, 2.0) if stable else ((), ())
         step_axes.plot(times, positions, label=label, color=colour)
-        row = printed[f"linear_{loop.model}"]
-        if loop.law.name == row.law and look.plot_printed(gain, phase, row, colour):
+        printed = published[f"linear_{loop.model}"]
+        if loop.law.name == printed.law and look.plot_printed(gain, phase, printed, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")
@@ -155,7 +165,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> LoopFigures:
 
 
 def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
-    """Write the tables as CSV and all figures as PNG."""
+    """Write `rows`, Table 4-1, as CSV and the figures of each law of `loops` as PNG."""
     files: dict[str, Any] = {"table_4_1.csv": rows.save}
     for law in dict.fromkeys(loop.law.name for loop in loops):
         figures = loop_figures([loop for loop in loops if loop.law.name == law])

@@ -16,7 +16,7 @@ from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.pilot.cueing import LIMITS
 from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult
-from cmf_mj.pilot.learning import BAND, LEAD, Learning, frequencies
+from cmf_mj.pilot.learning import BAND, LEAD, Learning, filter_frequencies
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import cueing, look
@@ -147,7 +147,7 @@ def trial_table(learnt: Learning) -> Table:
     first, rows = learnt.trials[0], []
     for number, trial in enumerate(learnt.trials):
         shares = [100.0 * trial.legs / first.legs, 100.0 * trial.predicted / first.predicted]
-        errors = [*(trial.axes * _SCALE), 1e3 * trial.legs, *shares]
+        errors = [*(trial.pose * _SCALE), 1e3 * trial.legs, *shares]
         rows.append([str(number), *errors, trial.held_frames])
     columns = [("legs [mm]", ".3f"), ("left [%]", ".2f"), ("linear [%]", ".2f"), ("held", "d")]
     title = f"tracking error below {BAND:g} Hz, rms; left of the first run's"
@@ -174,13 +174,13 @@ def learning_figure(learnt: Learning) -> Figure:
         errors = [1e3 * getattr(trial, name) for trial in learnt.trials]
         trials.semilogy(errors, style, label=label)
     trials.set(xlabel="trial", ylabel=f"legs below {BAND:g} Hz, rms as sensed [mm]")
-    lines, values = frequencies(len(learnt.reference.time)), learnt.learner.ratio()
+    lines, values = filter_frequencies(len(learnt.reference.time)), learnt.learner.ratio()
     ratio.plot(lines, values[1:].T, color=look.GREY, linewidth=0.8)
     ratio.plot(lines, values[0], label="machine that learns, mean pose (grey: others, other poses)")
     ratio.axhline(1.0, color=look.DARK, linestyle=":")
     ratio.set(ylabel="largest singular value of Q (1 - L G)")
     look.frequency_axis(ratio.xaxis)
-    dof = int(np.argmax(learnt.trials[0].axes[:3]))
+    dof = int(np.argmax(learnt.trials[0].pose[:3]))
     for number, error in zip((0, learnt.best), learnt.errors, strict=True):
         time = LEAD + np.arange(len(error)) / MOST_RATE
         history.plot(time, 1e3 * error[:, dof], label=f"trial {number}", linewidth=0.9)

@@ -20,13 +20,13 @@ from cmf_mj.pilot.learning import (
     SLOWEST,
     Learner,
     Learning,
-    drawn_machine,
-    frequencies,
+    draw_machine,
+    filter_frequencies,
+    filtered,
     learn,
     make_learner,
-    missed,
+    measure_errors,
     rms,
-    through,
 )
 
 ROWS, RATE, SHARE = 1600, 80.0, 0.5
@@ -40,7 +40,7 @@ def lag(demand: NDArray[np.float64]) -> NDArray[np.float64]:
 @pytest.fixture(scope="module")
 def scalar() -> Learner:
     """A learner that knows the lag exactly."""
-    lines = frequencies(ROWS)
+    lines = filter_frequencies(ROWS)
     response = (1.0 - POLE) / (1.0 - POLE * np.exp(-2j * np.pi * lines / RATE))
     return make_learner([response[:, None, None]], lines, SHARE)
 
@@ -99,8 +99,8 @@ def test_the_filter_is_least_squares_and_no_machine_diverges() -> None:
 
 def test_ends_in_motion_pass_a_filter_of_one() -> None:
     ramp = np.linspace(0.0, 1.0, ROWS)[:, None] * np.ones(2)
-    unit = np.broadcast_to(np.eye(2) + 0j, (len(frequencies(ROWS)), 2, 2))
-    assert np.abs(through(unit, ramp) - ramp)[40:-40].max() < 2e-3
+    unit = np.broadcast_to(np.eye(2) + 0j, (len(filter_frequencies(ROWS)), 2, 2))
+    assert np.abs(filtered(unit, ramp) - ramp)[40:-40].max() < 2e-3
 
 
 def wave(size: float, frequency: float = 0.6, cycles: float = 3.0) -> HostStream:
@@ -118,7 +118,7 @@ def test_the_simulated_machine_learns_as_the_linear_one(learnt: Learning) -> Non
     for one in learnt.trials[1:]:
         assert one.legs / first.legs == pytest.approx(one.predicted / first.predicted, abs=0.02)
     assert learnt.trials[3].legs < 0.1 * first.legs and learnt.best == 3
-    assert first.axes[2] > 10.0 * np.delete(first.axes, 2).max()
+    assert first.pose[2] > 10.0 * np.delete(first.pose, 2).max()
 
 
 def test_the_same_seed_gives_the_same_bits(learnt: Learning) -> None:
@@ -157,7 +157,7 @@ def test_a_motion_of_less_than_a_period_of_what_counts_is_refused() -> None:
 
 def test_other_machines_differ_and_come_again() -> None:
     cab, hydraulics = load_cab("gfd"), load_hydraulics("hardware")
-    one, again, other = (drawn_machine(cab, hydraulics, 0, draw) for draw in (1, 1, 2))
+    one, again, other = (draw_machine(cab, hydraulics, 0, draw) for draw in (1, 1, 2))
     assert one.parameters == again.parameters and one.cab_parameters == again.cab_parameters
     assert one.parameters != other.parameters
     drawn = other.cab_parameters
@@ -169,7 +169,7 @@ def test_other_machines_differ_and_come_again() -> None:
 def test_a_flight_is_learnt_to_a_tenth_and_helps_twelve_other_machines() -> None:
     """Eight trials leave a tenth, sixteen the same; no drawn machine is worse off with it."""
     cab, hydraulics = load_cab("gfd"), load_hydraulics("hardware")
-    machine = partial(drawn_machine, cab, hydraulics, 0)
+    machine = partial(draw_machine, cab, hydraulics, 0)
     plants = [Hexapod(cab, hydraulics), *map(machine, range(6))]
     asked = cue(load_flight("gusts").motion).stream
     done = learn(asked, "velocity", plants, trials=16)
@@ -179,7 +179,7 @@ def test_a_flight_is_learnt_to_a_tenth_and_helps_twelve_other_machines() -> None
     assert left[8:].max() - left[8] < 5e-4
     assert done.learner.ratio().max() < SLOWEST + 1e-9
     for plant in map(machine, range(6, 18)):
-        flown = (missed(done.reference, sent, law, plant, 99) for sent in demands)
+        flown = (measure_errors(done.reference, sent, law, plant, 99) for sent in demands)
         plain, learnt = (rms(one.legs) for one in flown)
         assert learnt < plain
 

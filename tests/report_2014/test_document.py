@@ -33,7 +33,7 @@ from cmf_mj.report_2014.page.document import (
 )
 from cmf_mj.report_2014.page.figures import FIGURES
 from cmf_mj.report_2014.page.runs import Runs, RunSpec
-from cmf_mj.report_2014.page.tables import TITLES, PageTable, result_table
+from cmf_mj.report_2014.page.tables import TABLE_TITLES, PageTable, result_table
 from cmf_mj.studies.case import CaseResult
 
 GAINS = Path(__file__).with_name("gains.toml")  # as printed
@@ -58,7 +58,7 @@ def page(content: Content, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_result_table_of_the_report_is_there() -> None:
     assert " ".join(figure.number for figure in FIGURES) == REPORT_FIGURES
-    assert set(TITLES) == {row.table for row in published_results()}
+    assert set(TABLE_TITLES) == {row.table for row in published_results()}
 
 
 def test_figures_are_readable_and_say_where_the_machine_is_a_stand_in(

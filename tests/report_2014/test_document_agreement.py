@@ -14,7 +14,7 @@ from cmf_mj.report_2014.page.document import summary_blocks
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
-    TITLES,
+    TABLE_TITLES,
     PageTable,
     ResultRow,
     result_rows,
@@ -25,7 +25,7 @@ from cmf_mj.studies.case import CaseResult
 @pytest.fixture(scope="module")
 def runs() -> Runs:
     """All runs of the result tables; of the stand-in those alone that are compared with a print."""
-    needs = {need for table in TITLES for need in tables.table_needs(table)}
+    needs = {need for table in TABLE_TITLES for need in tables.table_needs(table)}
     shown = {need for need in needs if need.plant == "machine" and need.dof != "heave"}
     made = perform(needs - shown, quick=True)
     results: dict[RunSpec, Any] = dict(made.results)
@@ -51,7 +51,7 @@ def test_single_legs_reproduce_tables_3_5_d_1_and_d_2_regression(runs: Runs) -> 
         else:
             limit = 0.10 if row.quantity == "-90 deg" else 0.12
             assert abs(row.sweep_value / row.printed - 1.0) <= limit
-    every = [row for name in TITLES for row in result_rows(runs, name)]
+    every = [row for name in TABLE_TITLES for row in result_rows(runs, name)]
     other = next(row for row in widths if row.printed != row.printed)._replace(quantity="-90 deg")
     assert accounting.not_available([*every, other]) == (5, 5)  # N/A of -3 dB alone
 
@@ -67,7 +67,7 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
     )
     beyond = {
         (row.law, row.label, row.quantity)
-        for row in accounting.distinct_numbers(rows_of(runs, *TITLES))
+        for row in accounting.distinct_numbers(rows_of(runs, *TABLE_TITLES))
         if row.quantity in BANDWIDTHS
         and row.printed == row.printed
         and not abs(row.computed / row.printed - 1.0) <= 0.10
@@ -85,7 +85,7 @@ def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
     """Ten of equal legs, six of linear models, two next to a fitted row, two that ring."""
     left = Counter(
         row.law
-        for row in accounting.distinct_numbers(rows_of(runs, *TITLES))
+        for row in accounting.distinct_numbers(rows_of(runs, *TABLE_TITLES))
         if row.quantity in BANDWIDTHS and row.printed == row.printed and not row.calibrated
     )
     named = {"position_error_rate": 10, "velocity": 6, "velocity_integral": 2, "force": 2}
@@ -105,7 +105,7 @@ def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
     page = (Path(__file__).parents[2] / "docs" / "explanation" / "report.md").read_text(
         encoding="utf-8"
     )
-    assert accounting.verdict_table(runs, tuple(TITLES)).table.markdown() in page
+    assert accounting.verdict_table(runs, tuple(TABLE_TITLES)).table.markdown() in page
     for row in accounting.agreements(runs).table.cells:
         assert f"| {' | '.join(row[:5])} |" in page
 

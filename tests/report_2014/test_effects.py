@@ -37,22 +37,22 @@ def test_a_loop_without_effects_is_that_of_the_linear_room(linear: Linear, law: 
 
 def test_a_machine_without_effects_shows_what_evidence_predicts(linear: Linear) -> None:
     expected = evidence.fit_features(linear.model("heave")["heave_rate", :])
-    for law in (*evidence.ROW_TABLES, evidence.HELD_OUT):
+    for law in (*evidence.ROW_TABLES, evidence.HELD_OUT_LAW):
         heave = linear.measures(law)[DOFS.index("heave")]
         for name in evidence.ROW_FIELDS:
             expected[f"{law}_{name}"] = getattr(heave, name)
-    shown = effects.observed({"gfd": linear}, {})
+    shown = effects.predictions({"gfd": linear}, {})
     assert {name: shown[name] for name in expected} == pytest.approx(expected, rel=2e-3)
     assert shown["flown"] is True
 
 
 def test_every_effect_of_no_size_changes_nothing(linear: Linear) -> None:
-    plain = effects.observed({"gfd": linear}, {})
+    plain = effects.predictions({"gfd": linear}, {})
     for name in EFFECTS:
         none = 1.0 if name == "measured_mass" else 0.0
-        assert effects.observed({"gfd": linear}, {name: none}) == pytest.approx(plain, rel=5e-3), (
-            name
-        )
+        assert effects.predictions({"gfd": linear}, {name: none}) == pytest.approx(
+            plain, rel=5e-3
+        ), name
 
 
 def test_lap_halves_doubles_and_shuts_a_valve() -> None:
@@ -118,10 +118,10 @@ def test_give_in_series_softens_the_oil(linear: Linear) -> None:
 
 def test_mass_and_air_move_the_pair_in_heave(linear: Linear) -> None:
     """As the root of stiffness over mass; air in one of two chambers softens half of the oil."""
-    plain = effects.observed({"gfd": linear}, {})["pair_hz"]
-    heavy = effects.observed({"gfd": linear}, {"measured_mass": 1.2})["pair_hz"]
+    plain = effects.predictions({"gfd": linear}, {})["pair_hz"]
+    heavy = effects.predictions({"gfd": linear}, {"measured_mass": 1.2})["pair_hz"]
     assert heavy == pytest.approx(plain / np.sqrt(1.2), rel=0.02)
-    airy = effects.observed({"gfd": linear}, {"soft_cap": 0.5})["pair_hz"]
+    airy = effects.predictions({"gfd": linear}, {"soft_cap": 0.5})["pair_hz"]
     assert np.sqrt(1.0 / 1.5) * plain < airy < plain
 
 

@@ -132,7 +132,7 @@ def test_likelihood_is_that_of_independent_gaussians() -> None:
     one = evidence.observations()[names.index("velocity_phase_bandwidth_hz")]
     away = perfect | {one.name: one.value * np.exp(2.0 * one.deviation)}
     missing = perfect | {"original_damping_ratio": float("nan")}
-    found = evidence.log_likelihoods(evidence.counted([perfect, away, missing]))
+    found = evidence.log_likelihoods(evidence.transformed_predictions([perfect, away, missing]))
     expected = np.zeros_like(found)
     expected[1, names.index(one.name)] = -2.0
     expected[2, names.index("original_damping_ratio")] = -32.0
@@ -145,7 +145,7 @@ def test_force_feedback_swings_with_the_supply_pressure() -> None:
     text = (ROOT / "docs" / "explanation" / "deviations.md").read_text(encoding="utf-8")
     assert re.findall(r"(\d\.\d\d) g\b", text) == [f"{low:.2f}"]
     assert high / low == pytest.approx(2.0, rel=0.1)
-    likely = evidence.oscillation_likelihood(
+    likely = evidence.oscillation_log_likelihood(
         np.array([1300.0, 2000.0, 3000.0]), np.array([1.6, 2.1, 2.7, 3.3])
     )
     assert (np.diff(likely) > 0.0).all()

@@ -11,7 +11,7 @@ from scipy import stats
 from cmf_mj.core.errors import InputError
 from cmf_mj.report_2014.posterior import effect_tables as tables
 from cmf_mj.report_2014.posterior.effect_run import effect_points, run_effects
-from cmf_mj.report_2014.posterior.evidence import observations, printed_numbers
+from cmf_mj.report_2014.posterior.evidence import observation_arrays, observations
 from cmf_mj.report_2014.posterior.study import AVERAGE, NONE, load_effects
 from cmf_mj.report_2014.posterior.weighing import Bank
 
@@ -24,7 +24,7 @@ COUNT = 4096
 def linear_bank(moved: float = 1.0) -> Bank:
     """Numbers that are linear in the unknowns; the effect `lap` moves one of them by `moved`."""
     study = load_effects("effects", changes={"skipped": LEFT_OUT, "made_up": 12})
-    generator, (middle, s) = np.random.default_rng(3), printed_numbers()
+    generator, (middle, s, _) = np.random.default_rng(3), observation_arrays()
     points = generator.normal(size=(COUNT, len(study.settings.unknowns) + 3))
     slopes = generator.normal(size=(points.shape[1], s.size)) * s * 0.3
     slopes[-3:] = 0.0
@@ -42,8 +42,9 @@ def linear_bank(moved: float = 1.0) -> Bank:
 
 def gaussian(bank: Bank, plant: str) -> float:
     """Ln Z of numbers with the covariance of the samples, a Gaussian density."""
-    printed, s = (each[:-1] for each in printed_numbers())
-    made = bank.observed[plant][:, :-1]
+    report = observation_arrays()
+    printed, s = report.values[:-1], report.deviations[:-1]
+    made = bank.predicted[plant][:, :-1]
     spread = np.cov(made.T) + np.diag(s**2)
     density = stats.multivariate_normal(made.mean(axis=0), spread).logpdf(printed)
     return float(density + 0.5 * np.log(2.0 * np.pi * s**2).sum())
@@ -104,7 +105,7 @@ def test_reports_made_up_find_their_effect_as_often_as_it_shows() -> None:
 
 def test_without_evidence_the_medians_lie_in_the_middle() -> None:
     bank = linear_bank()
-    idle = replace(bank, observed={NONE: 0.0 * bank.observed[NONE] + printed_numbers()[0]})
+    idle = replace(bank, predicted={NONE: 0.0 * bank.predicted[NONE] + observation_arrays().values})
     (row,) = tables.plant_evidence(idle)
     assert 0.45 < row.edge <= 0.5
     assert row.at in bank.study.settings.unknowns
@@ -149,9 +150,9 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
     own = {"dead": more | {"effect": "value", "source": "test"}, "lap": every["lap"]}
     study = load_effects("effects", changes=SMALL | {"effects": own})
     bank = run_effects(study, tmp_path / "one", jobs=1, backend="threading")
-    assert list(bank.observed) == [NONE, "dead", "lap", "dead+lap"]
-    assert all(made.shape == (64, 12) for made in bank.observed.values())
-    assert not np.array_equal(bank.observed["dead"], bank.observed[NONE], equal_nan=True)
+    assert list(bank.predicted) == [NONE, "dead", "lap", "dead+lap"]
+    assert all(made.shape == (64, 12) for made in bank.predicted.values())
+    assert not np.array_equal(bank.predicted["dead"], bank.predicted[NONE], equal_nan=True)
     again = tmp_path / "again"
     again.mkdir()
     for name in ("study.json", "journal.jsonl"):
@@ -159,7 +160,7 @@ def test_a_study_weighs_shipped_effects_and_one_of_a_path_of_its_own(tmp_path: P
         (again / name).write_bytes(b"".join(lines[: 9 if name != "study.json" else None]))
     other = run_effects(study, again, jobs=1, backend="threading")
     assert other.verdicts == bank.verdicts
-    assert np.array_equal(other.observed["lap"], bank.observed["lap"], equal_nan=True)
+    assert np.array_equal(other.predicted["lap"], bank.predicted["lap"], equal_nan=True)
     assert {row.plant for row in tables.verdicts(bank)} == {NONE, "dead", "lap", AVERAGE}
     every = tables.effect_tables(bank)
     assert all(len(table.table.cells) >= 3 for table in every.values())

@@ -1,4 +1,4 @@
-"""The page: one HTML file with its sections, first of all how many printed results are met.
+"""The page: one HTML file of sections, and how many printed numbers are met.
 
 Every printed number counts once, however often the report prints it. A law whose step rings on has
 no bandwidth and no damping ratio, and so agrees with no printed one. All deviations of the shares
@@ -24,9 +24,9 @@ from cmf_mj.report_2014.page.runs import CAB, HYDRAULICS, PLANT_KINDS, Runs, per
 from cmf_mj.report_2014.page.tables import (
     BANDWIDTHS,
     CONTENTS,
-    RATIO,
-    TITLES,
-    TOLERANCES,
+    DAMPING_RATIO,
+    TABLE_TITLES,
+    TOLERANCE_TEXT,
     PageTable,
     ResultRow,
     result_rows,
@@ -67,7 +67,7 @@ class Content(NamedTuple):
     @property
     def has_all_tables(self) -> bool:
         """Whether it has all result tables, and so shares of agreement."""
-        return self.tables == tuple(TITLES)
+        return self.tables == tuple(TABLE_TITLES)
 
 
 def provenance() -> PageTable:
@@ -132,7 +132,7 @@ def make_content(
     """
     numbers = _selected("figures", figures, [figure.number for figure in FIGURES])
     report_figures = tuple(figure for figure in FIGURES if figure.number in numbers)
-    table_names = _selected("tables", tables, tuple(TITLES))
+    table_names = _selected("tables", tables, tuple(TABLE_TITLES))
     needs = [need for figure in report_figures for need in figure.needs]
     needs += [need for name in table_names for need in table_needs(name)]
     runs = perform(needs, jobs=jobs, quick=quick, progress=progress)
@@ -195,7 +195,6 @@ def agreement_of(
     values = np.array([row.sweep_value if from_sweeps else row.computed for row in rows])
     deviation = values / np.array([row.printed for row in rows]) - 1.0
     known = deviation[np.isfinite(deviation)]
-
     within_5, within_10, within_15 = (
         float(np.mean(np.abs(deviation) <= limit + 1e-9)) for limit in (0.05, 0.10, 0.15)
     )
@@ -205,8 +204,8 @@ def agreement_of(
 
 def agreements(runs: Runs) -> Result[Agreement]:
     """All classes, from all result tables."""
-    all_rows = [row for table in TITLES for row in result_rows(runs, table)]
-    printed = [row for row in distinct_numbers(all_rows) if row.printed == row.printed]
+    all_rows = [row for table in TABLE_TITLES for row in result_rows(runs, table)]
+    printed = [row for row in distinct_numbers(all_rows) if not np.isnan(row.printed)]
     as_read = [row for row in printed if row.is_as_read]
     bandwidths = [row for row in as_read if row.quantity in BANDWIDTHS]
     as_printed = [row for row in printed if not row.is_as_read and row.quantity in BANDWIDTHS]
@@ -220,7 +219,7 @@ def agreements(runs: Runs) -> Result[Agreement]:
     for name in BANDWIDTHS:
         of_quantity = [row for row in bandwidths if row.quantity == name]
         classes.append(agreement_of(f"of them {name}", of_quantity))
-    damping = [row for row in as_read if row.quantity == RATIO]
+    damping = [row for row in as_read if row.quantity == DAMPING_RATIO]
     classes += [
         agreement_of("bandwidths, sweeps that ring read too", bandwidths, from_sweeps=True),
         agreement_of("bandwidths, gains and filter as printed", as_printed),
@@ -234,7 +233,7 @@ def agreements(runs: Runs) -> Result[Agreement]:
 def not_available(rows: Iterable[ResultRow]) -> tuple[int, int]:
     """How many -3 dB are printed as N/A, and how many of these ours does not reach either."""
     widths = (row for row in rows if row.is_as_read and row.quantity == "-3 dB")
-    blank = [row for row in widths if row.printed != row.printed]
+    blank = [row for row in widths if np.isnan(row.printed)]
     return len(blank), sum(row.within for row in blank)
 
 
@@ -245,12 +244,12 @@ def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
         verdicts = [row.within for row in result_rows(runs, name) if row.is_as_read]
         rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
     header = ("table", "within", "outside")
-    return PageTable("verdicts", Table("Verdicts by table", header, rows, TOLERANCES))
+    return PageTable("verdicts", Table("Verdicts by table", header, rows, TOLERANCE_TEXT))
 
 
 def summary_blocks(runs: Runs) -> list[Block]:
     """The first screen of a page with all result tables."""
-    rows = [row for name in TITLES for row in result_rows(runs, name) if row.is_as_read]
+    rows = [row for name in TABLE_TITLES for row in result_rows(runs, name) if row.is_as_read]
     blank, met = not_available(rows)
     paragraphs = texts("summary", numbers=len(distinct_numbers(rows)), blank=blank, met=met)
     return [*paragraphs, PageTable("agreement", agreements(runs).table)]

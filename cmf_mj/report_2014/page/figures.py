@@ -39,7 +39,7 @@ class ReportFigure(NamedTuple):
 
     number: str
     title: str
-    kind: str  #: One of `_DRAW`, and its caption.
+    kind: str  #: Key of `_DRAW` and of the captions.
     needs: tuple[RunSpec, ...]  #: Runs it is drawn from.
     note: str = ""  #: At the end of its caption.
 

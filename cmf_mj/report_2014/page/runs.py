@@ -60,7 +60,7 @@ def perform(
     quick: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Runs:
-    """Make all runs, one asked for twice once; `progress` is called with (done, in all).
+    """Make all runs, each once; `progress` is called with (done, in all).
 
     Results do not depend on the number of threads, `jobs`; `quick` sweeps 30 s for 100 s.
     """

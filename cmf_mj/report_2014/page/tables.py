@@ -31,19 +31,21 @@ class PageTable(NamedTuple):
 
 
 def texts(name: str, **values: Any) -> list[str]:
-    """The paragraphs of a name, with values put in."""
+    """The paragraphs of `contents.toml` by a name, with values put in."""
     return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
 
 
-TITLES: dict[str, str] = CONTENTS["results"]  #: Result tables of the report, by number.
+TABLE_TITLES: dict[str, str] = CONTENTS["results"]  #: Result tables of the report, by number.
 
-PHASE, GAIN, DAMPING = 0.10, 0.12, 0.1
+PHASE_TOLERANCE, GAIN_TOLERANCE, DAMPING_TOLERANCE = 0.10, 0.12, 0.1
 """Tolerances: relative in -90 deg, in all of the hardware and in -3 dB, absolute in damping."""
 
-(TOLERANCES,) = texts("tolerances", phase=100 * PHASE, gain=100 * GAIN, damping=DAMPING)
+(TOLERANCE_TEXT,) = texts(
+    "tolerances", phase=100 * PHASE_TOLERANCE, gain=100 * GAIN_TOLERANCE, damping=DAMPING_TOLERANCE
+)
 """The tolerances in words."""
 
-BANDWIDTHS, RATIO = ("-90 deg", "-3 dB"), "damping ratio"
+BANDWIDTHS, DAMPING_RATIO = ("-90 deg", "-3 dB"), "damping ratio"
 """Quantities that shares of agreement are counted of."""
 
 _NAN = float("nan")
@@ -51,7 +53,7 @@ _ROUNDING = 1e-9  #: Of deviations on their way through decimals.
 _PLANTS: dict[str, PlantName] = {"hardware": "machine", "nonlinear": "model"}
 """The plant that stands for what a printed row was measured on."""
 _SOURCE_TITLES: dict[str, str] = {"hardware": "hardware", "nonlinear": "model"}
-_LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
+_LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": DAMPING_RATIO}
 """Quantities of the linear models, as the other tables name them."""
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
@@ -75,10 +77,10 @@ class PrintedQuantity(NamedTuple):
 
 
 _QUANTITIES = (
-    PrintedQuantity("phase_bandwidth_hz", "-90 deg", "Hz", PHASE),
-    PrintedQuantity("gain_bandwidth_hz", "-3 dB", "Hz", GAIN),
-    PrintedQuantity("damping_ratio", RATIO, "", DAMPING),
-    PrintedQuantity("oscillation_hz", "oscillation", "Hz", PHASE),
+    PrintedQuantity("phase_bandwidth_hz", "-90 deg", "Hz", PHASE_TOLERANCE),
+    PrintedQuantity("gain_bandwidth_hz", "-3 dB", "Hz", GAIN_TOLERANCE),
+    PrintedQuantity("damping_ratio", DAMPING_RATIO, "", DAMPING_TOLERANCE),
+    PrintedQuantity("oscillation_hz", "oscillation", "Hz", PHASE_TOLERANCE),
     PrintedQuantity("acceleration_g", "acceleration, at least", "g", 0.0),
 )
 
@@ -122,11 +124,11 @@ def computed_text(row: ResultRow) -> str:
     return number(row.computed, ".2f")
 
 
-RESULTS = (
+RESULT_FIELDS = (
     Field("label", "law or axis"),
     Field("source"),
     Field("", "quantity", of=lambda row: f"{row.quantity} [{row.unit}]".removesuffix(" []")),
-    Field("printed", form=lambda value: f"{value:g}" if value == value else "N/A"),
+    Field("printed", form=lambda value: "N/A" if np.isnan(value) else f"{value:g}"),
     Field("", "computed", of=computed_text),
     Field("", "deviation", of=lambda row: _deviation_text(row, row.deviation)),
     Field("", "allowed", of=lambda row: _allowed_text(row)),
@@ -135,7 +137,7 @@ RESULTS = (
     Field("hexapod", form=".2f"),
     Field("note", "remark"),
 )
-"""Columns of the result tables; `hexapod` in those of Appendix D alone."""
+"""Fields of the result tables; `hexapod` in those of Appendix D alone."""
 
 
 def _remark(law: str, table: str, quantity: str) -> str:
@@ -164,7 +166,7 @@ def _sweep_value(result: CaseResult, quantity: PrintedQuantity, computed: float)
 def _is_calibrated(row: Published, quantity: PrintedQuantity, printed: float) -> bool:
     """Whether a number of ours was fitted to a printed one, NaN for N/A."""
     if row.read_as not in (row.law, row.printed_as):  # its gain is derived from this row
-        return printed == printed and quantity.title in BANDWIDTHS
+        return not np.isnan(printed) and quantity.title in BANDWIDTHS
     return (row.law, row.dof, row.of, quantity.field, printed) in _FITTED
 
 
@@ -193,16 +195,16 @@ def _result_row(runs: Runs, row: Published, law: str, quantity: PrintedQuantity)
     printed = _NAN if value is None else float(value)
     computed = _computed(result, quantity)
     sweep_value = _sweep_value(result, quantity, computed)
-    deviation = computed - printed if quantity.title == RATIO else computed / printed - 1.0
+    deviation = computed - printed if quantity.title == DAMPING_RATIO else computed / printed - 1.0
     is_hardware_bandwidth = row.of == "hardware" and quantity.unit == "Hz"
-    tolerance = PHASE if is_hardware_bandwidth else quantity.tolerance
+    tolerance = PHASE_TOLERANCE if is_hardware_bandwidth else quantity.tolerance
     within = abs(deviation) <= tolerance + _ROUNDING
     if value is None:
         within = stable and np.isnan(computed)
     elif quantity.field == "acceleration_g":
         within = deviation >= 0.0
     note = "" if within else _remark(row.law, row.table, quantity.title)
-    if not (stable or note) and sweep_value == sweep_value:
+    if not (stable or note) and not np.isnan(sweep_value):
         note = f"the step rings on; its sweep has {sweep_value:.2f} Hz all the same"
     has_hexapod = _is_in_appendix_d(row.table) and is_as_read
     return ResultRow(
@@ -282,8 +284,9 @@ def result_rows(runs: Runs, table: str) -> list[ResultRow]:
 
 def result_table(runs: Runs, name: str) -> PageTable:
     """A result table as the page has it."""
-    title = name.capitalize() if name.startswith("section") else f"Table {name}"
+    number = name.capitalize() if name.startswith("section") else f"Table {name}"
     has_hexapod = _is_in_appendix_d(name)
-    fields = [field for field in RESULTS if has_hexapod or field.name != "hexapod"]
-    result = Result(result_rows(runs, name), fields, f"{title}: {TITLES[name]}", TOLERANCES)
+    fields = [field for field in RESULT_FIELDS if has_hexapod or field.name != "hexapod"]
+    title = f"{number}: {TABLE_TITLES[name]}"
+    result = Result(result_rows(runs, name), fields, title, TOLERANCE_TEXT)
     return PageTable(f"table-{name.replace(' ', '-')}", result.table)

@@ -83,7 +83,7 @@ class Stability(NamedTuple):
     agreeing: int  #: Simulated machines with the verdict of the linear loop.
 
 
-STABILITY = (
+STABILITY_FIELDS = (
     *map(Field, ("law", "cab")),
     Field("prior", form=probability_text),
     Field("posterior", "all evidence", form=probability_text),
@@ -106,7 +106,7 @@ class DampingChange(NamedTuple):
     without: dict[str, Array]  #: At `LEVELS`, with each of `GROUPS` left out.
 
 
-CHANGES = (
+CHANGE_FIELDS = (
     *map(Field, ("law", "cab")),
     _interval_field("prior", form="+.3f"),
     _interval_field("posterior", "all evidence", "+.3f"),
@@ -129,7 +129,7 @@ class LawMeasures(NamedTuple):
     damping_ratio: Annotated[Array, _interval_field(title="zeta")]
 
 
-_MEASURES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "damping_ratio")
+_MEASURE_NAMES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "damping_ratio")
 
 
 class Sensitivity(NamedTuple):
@@ -177,7 +177,7 @@ class EvidenceCheck(NamedTuple):
         return bool(low <= self.observed <= high)
 
 
-UNKNOWNS = (
+UNKNOWN_FIELDS = (
     Field("unknown"),
     Field("unit", of="range.unit"),
     Field("", "prior", of=lambda row: f"{row['range'].low:g} to {row['range'].high:g}"),
@@ -200,8 +200,8 @@ def _weights_without(results: Results) -> dict[str, Array]:
     return {left_out: weights(results, groups) for left_out, groups in rest.items()}
 
 
-def predicted(values: Array, deviation: float, weights: Array) -> Array:
-    """Quantiles at `LEVELS` of what machines make of a number, read with its deviation."""
+def predicted_quantiles(values: Array, deviation: float, weights: Array) -> Array:
+    """Quantiles at `LEVELS` of what machines make of an observation, with its deviation."""
     errors = deviation * stats.norm.ppf((np.arange(_ERROR_COUNT) + 0.5) / _ERROR_COUNT)
     readings = (values[:, None] + errors).ravel()
     return weighted_quantiles(readings, np.repeat(weights, _ERROR_COUNT), LEVELS)
@@ -232,10 +232,9 @@ def stability(results: Results) -> Result[Stability]:
             agreeing=int((simulated_unstable == linear_unstable).sum()),
         )
         rows.append(row)
-    counts = (
-        f"{results.machines.num_rows} machines drawn, effective {effective_size(posterior):.0f}"
-    )
-    return Result(rows, STABILITY, f"how often each law is unstable: {counts}")
+    count, size = results.machines.num_rows, effective_size(posterior)
+    title = f"how often each law is unstable: {count} machines drawn, effective {size:.0f}"
+    return Result(rows, STABILITY_FIELDS, title)
 
 
 def damping_changes(results: Results) -> Result[DampingChange]:
@@ -257,7 +256,7 @@ def damping_changes(results: Results) -> Result[DampingChange]:
             without={g: weighted_quantiles(change, w, LEVELS) for g, w in reduced.items()},
         )
         rows.append(row)
-    return Result(rows, CHANGES)
+    return Result(rows, CHANGE_FIELDS)
 
 
 def law_measures(results: Results) -> Result[LawMeasures]:
@@ -269,7 +268,7 @@ def law_measures(results: Results) -> Result[LawMeasures]:
         stable_count = count * stable if is_enough else np.zeros_like(count)
         quantiles = {
             name: weighted_quantiles(column(machines, name), stable_count, LEVELS)
-            for name in _MEASURES
+            for name in _MEASURE_NAMES
         }
         rows.append(LawMeasures(cab, law, dof, _probability(stable, count), **quantiles))
     return Result(rows, fields_of(LawMeasures))
@@ -301,16 +300,16 @@ def gain_steps(results: Results) -> Result[GainStep]:
 def evidence_checks(results: Results) -> Result[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
-    What is predicted includes the error of what is printed.
+    Predictions include the error of the printed value.
     """
-    before, after, rows = weights(results, ()), weights(results), []
-    for stated in observations():
-        values = stated.counted(column(results.machines, stated.name))
-        prior = predicted(values, stated.deviation, before)
-        posterior = predicted(values, stated.deviation, after)
-        if stated.relative:
+    before, after, rows = weights(results, ()), weights(results), list[EvidenceCheck]()
+    for item in observations():
+        values = item.transformed(column(results.machines, item.name))
+        prior = predicted_quantiles(values, item.deviation, before)
+        posterior = predicted_quantiles(values, item.deviation, after)
+        if item.is_relative:
             prior, posterior = np.exp(prior), np.exp(posterior)
-        rows.append(EvidenceCheck(stated.name, stated.value, stated.deviation, prior, posterior))
+        rows.append(EvidenceCheck(item.name, item.value, item.deviation, prior, posterior))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
     return Result(rows, (*fields_of(EvidenceCheck), inside))
 
@@ -322,7 +321,7 @@ def unknown_ranges(results: Results) -> Result[dict[str, Any]]:
         values = column(results.machines, name)
         quantiles = weighted_quantiles(values, weights(results), LEVELS)
         rows.append({"unknown": name, "range": unknown, "posterior": quantiles})
-    return Result(rows, UNKNOWNS)
+    return Result(rows, UNKNOWN_FIELDS)
 
 
 def posterior_tables(results: Results) -> dict[str, Result[Any]]:

@@ -27,7 +27,7 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.report_2014.posterior import effects, evidence
-from cmf_mj.report_2014.posterior.run import Case, Task, force_answer, force_at_pressures, work_of
+from cmf_mj.report_2014.posterior.run import Case, Task, answer_force, ask_oscillation, work_of
 from cmf_mj.report_2014.posterior.study import (
     NONE,
     EffectSettings,
@@ -45,7 +45,7 @@ from cmf_mj.studies.fit import sampling
 Array = NDArray[np.float64]
 
 _LEAST_WEIGHT = 1e-4  #: Weight in a plant with one effect, above which a machine has its pairs.
-_UNKNOWN_ROW: Row = {number.name: np.nan for number in evidence.observations()} | {"flown": False}
+_UNKNOWN_ROW: Row = {item.name: np.nan for item in evidence.observations()} | {"flown": False}
 _READING_OF_GROUP = {"rows": "simulated", "fits": "arx"}
 _SEPARATOR = ";"  #: Between the plants of a task.
 
@@ -77,7 +77,7 @@ def _bank(task: Task) -> list[Row]:
     for plant in task.subject.split(_SEPARATOR):
         has_numbers = any(not effect_kind(known[name]) for name in effect_names(plant))
         machines = machines_of(task, plant) if has_numbers else plain_machines
-        rows.append({"plant": plant} | effects.observed(machines, effects_of(task, plant)))
+        rows.append({"plant": plant} | effects.predictions(machines, effects_of(task, plant)))
     return rows
 
 
@@ -93,26 +93,27 @@ def _verdicts(task: Task) -> list[Row]:
 
 def _readings(task: Task) -> list[Row]:
     """Shifts of what the shipped machine shows, as simulation and as ARX models read it."""
-    cab, oil = task.study.cabs[0], task.study.hydraulics
-    linear = effects.observed({cab.name: Linear(Hexapod(cab, oil))}, {})
+    cab, hydraulics = task.study.cabs[0], task.study.hydraulics
+    linear = effects.predictions({cab.name: Linear(Hexapod(cab, hydraulics))}, {})
     simulated = Row()
-    for law in (*evidence.ROW_TABLES, evidence.HELD_OUT):
-        measures = run_case(make_case(law, "heave", "hexapod", cab, oil, quick=True)).measures
+    for law in (*evidence.ROW_TABLES, evidence.HELD_OUT_LAW):
+        case = make_case(law, "heave", "hexapod", cab, hydraulics, quick=True)
+        measures = run_case(case).measures
         simulated |= {f"{law}_{name}": getattr(measures, name) for name in evidence.ROW_FIELDS}
-    fits = [evidence.fit_features(model) for model in arx_models(cab, oil)]
+    fits = [evidence.fit_features(model) for model in arx_models(cab, hydraulics)]
     readings = {"rows": [simulated], "fits": fits}
     rows = list[Row]()
-    for number in evidence.observations():
-        values = [number.counted(row[number.name]) for row in readings[number.group]]
-        shift = float(np.mean(values)) - float(number.counted(linear[number.name]))
-        reading = _READING_OF_GROUP[number.group]
-        rows.append({"name": number.name, "reading": reading, "shift": shift})
+    for item in evidence.observations():
+        values = [item.transformed(row[item.name]) for row in readings[item.group]]
+        shift = float(np.mean(values)) - float(item.transformed(linear[item.name]))
+        reading = _READING_OF_GROUP[item.group]
+        rows.append({"name": item.name, "reading": reading, "shift": shift})
     return rows
 
 
-def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
+def arx_models(cab: Cab, hydraulics: HydraulicParameters) -> list[control.StateSpace]:
     """Linear models 1 to 3 of a machine's leg, made as section 4.3 made those of the hardware."""
-    case = make_case("velocity", "heave", "hexapod", cab, oil)
+    case = make_case("velocity", "heave", "hexapod", cab, hydraulics)
     rounds = [
         seven_sines("heave", case.size, number, cycles=3, settle=1.0)
         for number in range(1, len(ROUNDS) + 1)
@@ -127,7 +128,7 @@ def arx_models(cab: Cab, oil: HydraulicParameters) -> list[control.StateSpace]:
     return [control.ss(fit.continuous.velocity.to_si()) for fit in fits]
 
 
-_WORK = work_of({"force": force_answer, "readings": _readings, "bank": _bank, "verdict": _verdicts})
+_WORK = work_of({"force": answer_force, "readings": _readings, "bank": _bank, "verdict": _verdicts})
 
 
 @dataclass
@@ -136,31 +137,31 @@ class _Population:
 
     study: PosteriorStudy
     ask: Asker
-    force: Array  #: Acceleration under force feedback [g] at `PRESSURES`.
+    oscillation_g: Array  #: Acceleration under force feedback at `PRESSURES` [g].
     shifts: list[Row]  #: By `name` and `reading`.
     machines: list[Row] = field(default_factory=list)
-    observed: dict[str, list[Row]] = field(default_factory=dict)
-    """What the machines show by plant, of plants that were asked."""
+    predictions: dict[str, list[Row]] = field(default_factory=dict)
+    """What the machines make of the observations by plant, of plants that were asked."""
 
     def add_round(self, _: int, points: Array) -> Array:
         """Add machines at points in the prior's coordinates; ln of the sum of L of all plants."""
         first, settings = len(self.machines), effect_settings(self.study)
-        shares = effect_points(settings, first, len(points))
-        for quantiles, effect_quantiles in zip(sampling.quantiles(points), shares, strict=True):
+        of_effects = effect_points(settings, first, len(points))
+        for quantiles, effect_quantiles in zip(sampling.quantiles(points), of_effects, strict=True):
             machine = self.study.values(quantiles)
-            for (name, effect), share in zip(settings.used.items(), effect_quantiles, strict=True):
-                machine[name] = float(effect.at(share))
+            for name, quantile in zip(settings.used, effect_quantiles, strict=True):
+                machine[name] = float(settings.used[name].at(quantile))
             self.machines.append(machine)
         plants = [NONE, *(name for name in settings.used if name not in settings.readings)]
-        for answer in self.asked(plants, range(first, len(self.machines))):
+        for answer in self.ask_plants(plants, range(first, len(self.machines))):
             for row in answer:
-                self.observed.setdefault(row["plant"], []).append(row)
+                self.predictions.setdefault(row["plant"], []).append(row)
         bank = self.bank(points, np.zeros(len(self.machines)))
-        by_plant = [bank.log_likelihood(plant)[first:] for plant in bank.observed]
+        by_plant = [bank.log_likelihood(plant)[first:] for plant in bank.predicted]
         return np.asarray(logsumexp(by_plant, axis=0))
 
-    def asked(self, plants: Sequence[str], numbers: Sequence[int]) -> list[list[Row]]:
-        """What machines of these numbers show with the effects of plants, a row a plant."""
+    def ask_plants(self, plants: Sequence[str], numbers: Sequence[int]) -> list[list[Row]]:
+        """Ask what machines of these numbers show with the effects of plants, a row a plant."""
         subject = _SEPARATOR.join(plants)
         return self.ask("bank", [Case(self.machines[i], i, subject) for i in numbers])
 
@@ -168,36 +169,36 @@ class _Population:
         """The machines with the plants that were asked, readings and pairs of both."""
         readings = effect_settings(self.study).readings
         supply_psi = np.array([machine["supply_pressure"] for machine in self.machines])
-        three_g = evidence.oscillation_likelihood(supply_psi, self.force)
-        observed, flown = dict[str, Array](), dict[str, NDArray[np.bool_]]()
-        for plant in dict.fromkeys((*self.observed, *readings, *pairs)):
+        three_g = evidence.oscillation_log_likelihood(supply_psi, self.oscillation_g)
+        predicted, flown = dict[str, Array](), dict[str, NDArray[np.bool_]]()
+        for plant in dict.fromkeys((*self.predictions, *readings, *pairs)):
             names = effect_names(plant)
-            rows = self.observed["+".join(n for n in names if n not in readings) or NONE]
-            counted = evidence.counted(rows)
+            rows = self.predictions["+".join(n for n in names if n not in readings) or NONE]
+            values = evidence.transformed_predictions(rows)
             for name in names:
                 if name in readings:
                     share = np.array([machine[name] for machine in self.machines])
-                    counted = counted + share[:, None] * self._shift(readings[name])
-            observed[plant], flown[plant] = counted, np.array([row["flown"] for row in rows])
-        return Bank(self.study, points, ratio, three_g, observed, flown, [])
+                    values = values + share[:, None] * self._shift(readings[name])
+            predicted[plant], flown[plant] = values, np.array([row["flown"] for row in rows])
+        return Bank(self.study, points, ratio, three_g, predicted, flown, [])
 
     def _shift(self, reading: str) -> Array:
         """Shift of every observation by a reading, (m,)."""
         shift = {row["name"]: row["shift"] for row in self.shifts if row["reading"] == reading}
-        return np.array([shift.get(number.name, 0.0) for number in evidence.observations()])
+        return np.array([shift.get(item.name, 0.0) for item in evidence.observations()])
 
     def add_pairs(self, pairs: Sequence[str], singles: Bank) -> None:
         """Ask pairs of effects of the machines that count; those of the others are unknown."""
-        count = len(self.machines)
+        machine_count = len(self.machines)
         largest = np.max([singles.weights(plant) for plant in singles.single_plants], axis=0)
-        heavy = np.flatnonzero((largest > _LEAST_WEIGHT) & bool(pairs)).tolist()
-        self.ask.every += len(heavy) - count
-        by_pair = [{row["plant"]: row for row in rows} for rows in self.asked(pairs, heavy)]
-        answers = dict(zip(heavy, by_pair, strict=True))
+        numbers = np.flatnonzero((largest > _LEAST_WEIGHT) & bool(pairs)).tolist()
+        self.ask.every += len(numbers) - machine_count
+        by_pair = [{row["plant"]: row for row in rows} for rows in self.ask_plants(pairs, numbers)]
+        answers = dict(zip(numbers, by_pair, strict=True))
         for pair in pairs:
-            self.observed[pair] = [
+            self.predictions[pair] = [
                 answers[number][pair] if number in answers else _UNKNOWN_ROW
-                for number in range(count)
+                for number in range(machine_count)
             ]
 
 
@@ -206,14 +207,14 @@ def run_effects(
 ) -> Bank:
     """Run what is left of a study of effects; `workers` as for `Workers`."""
     settings, pool = effect_settings(study), Workers(**workers)
-    count, readings = settings.rounds * settings.draws, settings.readings
-    task_count = 2 * count + settings.kept * (1 + len(settings.used))
+    machine_count, readings = settings.rounds * settings.draws, settings.readings
+    task_count = 2 * machine_count + settings.kept * (1 + len(settings.used))
     task_count += len(evidence.PRESSURES) + bool(readings)
     journal = Journal(Path(folder), study.identity())
     ask = Asker(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
-    force = np.array(force_at_pressures(ask))
+    oscillation_g = np.array(ask_oscillation(ask))
     shifts = ask("readings", [Case({})])[0] if readings else []
-    population = _Population(study, ask, force, shifts)
+    population = _Population(study, ask, oscillation_g, shifts)
     draws = sampling.importance(
         population.add_round,
         len(settings.unknowns),
@@ -222,7 +223,7 @@ def run_effects(
         settings.seed,
         moments_of=lambda points, ratio: population.bank(points, ratio).moments(),
     )
-    points = np.hstack([draws.points, stats.norm.ppf(effect_points(settings, 0, count))])
+    points = np.hstack([draws.points, stats.norm.ppf(effect_points(settings, 0, machine_count))])
     singles = population.bank(points, draws.ratio)
     pairs = _best_pairs(settings, singles)
     linear_pairs = [pair for pair in pairs if not readings.keys() & effect_names(pair)]
@@ -248,16 +249,16 @@ def effect_points(settings: EffectSettings, first: int, count: int) -> Array:
 def _posterior_verdicts(bank: Bank, population: _Population) -> list[Row]:
     """Damping ratios of machines drawn from each plant's posterior without `flown`."""
     settings, ask = bank.study.settings, population.ask
-    cases, counts = list[Case](), list[int]()
+    cases, draw_counts = list[Case](), list[int]()
     for plant in bank.single_plants:
         weights = bank.weights(plant, kinds=("three_g",))
         sample = sampling.resampled(weights, settings.kept, settings.seed)
-        numbers, times = np.unique(sample, return_counts=True)
+        numbers, counts = np.unique(sample, return_counts=True)
         cases += [Case(population.machines[i], i, plant) for i in numbers.tolist()]
-        counts += times.tolist()
+        draw_counts += counts.tolist()
     ask.every += len(cases) - settings.kept * len(bank.single_plants)
     verdicts = list[Row]()
-    for case, count, answer in zip(cases, counts, ask("verdict", cases), strict=True):
+    for case, count, answer in zip(cases, draw_counts, ask("verdict", cases), strict=True):
         plant, number = case.subject, case.draw
         about = {"plant": plant, "machine": number, "count": count}
         verdicts += [row | about | {"flown": bool(bank.flown[plant][number])} for row in answer]

@@ -26,10 +26,10 @@ from cmf_mj.report_2014.posterior.answers import (
     chance,
     interval,
     percent,
-    predicted,
+    predicted_quantiles,
     probability_text,
 )
-from cmf_mj.report_2014.posterior.evidence import Observation, observations, printed_numbers
+from cmf_mj.report_2014.posterior.evidence import Observation, observation_arrays, observations
 from cmf_mj.report_2014.posterior.study import AVERAGE, NONE, effect_settings
 from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.studies.engine import Row
@@ -59,7 +59,7 @@ class PlantEvidence(NamedTuple):
 def plant_evidence(bank: Bank) -> Result[PlantEvidence]:
     """All plants, the most evidence first."""
     rows, shares, weights_of_none = list[PlantEvidence](), bank.shares(), bank.weights(NONE)
-    for plant in bank.observed:
+    for plant in bank.predicted:
         weights = bank.weights(plant)
         is_single = plant in shares and plant != NONE
         values = bank.effect(plant) if is_single else np.full(weights.size, np.nan)
@@ -95,25 +95,25 @@ class LeftOut(NamedTuple):
 
 def left_out(bank: Bank) -> Result[LeftOut]:
     """All printed numbers under the plant without effects, the likeliest one, and the average."""
-    stated, rows = observations(), list[LeftOut]()
-    recordings = [_recording(number) for number in stated]
-    best = max(bank.observed, key=bank.log_evidence)
+    rows, recordings = list[LeftOut](), [_recording(item) for item in observations()]
+    best = max(bank.predicted, key=bank.log_evidence)
     for plant in dict.fromkeys((NONE, best, AVERAGE)):
         shares = _shares_of(bank, plant)
-        for place, number in enumerate(stated):
+        for place, item in enumerate(observations()):
             alike = [i for i, name in enumerate(recordings) if name == recordings[place]]
             values, weights = _others_prediction(bank, shares, place, [place])
-            span = predicted(values, number.deviation, weights)
-            span = np.exp(span) if number.relative else span
-            rank = _rank(number, values, weights)
-            without_recording = _rank(number, *_others_prediction(bank, shares, place, alike))
-            rows.append(LeftOut(plant, number.name, number.value, span, rank, without_recording))
+            span = predicted_quantiles(values, item.deviation, weights)
+            span = np.exp(span) if item.is_relative else span
+            rank = _rank(item, values, weights)
+            without_recording = _rank(item, *_others_prediction(bank, shares, place, alike))
+            rows.append(LeftOut(plant, item.name, item.value, span, rank, without_recording))
     return Result(rows, fields_of(LeftOut))
 
 
-def _recording(number: Observation) -> str:
-    """What a number was read from: the recording of a law, or the fits."""
-    return number.name.split("_")[0] if number.group == "rows" else number.group
+def _recording(observation: Observation) -> str:
+    """What an observation was read from: the recording of a law, or the fits."""
+    is_row = observation.group == "rows"
+    return observation.name.split("_")[0] if is_row else observation.group
 
 
 def _shares_of(bank: Bank, plant: str) -> dict[str, float]:
@@ -124,23 +124,24 @@ def _shares_of(bank: Bank, plant: str) -> dict[str, float]:
 def _others_prediction(
     bank: Bank, shares: dict[str, float], place: int, left_out: Sequence[int]
 ) -> tuple[Array, Array]:
-    """What the machines of plants make of the number at a place, as counted, and their weights.
+    """What machines of plants make of the observation at a place, transformed, and their weights.
 
-    The numbers at the places `left_out` do not count as evidence.
+    The observations at the places `left_out` do not count as evidence.
     """
-    values = np.concatenate([bank.observed[plant][:, place] for plant in shares])
+    values = np.concatenate([bank.predicted[plant][:, place] for plant in shares])
     weights = [share * bank.weights(plant, left_out=left_out) for plant, share in shares.items()]
-    known = np.concatenate(weights) * np.isfinite(values)
-    return np.where(known > 0.0, values, 0.0), known
+    known_weights = np.concatenate(weights) * np.isfinite(values)
+    return np.where(known_weights > 0.0, values, 0.0), known_weights
 
 
-def _rank(number: Observation, values: Array, weights: Array) -> float:
-    """The rank u of a printed number among predictions."""
-    below = stats.norm.cdf((float(number.counted(number.value)) - values) / number.deviation)
+def _rank(observation: Observation, values: Array, weights: Array) -> float:
+    """The rank u of an observation among predictions, transformed."""
+    printed = float(observation.transformed(observation.value))
+    below = stats.norm.cdf((printed - values) / observation.deviation)
     return float(weights @ below / weights.sum())
 
 
-class _MadeUp(NamedTuple):
+class _MadeUpReport(NamedTuple):
     """What a report made up of a plant says of the plants."""
 
     likeliest: str
@@ -149,7 +150,7 @@ class _MadeUp(NamedTuple):
     largest_gain: float  #: Likewise of the likeliest plant.
 
 
-_THIRD, _MUCH = "of the first three", "as much as the report"
+_IN_FIRST_THREE, _AS_LARGE = "of the first three", "as much as the report"
 
 
 def made_up(bank: Bank) -> Result[dict[str, Any]]:
@@ -164,34 +165,34 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
         row = {
             "plant": plant,
             "right": np.mean(ranks == 0),
-            _THIRD: np.mean(ranks < 3),
-            _MUCH: np.mean([report.largest_gain >= gain_of_report for report in reports]),
+            _IN_FIRST_THREE: np.mean(ranks < 3),
+            _AS_LARGE: np.mean([report.largest_gain >= gain_of_report for report in reports]),
             "gain": np.median([report.gain for report in reports]),
         }
         rows.append(row | {f"found {other}": likeliest.count(other) for other in plants})
-    shares = (Field(name, form=percent) for name in ("right", _THIRD, _MUCH))
+    shares = (Field(name, form=percent) for name in ("right", _IN_FIRST_THREE, _AS_LARGE))
     gain = Field("gain", "median ln Z over none", "+.2f")
     counts = (Field(f"found {plant}") for plant in plants)
     return Result(rows, (Field("plant"), *shares, gain, *counts))
 
 
-def _made_up_reports(bank: Bank, plant: str, generator: np.random.Generator) -> list[_MadeUp]:
+def _made_up_reports(bank: Bank, plant: str, generator: np.random.Generator) -> list[_MadeUpReport]:
     """Reports made up of a plant, each weighed without the machine it is of."""
     weights = bank.ratio + _MADE_UP_POWER * bank.log_likelihood(plant)
-    weights[~np.isfinite(bank.observed[plant]).all(axis=1)] = -np.inf
-    chances, deviations = normalised(weights), printed_numbers().deviations
-    reports = list[_MadeUp]()
+    weights[~np.isfinite(bank.predicted[plant]).all(axis=1)] = -np.inf
+    chances, deviations = normalised(weights), observation_arrays().deviations
+    reports = list[_MadeUpReport]()
     for _ in range(effect_settings(bank.study).made_up):
         machine = int(generator.choice(chances.size, p=chances))
         noise = deviations * generator.normal(size=deviations.size)
-        printed = bank.observed[plant][machine] + noise
+        printed = bank.predicted[plant][machine] + noise
         ratio = bank.ratio.copy()
         ratio[machine] = -np.inf  # a machine must not find itself
         others = replace(bank, ratio=ratio)
         evidence = {p: others.log_evidence(p, printed=printed) for p in bank.single_plants}
         order = sorted(evidence, key=lambda p: -evidence[p])
         gain, largest = (evidence[p] - evidence[NONE] for p in (plant, order[0]))
-        reports.append(_MadeUp(order[0], order.index(plant), gain, largest))
+        reports.append(_MadeUpReport(order[0], order.index(plant), gain, largest))
     return reports
 
 
@@ -242,12 +243,14 @@ def _verdict(
     def probability(event: NDArray[np.bool_], weights: Array) -> Array:
         return chance(float(weights @ event), min(effective_size(weights), size))
 
-    all_weights = _mixed(count, plants, shares)
-    flown_weights = _mixed(count * flown, plants, shares)
+    all_weights = _mixed_weights(count, plants, shares)
+    flown_weights = _mixed_weights(count * flown, plants, shares)
     quantiles_of_change = weighted_quantiles(change, flown_weights, LEVELS)
     median_sign = np.sign(quantiles_of_change[1])
     return Verdict(
-        *(plant, law, cab),
+        plant=plant,
+        law=law,
+        cab=cab,
         unstable=probability(is_unstable, flown_weights),
         without=probability(is_unstable, all_weights),
         change=quantiles_of_change,
@@ -255,7 +258,7 @@ def _verdict(
     )
 
 
-def _mixed(weights: Array, plants: NDArray[np.str_], shares: dict[str, float]) -> Array:
+def _mixed_weights(weights: Array, plants: NDArray[np.str_], shares: dict[str, float]) -> Array:
     """Weights of machines with the plants in these shares; sum 1, or NaN of none."""
     mixed = np.zeros(len(weights))
     for plant, share in shares.items():

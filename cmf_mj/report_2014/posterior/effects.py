@@ -23,7 +23,7 @@ from moving, and whatever the supply does, do not enter: closed valves pass noth
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import control
 import numpy as np
@@ -36,23 +36,22 @@ from cmf_mj.analysis.linear.plants import FEEDBACK
 from cmf_mj.analysis.linear.poles import are_stable, loop_damping
 from cmf_mj.analysis.modes import bound
 from cmf_mj.analysis.step_response import NO_OVERSHOOT, damping_from_overshoot
-from cmf_mj.control.law import Law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.report_2014.posterior.evidence import (
-    FLOWN,
-    HELD_OUT,
-    ROW_FIELDS,
-    ROW_TABLES,
-    fit_features,
-    shipped_law,
-)
+from cmf_mj.report_2014.posterior.evidence import HELD_OUT_LAW, ROW_FIELDS, ROW_TABLES, fit_features
 from cmf_mj.studies.engine import Row
 from cmf_mj.studies.fit.evidence import LINES
 
 Array = NDArray[np.float64]
 
-SPEEDS = {"original": 0.063, "velocity": 0.103, HELD_OUT: 0.103, "fits": 0.133}
+shipped_law = lru_cache(load_law)
+"""Laws by name, each read once."""
+
+FLOWN_LAW = "velocity"
+"""Law that must be stable with all cabs."""
+
+SPEEDS = {"original": 0.063, "velocity": 0.103, HELD_OUT_LAW: 0.103, "fits": 0.133}
 """Amplitudes of leg speeds [m/s]: 0.33 in times the leg's cosine 0.832 and the gain of 0.8 at the
 printed -90 deg; 1 in at 1 Hz."""
 
@@ -219,7 +218,7 @@ def heave_measures(plant: LinearPlant, law: Law, delay: float = 0.0) -> dict[str
     }
 
 
-def observed(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
+def predictions(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Row:
     """What a machine with effects makes of all observations, and whether it can be flown.
 
     `machines` are its linear plants by cab, the first the one that was measured.
@@ -234,7 +233,7 @@ def observed(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Ro
         return with_effects(LinearPlant.of(measured), effects, speed)
 
     row = Row()
-    for name in (*ROW_TABLES, HELD_OUT):
+    for name in (*ROW_TABLES, HELD_OUT_LAW):
         law, speed = shipped_law(name), SPEEDS[name]
         measures = heave_measures(plant_at(speed), law, effects.get("reading_delay", 0.0))
         if is_speed_dependent:
@@ -246,7 +245,7 @@ def observed(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Ro
     heave_rate = np.linalg.inv(jacobian)[[_HEAVE]] @ fitted.c[fitted.outputs("leg_velocity")]
     row |= fit_features(control.ss(fitted.a, fitted.b @ heave_command, heave_rate, 0.0))
     flights = (
-        closed_loop(shipped_law(FLOWN), flown_plant(machine, effects))
+        closed_loop(shipped_law(FLOWN_LAW), flown_plant(machine, effects))
         for machine in (*reversed(others), measured)
     )
     return row | {"flown": all(are_stable(loop.poles()) for loop in flights)}
@@ -255,7 +254,7 @@ def observed(machines: Mapping[str, Linear], effects: Mapping[str, float]) -> Ro
 def flown_plant(linear: Linear, effects: Mapping[str, float]) -> control.StateSpace:
     """A machine with effects as it flies, in frames."""
     flown = {name: value for name, value in effects.items() if name not in NOT_FLOWN}
-    return with_effects(LinearPlant.of(linear), flown, SPEEDS[FLOWN]).in_frames
+    return with_effects(LinearPlant.of(linear), flown, SPEEDS[FLOWN_LAW]).in_frames
 
 
 def damping(linear: Linear, effects: Mapping[str, float], law: Law) -> dict[str, float]:

@@ -8,7 +8,7 @@ from cmf_mj.report_2014.posterior.run import Results
 from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
 
 _ROTATIONS = ("roll", "pitch", "yaw")
-_TITLES = {"cab_height": "centre of mass, up [m]"}
+_UNKNOWN_TITLES = {"cab_height": "centre of mass, up [m]"}
 _MEASURE_TITLES = {
     "phase_bandwidth_hz": "-90 deg [Hz]",
     "gain_bandwidth_hz": "-3 dB [Hz]",
@@ -17,10 +17,10 @@ _MEASURE_TITLES = {
 }
 
 
-def _title(results: Results, name: str) -> str:
+def _unknown_title(results: Results, name: str) -> str:
     unit = results.study.settings.unknowns[name].unit
     text = name.replace("_", " ")
-    return _TITLES.get(name, f"{text} [{unit}]" if unit != "1" else f"{text}, factor")
+    return _UNKNOWN_TITLES.get(name, f"{text} [{unit}]" if unit != "1" else f"{text}, factor")
 
 
 def tornado_figure(results: Results) -> Figure:
@@ -31,25 +31,24 @@ def tornado_figure(results: Results) -> Figure:
     largest_swing = {name: max(rows[name, law].swing for law in laws) for name in unknowns}
     names = sorted(largest_swing, key=lambda name: largest_swing[name])
     figure = new_figure(2.1 * len(laws) + 1.4, 0.26 * len(names) + 1.2)
-    axes = figure.subplots(1, len(laws), sharey=True, squeeze=False)[0]
+    (panels,) = figure.subplots(1, len(laws), sharey=True, squeeze=False)
     bars = np.arange(len(names))
-    for axis, law in zip(axes, laws, strict=True):
-        of_law = [rows[name, law] for name in names]
-        low, high = np.array([row.low for row in of_law]), np.array([row.high for row in of_law])
-        median = np.array([row.median for row in of_law])
-        damping = np.array([low, high, median])
-        left, right = damping.min(axis=0), damping.max(axis=0)
-        axis.barh(bars, right - left, left=left, height=0.5, color=PALE, edgecolor=GREY)
-        axis.plot(low, bars, "o", color=COLOURS[0], markersize=4, label="low")
-        axis.plot(high, bars, "s", color=COLOURS[1], markersize=4, label="high")
-        axis.axvline(0.0, color=DARK, linewidth=0.9)
-        axis.margins(x=0.12)
-        axis.axvline(median[0], color=GREY, linewidth=0.9, linestyle=":")
-        axis.set_title(law.replace("_", "\n", 1), fontsize=8)
-    axes[0].set_yticks(bars, [_title(results, name) for name in names], fontsize=8)
+    for panel, law in zip(panels, laws, strict=True):
+        rows_of_law = [rows[name, law] for name in names]
+        damping = np.array([(row.low, row.high, row.median) for row in rows_of_law]).T
+        low, high, median = damping
+        least, largest = damping.min(axis=0), damping.max(axis=0)
+        panel.barh(bars, largest - least, left=least, height=0.5, color=PALE, edgecolor=GREY)
+        panel.plot(low, bars, "o", color=COLOURS[0], markersize=4, label="low")
+        panel.plot(high, bars, "s", color=COLOURS[1], markersize=4, label="high")
+        panel.axvline(0.0, color=DARK, linewidth=0.9)
+        panel.margins(x=0.12)
+        panel.axvline(median[0], color=GREY, linewidth=0.9, linestyle=":")
+        panel.set_title(law.replace("_", "\n", 1), fontsize=8)
+    panels[0].set_yticks(bars, [_unknown_title(results, name) for name in names], fontsize=8)
     legend(figure)
     cab = results.study.cabs[0].name.upper()
-    axes[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}; unstable left of 0")
+    panels[len(laws) // 2].set_xlabel(f"least damping ratio, cab {cab}; unstable left of 0")
     figure.suptitle(
         "Least damping ratio with one unknown at 5 and 95 % of its range, model without friction",
         fontsize=10,
@@ -67,12 +66,12 @@ def bandwidth_figure(results: Results) -> Figure:
     panels = figure.subplots(*size, sharex="col", sharey=True, squeeze=False)
     bars = np.arange(len(laws))[::-1]
     for dof, panels_of_dof in zip(_ROTATIONS, panels, strict=True):
-        for (field, title), axis in zip(_MEASURE_TITLES.items(), panels_of_dof, strict=True):
+        for (field, title), panel in zip(_MEASURE_TITLES.items(), panels_of_dof, strict=True):
             for bar, law, colour in zip(bars, laws, (*COLOURS, GREY, DARK), strict=False):
                 low, middle, high = getattr(rows[law, dof], field)
-                axis.plot([low, high], [bar, bar], color=colour, linewidth=3, alpha=0.5)
-                axis.plot([middle], [bar], "o", color=colour, markersize=5)
-            axis.set_xlabel(title if dof == _ROTATIONS[-1] else "")
+                panel.plot([low, high], [bar, bar], color=colour, linewidth=3, alpha=0.5)
+                panel.plot([middle], [bar], "o", color=colour, markersize=5)
+            panel.set_xlabel(title if dof == _ROTATIONS[-1] else "")
         shares = [f"{law}, {answers.percent(rows[law, dof].stable[1])}" for law in laws]
         panels_of_dof[0].set_ylabel(dof)
         panels_of_dof[0].set_yticks(bars, shares, fontsize=7)
@@ -87,7 +86,7 @@ def bandwidth_figure(results: Results) -> Figure:
 def gain_figure(results: Results) -> Figure:
     """Share of stable machines and least damping ratio by gain of acceleration, for each filter."""
     figure = new_figure(9.0, 3.6)
-    left, right = figure.subplots(1, 2)
+    stable_panel, damping_panel = figure.subplots(1, 2)
     steps = answers.gain_steps(results)
     for corner, colour in zip(dict.fromkeys(step.corner for step in steps), COLOURS, strict=False):
         curve = sorted((step for step in steps if step.corner == corner), key=lambda s: s.gain)
@@ -95,17 +94,18 @@ def gain_figure(results: Results) -> Figure:
         name = "no filter" if corner == 0.0 else f"filter {corner:.3g} Hz"
         stable_percent = 100.0 * np.array([step.stable for step in curve])
         damping = np.array([step.damping for step in curve])
-        for axis, spans in ((left, stable_percent), (right, damping)):
+        for panel, spans in ((stable_panel, stable_percent), (damping_panel, damping)):
             low, middle, high = spans.T
-            axis.plot(gains, middle, "o-", color=colour, label=name)
-            axis.fill_between(gains, low, high, color=colour, alpha=0.2)
-    right.axhline(0.0, color=DARK, linewidth=0.9)
-    right.text(0.02, 0.98, "stable", transform=right.transAxes, va="top")
-    right.text(0.02, 0.02, "unstable", transform=right.transAxes, va="bottom")
-    left.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="stable with every cab [%]")
-    right.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="least damping ratio of any cab")
-    for axis in (left, right):
-        axis.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
+            panel.plot(gains, middle, "o-", color=colour, label=name)
+            panel.fill_between(gains, low, high, color=colour, alpha=0.2)
+    damping_panel.axhline(0.0, color=DARK, linewidth=0.9)
+    damping_panel.text(0.02, 0.98, "stable", transform=damping_panel.transAxes, va="top")
+    damping_panel.text(0.02, 0.02, "unstable", transform=damping_panel.transAxes, va="bottom")
+    stable_panel.set_ylabel("stable with every cab [%]")
+    damping_panel.set_ylabel("least damping ratio of any cab")
+    for panel in (stable_panel, damping_panel):
+        panel.set_xlabel("gain of acceleration [%/(in/s²)]")
+        panel.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
     legend(figure)
     figure.suptitle(
         "Stability and damping over the gain of acceleration feedback, model without friction",

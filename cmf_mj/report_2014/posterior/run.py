@@ -25,7 +25,6 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law
 from cmf_mj.core.tables import read_table, write_parquet
 from cmf_mj.core.units import FRAME
-from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
@@ -74,8 +73,8 @@ class Task:
 
     def machines(self, cabs: Sequence[Cab]) -> dict[str, Linear]:
         """The machine with each cab."""
-        oil = self.study.hydraulics_of(self.values, self.draw)
-        return {cab.name: Linear(self.study.plant(cab, self.values, oil)) for cab in cabs}
+        hydraulics = self.study.hydraulics_of(self.values, self.draw)
+        return {cab.name: Linear(self.study.plant(cab, self.values, hydraulics)) for cab in cabs}
 
 
 class Results(NamedTuple):
@@ -97,7 +96,7 @@ class _Population:
 
     study: PosteriorStudy
     ask: Asker
-    force: Array  #: Acceleration under force feedback [g] at `PRESSURES`.
+    oscillation_g: Array  #: Acceleration under force feedback at `PRESSURES` [g].
     machines: list[Row] = field(default_factory=list)
     damping: list[Row] = field(default_factory=list)  #: Of every machine, cab and law.
 
@@ -110,22 +109,23 @@ class _Population:
             self.machines.append(evidence_row | {"machine": case.draw})
             self.damping.extend(row | {"machine": case.draw} for row in damping)
         added = self.machines[first:]
-        likelihoods = _group_likelihoods(added, self.force)
+        likelihoods = _group_likelihoods(added, self.oscillation_g)
         for group, values_of_group in likelihoods.items():
             for row, likelihood in zip(added, values_of_group.tolist(), strict=True):
                 row[f"log_{group}"] = likelihood
         return np.sum([likelihoods[group] for group in GROUPS], axis=0)
 
 
-def _group_likelihoods(machines: Sequence[Row], force: Array) -> dict[str, Array]:
-    """Ln L of machines by group of evidence."""
-    numbers = evidence.log_likelihoods(evidence.counted(machines))[:, evidence.USED]
-    group = np.array([number.group for number in evidence.observations()[evidence.USED]])
+def _group_likelihoods(machines: Sequence[Row], oscillation_g: Array) -> dict[str, Array]:
+    """Ln L of machines by group of evidence; `oscillation_g` [g] is that at `PRESSURES`."""
+    is_used = evidence.observation_arrays().is_used
+    group = np.array([observation.group for observation in evidence.observations()])
+    by_observation = evidence.log_likelihoods(evidence.transformed_predictions(machines))
     supply_psi = np.array([machine["supply_pressure"] for machine in machines])
     return {
-        "rows": numbers[:, group == "rows"].sum(axis=1),
-        "fits": numbers[:, group == "fits"].sum(axis=1),
-        "three_g": evidence.oscillation_likelihood(supply_psi, force),
+        "rows": by_observation[:, is_used & (group == "rows")].sum(axis=1),
+        "fits": by_observation[:, is_used & (group == "fits")].sum(axis=1),
+        "three_g": evidence.oscillation_log_likelihood(supply_psi, oscillation_g),
         "flown": np.where([machine["flown"] for machine in machines], 0.0, -np.inf),
     }
 
@@ -140,27 +140,29 @@ def run_posterior(
     task_count += len(evidence.PRESSURES) + settings.simulated * len(study.cabs)
     ask = Asker(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
-    force = force_at_pressures(ask)
+    oscillation_g = ask_oscillation(ask)
     tables["force"] = [
-        {"supply_pressure": psi, "g": g} for psi, g in zip(evidence.PRESSURES, force, strict=True)
+        {"supply_pressure": psi, "g": acceleration}
+        for psi, acceleration in zip(evidence.PRESSURES, oscillation_g, strict=True)
     ]
-    population = _sampled(study, ask, np.array(force))
+    population = _sample_machines(study, ask, np.array(oscillation_g))
     machines = population.machines
     tables |= {"machines": machines, "damping": population.damping}
     weights = np.array([machine["weight"] for machine in machines])
     sample = sampling.resampled(weights, settings.kept, settings.seed)
     numbers, counts = (column.tolist() for column in np.unique(sample, return_counts=True))
     ask.every -= settings.kept - len(numbers)
-    kept = [Case(Unknowns(settings.unknowns).of(machines[number]), number) for number in numbers]
-    for case, count, rows in zip(kept, counts, ask("kept", kept), strict=True):
+    unknowns = Unknowns(settings.unknowns)
+    kept_cases = [Case(unknowns.of(machines[number]), number) for number in numbers]
+    for case, count, rows in zip(kept_cases, counts, ask("kept", kept_cases), strict=True):
         for row in rows:
             counted_row = row | {"machine": case.draw, "count": count}
             tables[counted_row.pop("table")].append(counted_row)
-    points = _points(settings.unknowns, machines, weights)
-    for case, rows in zip(points, ask("point", points), strict=True):
+    point_cases = _point_cases(study, machines, weights)
+    for case, rows in zip(point_cases, ask("point", point_cases), strict=True):
         tables["points"] += [row | {"about": case.subject} for row in rows]
-    flights = _flights(study, kept)
-    for case, rows in zip(flights, ask("simulated", flights), strict=True):
+    simulation_cases = _simulation_cases(study, kept_cases)
+    for case, rows in zip(simulation_cases, ask("simulated", simulation_cases), strict=True):
         tables["simulated"] += [row | {"machine": case.draw} for row in rows]
     paths = {
         name: write_parquet(row_table(rows), journal.folder / f"{name}.parquet")
@@ -169,9 +171,9 @@ def run_posterior(
     return Results(study, **{name: read_table(path) for name, path in paths.items()})
 
 
-def _sampled(study: PosteriorStudy, ask: Asker, force: Array) -> _Population:
-    """Machines of all rounds with their weights; `force` is the acceleration at `PRESSURES`."""
-    settings, population = study.settings, _Population(study, ask, force)
+def _sample_machines(study: PosteriorStudy, ask: Asker, oscillation_g: Array) -> _Population:
+    """Draw machines in rounds and weigh them; `oscillation_g` [g] is that at `PRESSURES`."""
+    settings, population = study.settings, _Population(study, ask, oscillation_g)
     draws = sampling.importance(
         population.add_round, len(settings.unknowns), settings.draws, settings.rounds, settings.seed
     )
@@ -180,22 +182,22 @@ def _sampled(study: PosteriorStudy, ask: Asker, force: Array) -> _Population:
     return population
 
 
-def _flights(study: PosteriorStudy, kept: Sequence[Case]) -> list[Case]:
+def _simulation_cases(study: PosteriorStudy, kept: Sequence[Case]) -> list[Case]:
     """Some machines with each cab, to be simulated."""
     order = np.random.default_rng([study.settings.seed, 4]).permutation(len(kept))
-    flown = [kept[index] for index in order[: study.settings.simulated]]
-    return [case._replace(subject=cab.name) for case in flown for cab in study.cabs]
+    chosen_cases = [kept[index] for index in order[: study.settings.simulated]]
+    return [case._replace(subject=cab.name) for case in chosen_cases for cab in study.cabs]
 
 
-def force_at_pressures(ask: Asker) -> list[float]:
-    """Acceleration under force feedback [g] at `PRESSURES`."""
+def ask_oscillation(ask: Asker) -> list[float]:
+    """Ask the acceleration under force feedback [g] at `PRESSURES`."""
     answers = ask("force", [Case({"psi": psi}) for psi in evidence.PRESSURES])
     return [row["g"] for (row,) in answers]
 
 
-def _points(unknowns: Mapping[str, Unknown], machines: Sequence[Row], weights: Array) -> list[Case]:
+def _point_cases(study: PosteriorStudy, machines: Sequence[Row], weights: Array) -> list[Case]:
     """The median machine, and it with one unknown at the ends of its range."""
-    median = {}
+    unknowns, median = study.settings.unknowns, dict[str, float]()
     for name in unknowns:
         values = np.array([machine[name] for machine in machines])
         median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
@@ -207,10 +209,10 @@ def _points(unknowns: Mapping[str, Unknown], machines: Sequence[Row], weights: A
     return [Case(median, subject="median"), *ends]
 
 
-def _drawn(task: Task) -> list[Row]:
+def _answer_drawn(task: Task) -> list[Row]:
     """What a machine makes of the evidence, and damping ratios of all laws with all cabs."""
     machines = task.machines(task.study.cabs)
-    return [{**task.values, **effects.observed(machines, {})}, *_dampings(machines, task.laws)]
+    return [{**task.values, **effects.predictions(machines, {})}, *_dampings(machines, task.laws)]
 
 
 def _dampings(machines: Mapping[str, Linear], laws: Sequence[Law]) -> list[Row]:
@@ -221,7 +223,7 @@ def _dampings(machines: Mapping[str, Linear], laws: Sequence[Law]) -> list[Row]:
     ]
 
 
-def _kept(task: Task) -> list[Row]:
+def _answer_kept(task: Task) -> list[Row]:
     """Measures of all laws with all cabs, and damping ratios under gains of acceleration."""
     machines = task.machines(task.study.cabs)
     rows: list[Row] = []
@@ -244,7 +246,7 @@ def acceleration_law(gain: float, corner: float) -> Law:
 
     The filter has one pole at `corner` [Hz], 0 for none: z = e^(-2 pi corner T).
     """
-    law = evidence.shipped_law("acceleration")
+    law = effects.shipped_law("acceleration")
     pole = float(np.exp(-2.0 * np.pi * corner * FRAME)) if corner > 0.0 else 0.0
     gains = law.direct_gain.model_copy(update={"acceleration": gain})
     update = {"accelerometer_pole": pole, "accelerometer_gain": 1.0 - pole, "direct_gain": gains}
@@ -252,23 +254,23 @@ def acceleration_law(gain: float, corner: float) -> Law:
     return law.model_copy(update={"name": name, **update})
 
 
-def _point(task: Task) -> list[Row]:
+def _answer_point(task: Task) -> list[Row]:
     rows = _dampings(task.machines(task.study.cabs[:1]), task.laws)
     return [dict(task.values) | row for row in rows]
 
 
-def _simulated(task: Task) -> list[Row]:
+def _answer_simulated(task: Task) -> list[Row]:
     """Whether the machine with a cab swings after a step of each law."""
     study, rows = task.study, list[Row]()
     (cab,) = (cab for cab in study.cabs if cab.name == task.subject)
-    oil = study.hydraulics_of(task.values, task.draw)
+    hydraulics = study.hydraulics_of(task.values, task.draw)
     for law in task.laws:
-        swing = swing_after_step(study.plant(cab, task.values, oil), law)
+        swing = swing_after_step(study.plant(cab, task.values, hydraulics), law)
         rows.append({"cab": cab.name, "law": law.name} | swing)
     return rows
 
 
-def force_answer(task: Task) -> list[Row]:
+def answer_force(task: Task) -> list[Row]:
     """Acceleration under force feedback [g]."""
     return [{"g": evidence.oscillation_g(task.values["psi"])}]
 
@@ -284,10 +286,10 @@ def work_of(answers: Mapping[str, Callable[[Task], list[Row]]]) -> Work:
 
 _WORK = work_of(
     {
-        "force": force_answer,
-        "drawn": _drawn,
-        "kept": _kept,
-        "point": _point,
-        "simulated": _simulated,
+        "force": answer_force,
+        "drawn": _answer_drawn,
+        "kept": _answer_kept,
+        "point": _answer_point,
+        "simulated": _answer_simulated,
     }
 )

@@ -19,7 +19,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.facility.unknown import Unknown
-from cmf_mj.facility.unknowns import Unknowns
+from cmf_mj.facility.unknowns import Unknowns, Values
 from cmf_mj.machine.cab import Cab, load_cabs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
@@ -28,7 +28,7 @@ from cmf_mj.report_2014.posterior.effects import EFFECTS
 from cmf_mj.studies.settings import study_table
 
 NONE, AVERAGE = "none", "average"  #: The plant without effects; the average over plants.
-READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of what is observed.
+READINGS = ("simulated", "arx")  #: Effects of how results were read: shifts of predictions.
 
 
 class PosteriorSettings(Settings):
@@ -102,18 +102,18 @@ class PosteriorStudy:
         """Values of the unknowns at a point of the unit cube, (n,)."""
         return Unknowns(self.settings.unknowns).at(quantiles)
 
-    def hydraulics_of(self, values: Mapping[str, float], draw: int | None) -> HydraulicParameters:
+    def hydraulics_of(self, values: Values, draw: int | None) -> HydraulicParameters:
         """The hydraulic set of a machine; `draw` numbers its mismatch, None has none."""
-        alike = Unknowns(self.settings.unknowns).apply(values, self.hydraulics)
+        legs_alike = Unknowns(self.settings.unknowns).apply(values, self.hydraulics)
         mismatch = Unknowns(self.settings.mismatch)
-        scatter = {} if draw is None else mismatch.streams(self.settings.seed, draw)
-        return mismatch.apply(scatter, alike)
+        deviations = {} if draw is None else mismatch.streams(self.settings.seed, draw)
+        return mismatch.apply(deviations, legs_alike)
 
-    def plant(self, cab: Cab, values: Mapping[str, float], oil: HydraulicParameters) -> Hexapod:
+    def plant(self, cab: Cab, values: Values, hydraulics: HydraulicParameters) -> Hexapod:
         """The machine with a cab and its hydraulic set; laws take the cab for the shipped one."""
-        return Hexapod(Unknowns(self.settings.unknowns).apply(values, cab), oil)
+        return Hexapod(Unknowns(self.settings.unknowns).apply(values, cab), hydraulics)
 
-    def law(self, law: Law, values: Mapping[str, float]) -> Law:
+    def law(self, law: Law, values: Values) -> Law:
         """A law with the derivative filter of a machine."""
         return Unknowns(self.settings.unknowns).apply(values, law)
 
@@ -124,26 +124,26 @@ def load_posterior(
     laws: Sequence[str | Law] | None = None,
     changes: Mapping[str, Any] | None = None,
     quick: bool = False,
-    form: type[PosteriorSettings] = PosteriorSettings,
+    settings_type: type[PosteriorSettings] = PosteriorSettings,
 ) -> PosteriorStudy:
-    """Load a study of the unknown, its settings of a `form`.
+    """Load a study of the unknown, its settings of `settings_type`.
 
     `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
     laws, `changes` replace its fields; a `quick` study has the fields of its table `quick`.
     """
-    table, where = study_table(source)
+    table, place = study_table(source)
     quick_fields = table.pop("quick", {})
     table |= (quick_fields if quick else {}) | dict(changes or {})
     if laws is not None:
         table["laws"] = [load_law(law).name for law in laws]
-    settings = validated(form, table, where)
-    with within(where):
-        return _checked(settings, laws)
+    settings = validated(settings_type, table, place)
+    with within(place):
+        return _checked_study(settings, laws)
 
 
 def load_effects(source: Any, **options: Any) -> PosteriorStudy:
     """Load a study of effects; `options` as of `load_posterior`."""
-    study = load_posterior(source, form=EffectSettings, **options)
+    study = load_posterior(source, settings_type=EffectSettings, **options)
     settings = effect_settings(study)
     fewest, unknowns = 2 * (len(settings.unknowns) + 1), len(settings.unknowns)
     if settings.draws < fewest:
@@ -168,7 +168,7 @@ def _check_bounded(field: str, unknowns: Mapping[str, Unknown]) -> None:
             raise InputError(f"{field}.{name}: allowed: one number between bounds, low and high")
 
 
-def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
+def _checked_study(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
     """The study of settings that fit together; bounds that no machine can have are refused."""
     _check_bounded("unknowns", settings.unknowns)
     if settings.draws & (settings.draws - 1):

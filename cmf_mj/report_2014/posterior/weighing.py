@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cmf_mj.report_2014.posterior.evidence import USED, log_likelihoods, printed_numbers
+from cmf_mj.report_2014.posterior.evidence import log_likelihoods, observation_arrays
 from cmf_mj.report_2014.posterior.study import NONE, PosteriorStudy, effect_settings
 from cmf_mj.studies.engine import Row
 from cmf_mj.studies.fit import sampling
@@ -29,20 +29,20 @@ _IDENTITY_SHARE = 0.2  #: Of the identity in the covariance of the prior.
 
 @dataclass(frozen=True)
 class Bank:
-    """Machines with what plants make of them, (n,) and (n, m) by plant, m numbers as counted."""
+    """Machines and what plants make of them: n machines, m observations."""
 
     study: PosteriorStudy
     points: Array  #: In the coordinates of the prior, unknowns and then effects, (n, k).
-    ratio: Array  #: Ln r.
-    three_g: Array  #: Ln of the likelihood of 3 g.
-    observed: Mapping[str, Array]
-    flown: Mapping[str, NDArray[np.bool_]]
+    ratio: Array  #: Ln r, (n,).
+    three_g: Array  #: Ln of the likelihood of 3 g, (n,).
+    predicted: Mapping[str, Array]  #: Observations, transformed, by plant, (n, m).
+    flown: Mapping[str, NDArray[np.bool_]]  #: Whether machines can be flown, by plant, (n,).
     verdicts: list[Row]  #: Damping ratios of machines by plant, cab and law.
 
     @property
     def single_plants(self) -> list[str]:
         """The plant without effects and those with one."""
-        return [plant for plant in self.observed if "+" not in plant]
+        return [plant for plant in self.predicted if "+" not in plant]
 
     def log_likelihood(
         self,
@@ -51,15 +51,14 @@ class Bank:
         left_out: Iterable[int] = (),
         kinds: Iterable[str] = ("three_g", "flown"),
     ) -> Array:
-        """Ln L of all machines; the numbers `left_out`, by their place, do not count.
+        """Ln L of all machines; the observations `left_out`, by their place, do not count.
 
-        `printed` (m,) stands in for the report's, `kinds` count beside numbers.
+        `printed` (m,), transformed, stands in for the report's; `kinds` count beside observations.
         """
-        by_number = log_likelihoods(self.observed[plant], printed)
-        counts = np.zeros(by_number.shape[1], dtype=bool)
-        counts[USED] = True
-        counts[[*left_out]] = False
-        total = by_number[:, counts].sum(axis=1)
+        by_observation = log_likelihoods(self.predicted[plant], printed)
+        is_evidence = observation_arrays().is_used.copy()
+        is_evidence[[*left_out]] = False
+        total = by_observation[:, is_evidence].sum(axis=1)
         if "three_g" in kinds:
             total = total + self.three_g
         return np.where(self.flown[plant] | ("flown" not in kinds), total, -np.inf)
@@ -70,7 +69,7 @@ class Bank:
         return float(total - logsumexp(self.ratio))
 
     def weights(self, plant: str, **options: Any) -> Array:
-        """Of the posterior, sum 1; options as of `log_likelihood`."""
+        """Weights of the posterior, sum 1; options as of `log_likelihood`."""
         return sampling.normalised(self.ratio + self.log_likelihood(plant, **options))
 
     def shares(self) -> dict[str, float]:
@@ -86,15 +85,16 @@ class Bank:
         return used[name].at(sampling.quantiles(self.points[:, column]))
 
     def moments(self) -> tuple[Array, Array]:
-        """Mean and covariance of the unknowns without effects, numbers linear in them.
+        """Mean and covariance of the unknowns without effects, observations linear in them.
 
-        Their prior is the Gaussian of machines that can be flown and swing at 3 g; the error of
-        the linear numbers is added to s^2.
+        Their prior is the Gaussian of machines that can be flown and swing at 3 g; the mean square
+        error of the linear observations is added to s^2.
         """
         points = self.points[:, : len(self.study.settings.unknowns)]
-        printed, s = (numbers[USED] for numbers in printed_numbers())
-        slopes, middle, error = self._regression(points)
-        variance = s**2 + error
+        report = observation_arrays()
+        printed, deviations = report.values[report.is_used], report.deviations[report.is_used]
+        slopes, middle, square_error = self._regression(points)
+        variance = deviations**2 + square_error
         weights = self.ratio + np.where(self.flown[NONE], self.three_g, -np.inf)
         mean, spread = sampling.moments(points, sampling.normalised(weights))
         identity = np.eye(points.shape[1])
@@ -105,7 +105,7 @@ class Bank:
 
     def _regression(self, points: Array) -> tuple[Array, Array, Array]:
         """Slopes (k, m), values at z = 0 and mean squared errors (m,) of y without effects."""
-        y = self.observed[NONE][:, USED]
+        y = np.compress(observation_arrays().is_used, self.predicted[NONE], axis=1)
         weights = self.ratio + self.log_likelihood(NONE, kinds=())
         weights = sampling.tempered(weights, _REGRESSED_SHARE * len(self.ratio))
         weights = np.where(np.isfinite(y).all(axis=1), weights, 0.0)
@@ -113,5 +113,6 @@ class Bank:
         root = np.sqrt(weights / weights.sum())[:, None]
         inputs = np.hstack([np.ones_like(root), points])
         coefficients = np.linalg.lstsq(root * inputs, root * y, rcond=None)[0]
-        error = ((root * (y - inputs @ coefficients)) ** 2).sum(axis=0)
-        return coefficients[1:], coefficients[0], error
+        square_error = ((root * (y - inputs @ coefficients)) ** 2).sum(axis=0)
+        middle, slopes = coefficients[0], coefficients[1:]
+        return slopes, middle, square_error
