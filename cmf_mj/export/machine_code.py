@@ -67,49 +67,49 @@ class _Reader:
         self.context, self.builder, self.next_slot = context, builder, 0
         self.table = builder.inttoptr(address, _WORD.as_pointer())
 
-    def word(self) -> Any:
+    def read_word(self) -> Any:
         """The next slot."""
         place = self.builder.gep(self.table, [ir.Constant(_WORD, self.next_slot)])
         self.next_slot += 1
         return self.builder.load(place)
 
-    def value(self, kind: Any) -> Any:
+    def read_value(self, kind: Any) -> Any:
         """A value of Numba's type `kind` from as many slots as it has."""
         context, builder = self.context, self.builder
         if isinstance(kind, types.BaseTuple):
-            return context.make_tuple(builder, kind, [self.value(part) for part in kind])
+            return context.make_tuple(builder, kind, [self.read_value(part) for part in kind])
         if isinstance(kind, types.NoneType):
             return context.get_dummy_value()
         if isinstance(kind, types.Array):
-            return self.array(kind)
+            return self.read_array(kind)
         if kind == types.float64:
-            return builder.bitcast(self.word(), ir.DoubleType())
+            return builder.bitcast(self.read_word(), ir.DoubleType())
         if kind == types.int64:
-            return self.word()
+            return self.read_word()
         if kind == types.boolean:
-            return builder.icmp_unsigned("!=", self.word(), ir.Constant(_WORD, 0))
+            return builder.icmp_unsigned("!=", self.read_word(), ir.Constant(_WORD, 0))
         raise RunError(f"machine code: a parameter of type {kind} has no slot")
 
-    def array(self, kind: Any) -> Any:
+    def read_array(self, kind: Any) -> Any:
         """An array, which stays where its address says."""
         context, builder = self.context, self.builder
         result = arrayobj.make_array(kind)(context, builder)
         item = context.get_data_type(kind.dtype)
-        data = builder.inttoptr(self.word(), item.as_pointer())
-        shape = [self.word() for _ in range(kind.ndim)]
-        strides = [self.word() for _ in range(kind.ndim)]
+        data = builder.inttoptr(self.read_word(), item.as_pointer())
+        shape = [self.read_word() for _ in range(kind.ndim)]
+        strides = [self.read_word() for _ in range(kind.ndim)]
         size = context.get_constant(types.intp, context.get_abi_sizeof(item))
         arrayobj.populate_array(result, data, shape, strides, size, None)
         return result._getvalue()
 
 
-def _called_with_a_table(function: Callable[..., Any], kind: Any) -> Any:
+def _compile_for_table(function: Callable[..., Any], kind: Any) -> Any:
     """`function(parts, first, last)`, compiled to be called with the address of their slots."""
 
     @intrinsic
     def read(typing_context: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            return _Reader(context, builder, arguments[0]).value(kind)
+            return _Reader(context, builder, arguments[0]).read_value(kind)
 
         return kind(types.intp), generate
 
@@ -145,12 +145,12 @@ def machine_code(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     sources = [*(file.read_text(encoding="utf-8") for file in files)]
     sources += [version("numba"), version("llvmlite")]
     key = (function.__qualname__, repr(kind))
-    return kept(name, key, sources, lambda: _compile(name, function, kind))
+    return load_or_make(name, key, sources, lambda: _compile(name, function, kind))
 
 
 def _compile(name: str, function: Callable[..., Any], kind: Any) -> bytes:
     """Compile what `machine_code` keeps."""
-    overload = _called_with_a_table(function, kind)
+    overload = _compile_for_table(function, kind)
     module = llvm.parse_assembly(overload.library.get_llvm_str())
     entry = overload.fndesc.llvm_func_name
     for number, symbol in enumerate([*module.functions, *module.global_variables]):
@@ -186,7 +186,9 @@ def constant_data(blocks: dict[str, NDArray[np.uint8]]) -> bytes:
     return bytes(_target().emit_object(parsed))
 
 
-def kept(name: str, key: Sequence[str], sources: Sequence[str], make: Callable[[], bytes]) -> bytes:
+def load_or_make(
+    name: str, key: Sequence[str], sources: Sequence[str], make: Callable[[], bytes]
+) -> bytes:
     """Bytes that `make` makes for a `key` by these `sources` and all compiled code.
 
     They are kept in a file; those of one name that other sources made are thrown away.

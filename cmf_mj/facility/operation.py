@@ -28,7 +28,8 @@ from cmf_mj.facility.session import Session
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-_CHAIN_OPTIONS, _WARM_UP_FRAMES = {"requests", *HostChain.model_fields}, 8
+_CHAIN_OPTIONS = {"requests", *HostChain.model_fields}  #: Options of `operate` for the chain.
+_WARM_UP_FRAMES = 8  #: Control frames of the run that compiles all code.
 
 
 class Timing(NamedTuple):
@@ -39,7 +40,7 @@ class Timing(NamedTuple):
     frame: float = FRAME  #: Control frame [s].
 
     @property
-    def over(self) -> int:
+    def overrun_frames(self) -> int:
         """Frames that computed for longer than a control frame."""
         return int((self.busy > self.frame).sum())
 
@@ -103,7 +104,7 @@ def operate(
         seconds = float(arrivals.frame[-1] / rate + sum(delays.values()))
     session = _hosted_run(plant, law, arrivals, seconds, options).session()
     _run_to_end(session, progress)
-    return _operation(session, arrivals, {}, None)
+    return _make_operation(session, arrivals, {}, None)
 
 
 def serve(
@@ -146,7 +147,7 @@ def serve(
     lost, thinned = int(ring.lost[0]) - lost_before, int(ring.thinned[0]) - thinned_before
     unused = {"early": early, "lost": lost, "thinned": thinned}
     timing = None if pace is None else Timing(pace.busy, pace.late, machine.frame)
-    return _operation(session, arrivals, unused, timing)
+    return _make_operation(session, arrivals, unused, timing)
 
 
 def _hosted_run(
@@ -181,16 +182,16 @@ def _run_to_end(
             progress(session.frame / session.rate)
 
 
-def _operation(
+def _make_operation(
     session: Session, arrivals: Arrivals, unused: dict[str, int], timing: Timing | None
 ) -> Operation:
     time, channels, units = session.history()
-    dcu = session.source.dcu_state
+    dcu_state = session.source.dcu_state
     metadata = session.describe()
     metadata["command"] = {"signal": "host frames", "frames": int(arrivals.frame.size)}
     metadata["host_late"] = float(channels["host_late"].mean()) * session.frame / session.rate
     record = Record(time, channels, units, metadata)
-    return Operation(record, arrivals, dcu.counts, dcu.rejections, unused, timing)
+    return Operation(record, arrivals, dcu_state.counts, dcu_state.rejections, unused, timing)
 
 
 def account(

@@ -1,4 +1,4 @@
-"""Rows of a record: their `Layout` in channels, and `RecordRows`, which the loop writes into."""
+"""Rows of a record: their `Layout` in channels, and `RecordRows`, which the loop writes to."""
 
 from collections import namedtuple
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from cmf_mj.facility.front import Source
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.plant import Plant
 
-CHAIN = {
+CHAIN_CHANNELS = {
     "demand_pose": ("m, rad", "platform"),
     "demand_velocity": ("m/s, rad/s", "platform"),
     "demand_acceleration": ("m/s^2, rad/s^2", "platform"),
@@ -22,11 +22,11 @@ CHAIN = {
 }
 """Channels of the chain, name to unit and kind; the pose is also that of a table."""
 
-_LAW = ("leg_reference", "compensator_output")  #: Channels that an open loop has not.
+_LAW_CHANNELS = ("leg_reference", "compensator_output")  #: Channels that an open loop has not.
 
 _WINDOW_ROWS = 2048  #: Rows that the loop writes before the channels are taken out of them.
 
-_CHANNELS = CHAIN | {
+_CHANNELS = CHAIN_CHANNELS | {
     "leg_reference": ("m", "legs"),
     "leg_position": ("m", "legs"),
     "leg_velocity": ("m/s", "legs"),
@@ -92,9 +92,9 @@ def make_layout(plant: Plant, *, has_law: bool, source: Source) -> Layout:
         "energies": len(ENERGIES),
         "positions": plant.model.nq,
     }
-    absent = set[str]() if has_law else {*_LAW}
+    absent = set[str]() if has_law else {*_LAW_CHANNELS}
     if not source.hosted:
-        absent |= {*CHAIN} - ({"demand_pose"} if source.poses.size else set())
+        absent |= {*CHAIN_CHANNELS} - ({"demand_pose"} if source.poses.size else set())
     channels, starts, width = list[Channel](), dict.fromkeys(_CHANNELS, -1), 0
     for name, (unit, kind) in _CHANNELS.items():
         if name not in absent:
@@ -118,8 +118,9 @@ class RecordRows:
         self._written_rows = 0
         self._histories: dict[str, NDArray[np.float64]] = {}  # none where only the latest are kept
         if keeps_all:
-            for name, _, _, width in layout.channels:
-                self._histories[name] = np.empty(count if width is None else (count, width))
+            for channel in layout.channels:
+                shape = (count,) if channel.width is None else (count, channel.width)
+                self._histories[channel.name] = np.empty(shape)
             count = min(count, _WINDOW_ROWS)
         self.window = np.empty((count, layout.width))
         """The latest rows; after the last the loop writes the first again, (N, columns)."""

@@ -1,5 +1,6 @@
 """A session: one plant, one controller and the compiled loop, run in one go or in parts."""
 
+import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -88,13 +89,13 @@ class Session:
         """State of the law before the first frame, by dotted name; a record keeps it."""
         self._settings, self._context = settings, dict(context or {})
         self._events, self.record_every = settings.events, settings.record_every
-        rest = plant.start(start)
+        state_at_rest = plant.start(start)
         self._plant_start = plant.started  # another number means that it was reset since
         half_strokes = plant.hydraulics.cylinder.half_stroke
         self.dynamics = Dynamics(
             plant.mechanics(),
             plant.hydraulics,
-            rest,
+            state_at_rest,
             no_faults(plant.legs),
             make_timeline(self._events, half_strokes, self.rate),
         )
@@ -112,8 +113,8 @@ class Session:
         if settings.electronics is not None:
             electronics = make_electronics(settings.electronics, at_rest, plant.machine)
         dcl = make_dcl(law or _NO_LAW.for_machine(plant.machine), plant.legs)
-        compensated = dcl.feedback.gravity_compensation
-        measure(electronics, self.dynamics.faults, 0, at_rest, compensated, feedback)
+        reads_inertial = dcl.feedback.gravity_compensation
+        measure(electronics, self.dynamics.faults, 0, at_rest, reads_inertial, feedback)
         on_stops = source.hosted and source.progress[0].state in (State.OFF, State.SETTLED)
         if not on_stops and integral_gain(dcl).all():
             hold_commands[:] = open_to_hold(plant.hydraulics, self.dynamics.state)
@@ -139,7 +140,7 @@ class Session:
         frames = self.frames
         if kept_seconds is not None:
             frames = min(round(kept_seconds * self.rate), frames)
-        rows = -(-max(frames, 1) // self.record_every)
+        rows = math.ceil(max(frames, 1) / self.record_every)
         text = f"a record of {rows} rows with {self.layout.width} numbers"
         check_memory("record_every", text, 1.0 * rows * self.layout.width)
         return RecordRows(self.layout, rows, keeps_all=kept_seconds is None)
@@ -193,7 +194,7 @@ class Session:
                     raise InputError("plant: has been reset since; allowed: one run at a time")
                 breach_frame, bound_left, leg = loop.run(*self.parts, self.frame, stop)
             self.frame = stop if breach_frame < 0 else breach_frame
-            self.record_rows.take(-(-self.frame // self.record_every))
+            self.record_rows.take(math.ceil(self.frame / self.record_every))
             if breach_frame >= 0:
                 raise OutOfBounds(self._breach_text(bound_left, leg), breach_frame)
 

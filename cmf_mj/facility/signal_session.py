@@ -4,6 +4,7 @@ Blocks of the demand begin at multiples of their length, whatever the parts that
 in, so that a live session and the run of what was done compute the same bits.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache, partial
@@ -62,7 +63,7 @@ class HostFeed:
         to the loop after each call.
         """
         poses, every = self._demand.poses(first - 1, BLOCK + 2), self._every
-        numbers = np.arange(-(-first // every), -(-(first + BLOCK) // every))
+        numbers = np.arange(math.ceil(first / every), math.ceil((first + BLOCK) / every))
         if numbers.size and numbers[-1] >= self.log.frame.size:
             larger = make_log(2 * (int(numbers[-1]) + 1))
             for larger_column, column in zip(larger, self.log, strict=True):
@@ -104,8 +105,8 @@ class SignalSession(Session):
         if frames is None and kept_seconds is None:
             kept_seconds = 600.0
         law, settings = run.first_law(), run.session_settings(plant.machine)
-        how: Any = {"frames": frames or MOST_FRAMES, "kept_seconds": kept_seconds}
-        super().__init__(plant, law, source, start, settings, **how)
+        lengths: Any = {"frames": frames or MOST_FRAMES, "kept_seconds": kept_seconds}
+        super().__init__(plant, law, source, start, settings, **lengths)
         self._block_start = 0  # first frame of the block of the demand that was made last
         load = cache(partial(load_law, machine=plant.machine))
         self._coming = [self._prepared(x.at_frame(rate), x, load) for x in run.change]

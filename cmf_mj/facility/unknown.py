@@ -205,35 +205,36 @@ def nominal(
     Sensors without the number, ideal ones, have 0 of it.
     """
     root, *rest = path.split(".")
-    known: Any = None
+    number: Any = None
     match root, rest:
         case "electronics", [channel, field, *leg]:
-            known = getattr(getattr(sensors, channel, None), field, None)
+            number = getattr(getattr(sensors, channel, None), field, None)
             if leg:
-                known = known[int(leg[0].removeprefix("leg_")) - 1] if known else None
-            if known is None:
+                number = number[int(leg[0].removeprefix("leg_")) - 1] if number else None
+            if number is None:
                 return 0.0, "1"
         case "law", _:
-            known = law
+            number = law
             for part in rest:
-                known = getattr(known, part, None)
+                number = getattr(number, part, None)
             unit = "rad/s" if rest[-1].endswith("pole") else "SI"
-            return float(1.0 if known is None else known), unit
+            return float(1.0 if number is None else number), unit
         case "hydraulics", ["stiction"]:
-            size = plant.parameters.coulomb_friction.si
-            return (plant.parameters.breakaway_friction.si / size if size else 1.0), "1"
-        case "hydraulics", [*whose, field]:
-            _, who, *valve = whose or ("", "")
-            numbers = plant.parameters.actuator(who, *map(VALVES.index, valve))
-            known = numbers.get(LEADS.get(field, field))
+            coulomb = plant.parameters.coulomb_friction.si
+            return (plant.parameters.breakaway_friction.si / coulomb if coulomb else 1.0), "1"
+        case "hydraulics", ["actuators", actuator, *valve, field]:
+            numbers = plant.parameters.actuator(actuator, *map(VALVES.index, valve))
+            number = numbers.get(LEADS.get(field, field))
+        case "hydraulics", [field]:
+            number = plant.parameters.actuator("").get(LEADS.get(field, field))
         case "cab" | "platform", [field, *axis] if (cab := plant.cab_parameters) is not None:
-            body, at = cab if root == "cab" else cab.platform, "xyz".find("".join(axis))
+            body, index = cab if root == "cab" else cab.platform, "xyz".find("".join(axis))
             match field:
                 case "mass":
-                    known = body.mass
+                    number = body.mass
                 case "second_moment":
                     moments = 0.5 * np.trace(body.tensor) - np.diag(body.tensor)
-                    return float(moments[at]), "kg m^2"
+                    return float(moments[index]), "kg m^2"
                 case "centre_of_mass":
-                    return float(body.centre_of_mass.si[at]), "m"
-    return (known.si, units.si_unit(known.unit)) if isinstance(known, Quantity) else (1.0, "1")
+                    return float(body.centre_of_mass.si[index]), "m"
+    return (number.si, units.si_unit(number.unit)) if isinstance(number, Quantity) else (1.0, "1")

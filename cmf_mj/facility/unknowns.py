@@ -33,7 +33,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import mujoco
 import numpy as np
@@ -170,13 +170,13 @@ class Unknowns(dict[str, Unknown]):
             return part
         match part:
             case HydraulicParameters():
-                changed: Any = _hydraulics(entries, part, name or part.name, self.legs)
+                changed: Any = _change_hydraulics(entries, part, name or part.name, self.legs)
             case Cab():
-                changed = _cab(entries, part, name or f"{part.name}_drawn")
+                changed = _change_cab(entries, part, name or f"{part.name}_drawn")
             case _:
                 changed = part if name is None else part.model_copy(update={"name": name})
                 for path, (unknown, value) in entries.items():
-                    changed = _replaced(changed, path.split(".")[1:], unknown, value)
+                    changed = _with_number(changed, path.split(".")[1:], unknown, value)
         return cast("Part", changed)
 
     def _plant(self, values: Values, plant: Plant) -> Plant:
@@ -186,12 +186,19 @@ class Unknowns(dict[str, Unknown]):
             if changed_cab is not cab:
                 plant = Hexapod(changed_cab, oil, timestep=plant.model.opt.timestep)
         entries = self._entries(values, ("model",))
-        return plant.changed(oil, lambda model: _edit(model, entries))
+        return plant.changed(oil, lambda model: _edit_model(model, entries))
 
     def _entries(self, values: Values, roots: Sequence[str]) -> "_Entries":
         """Unknown and value of each path that begins with one of the roots."""
-        entries = {x.path: (x, values[name]) for name, x in self.items() if name in values}
+        entries = {x.path: _Entry(x, values[name]) for name, x in self.items() if name in values}
         return {path: entry for path, entry in entries.items() if path.partition(".")[0] in roots}
+
+
+class _Entry(NamedTuple):
+    """What is known of the number at a path, and a value of it."""
+
+    unknown: Unknown
+    value: Any
 
 
 _ROOTS: dict[type[Settings], tuple[str, ...]] = {
@@ -201,10 +208,10 @@ _ROOTS: dict[type[Settings], tuple[str, ...]] = {
     Machine: ("machine",),
     SensorSettings: ("electronics",),
 }
-_Entries = Mapping[str, tuple[Unknown, Any]]
+_Entries = Mapping[str, _Entry]
 
 
-def _edit(model: mujoco.MjModel, entries: _Entries) -> None:
+def _edit_model(model: mujoco.MjModel, entries: _Entries) -> None:
     """Change the numbers of a MuJoCo model; a mass with its inertia, which may be unknown too."""
     for path, (unknown, value) in entries.items():
         _root, kind, name, field = path.split(".")
@@ -219,14 +226,14 @@ def _edit(model: mujoco.MjModel, entries: _Entries) -> None:
             element.inertia[:] *= number / nominal
 
 
-def _hydraulics(
+def _change_hydraulics(
     entries: _Entries, base: HydraulicParameters, name: str, legs: Sequence[str]
 ) -> HydraulicParameters:
     """A hydraulic set: first what all have in common, then what actuators have of their own."""
     table = base.model_dump(exclude_none=True)
     ratios = {"supply_pressure": 1.0, "bulk_modulus": 1.0}  # changed over nominal
     own_entries = {path: entry for path, entry in entries.items() if ".actuators." in path}
-    _friction(entries, base, table)
+    _change_friction(entries, base, table)
     for path, (unknown, value) in entries.items():
         if path not in own_entries and path not in _FRICTION:
             name_in_path = path.split(".")[1]
@@ -258,7 +265,7 @@ def _hydraulics(
 _FRICTION = ("hydraulics.friction", "hydraulics.stiction")
 
 
-def _friction(entries: _Entries, base: HydraulicParameters, table: dict[str, Any]) -> None:
+def _change_friction(entries: _Entries, base: HydraulicParameters, table: dict[str, Any]) -> None:
     """Coulomb friction, and breakaway friction in the nominal or a changed ratio."""
     coulomb, stiction = map(entries.get, _FRICTION)
     if coulomb is None and stiction is None:
@@ -267,52 +274,58 @@ def _friction(entries: _Entries, base: HydraulicParameters, table: dict[str, Any
     if friction.si > 0.0:
         ratio = base.breakaway_friction.si / friction.si
     if coulomb is not None:
-        friction = Quantity(**coulomb[0].changed(friction, float(coulomb[1])))
+        friction = Quantity(**coulomb.unknown.changed(friction, float(coulomb.value)))
     if stiction is not None:
-        ratio = max(1.0, float(stiction[0].number(ratio, stiction[1])))
+        ratio = max(1.0, float(stiction.unknown.number(ratio, stiction.value)))
     table["coulomb_friction"] = friction.model_dump()
     table["breakaway_friction"] = friction.model_dump() | {"value": friction.value * ratio}
 
 
-def _cab(entries: _Entries, base: Cab, name: str) -> Cab:
-    cab, platform = _body("cab", base, entries), _body("platform", base.platform, entries)
-    legs = entries.get("legs.mass", _UNCHANGED)[1]
+def _change_cab(entries: _Entries, base: Cab, name: str) -> Cab:
+    cab = _body_changes("cab", base, entries)
+    platform, legs = (
+        _body_changes("platform", base.platform, entries),
+        _factor("legs.mass", entries),
+    )
     return base.changed(name, platform=platform, leg_mass_factor=legs, nominal=base.assumed, **cab)
 
 
-_UNCHANGED: tuple[Any, float] = (None, 1.0)  #: Entry of a factor that is not given.
+def _factor(path: str, entries: _Entries) -> Any:
+    """A factor on the nominal number; 1 where it is not given."""
+    return entries[path].value if path in entries else 1.0
 
 
-def _body(name: str, body: RigidBody, entries: _Entries) -> dict[str, Any]:
+def _body_changes(name: str, body: RigidBody, entries: _Entries) -> dict[str, Any]:
     """Changed fields of a body: densities scale mass and inertia, before its other unknowns."""
     own = {path.removeprefix(f"{name}."): entry for path, entry in entries.items()}
     changes: dict[str, Any] = {}
-    density = own.get("density", _UNCHANGED)[1] * own.get("payload.density", _UNCHANGED)[1]
+    density = _factor("density", own) * _factor("payload.density", own)
     if own.keys() & {"inertia", "density", "payload.density"}:
-        changes["inertia"] = density * own.get("inertia", _UNCHANGED)[1] * body.tensor
+        changes["inertia"] = density * _factor("inertia", own) * body.tensor
     moments = 0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor
     centre = np.array(body.centre_of_mass.si)
     if "centre_of_mass" in own:
-        centre[:] = own["centre_of_mass"][0].number(centre, own["centre_of_mass"][1])
+        whole = own["centre_of_mass"]
+        centre[:] = whole.unknown.number(centre, whole.value)
         changes["centre_of_mass"] = centre
     for axis, letter in enumerate("xyz"):
         if (entry := own.get(f"centre_of_mass.{letter}")) is not None:
-            centre[axis] = entry[0].number(centre[axis], entry[1])
+            centre[axis] = entry.unknown.number(centre[axis], entry.value)
             changes["centre_of_mass"] = centre
         if (entry := own.get(f"second_moment.{letter}")) is not None:
             if "inertia" in own:
                 raise InputError(f"{name}.inertia: allowed: it or second moments, not both")
-            moments[axis, axis] = entry[0].number(moments[axis, axis], entry[1])
+            moments[axis, axis] = entry.unknown.number(moments[axis, axis], entry.value)
             changes["inertia"] = density * (np.trace(moments) * np.eye(3) - moments)
     mass = density * body.mass.si
     if "mass" in own:
-        mass = own["mass"][0].number(mass, own["mass"][1])
+        mass = own["mass"].unknown.number(mass, own["mass"].value)
     if mass != body.mass.si:
         changes["mass"] = mass
     return changes
 
 
-def _replaced(part: Any, path: Sequence[str], unknown: Unknown, value: Any) -> Any:
+def _with_number(part: Any, path: Sequence[str], unknown: Unknown, value: Any) -> Any:
     """Settings with the number at a path changed."""
     name, *deeper = path
     field = getattr(part, name, None)
@@ -324,7 +337,7 @@ def _replaced(part: Any, path: Sequence[str], unknown: Unknown, value: Any) -> A
         for index, x in values.items():
             changed[index] = Quantity(**unknown.changed(changed[index], float(x)))
     elif deeper:
-        changed = _replaced(field, deeper, unknown, value)
+        changed = _with_number(field, deeper, unknown, value)
     elif isinstance(field, Quantity):
         changed = Quantity(**unknown.changed(field, float(value)))
     elif isinstance(field, float):

@@ -160,7 +160,7 @@ def timing_table(timing: Timing) -> Table:
     ]
     rows += [
         ("largest", f"{_US * timing.busy.max():.1f} us"),
-        (f"over {_US * FRAME:.0f} us of computing", f"{timing.over} of {frames}"),
+        (f"over {_US * FRAME:.0f} us of computing", f"{timing.overrun_frames} of {frames}"),
         ("largest lateness", f"{1e3 * timing.late.max():.3f} ms"),
         ("begun more than a frame late", f"{int((timing.late > FRAME).sum())} of {frames}"),
     ]

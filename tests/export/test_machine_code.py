@@ -18,7 +18,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export import machine_code
 from cmf_mj.export.fmu import export_fmu
 from cmf_mj.export.library import export_library
-from cmf_mj.export.machine_code import kept
+from cmf_mj.export.machine_code import load_or_make
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.parameters import hydraulics_of
 
@@ -38,11 +38,11 @@ def test_what_is_kept_is_that_of_its_sources(folder: Path) -> None:
     made: list[str] = []
 
     def of(thing: str, source: str) -> bytes:
-        return kept("code", [thing], [source], lambda: made.append(thing) or thing.encode())
+        return load_or_make("code", [thing], [source], lambda: made.append(thing) or thing.encode())
 
     assert [of("a", "1"), of("b", "1"), of("a", "1"), of("b", "1")] == [b"a", b"b", b"a", b"b"]
     assert made == ["a", "b"] and len(list(folder.iterdir())) == 2
-    assert kept("other", ["a"], ["1"], lambda: b"o") == b"o"
+    assert load_or_make("other", ["a"], ["1"], lambda: b"o") == b"o"
     assert of("a", "2") == b"a" and made == ["a", "b", "a"]
     assert len(list(folder.glob("code-*"))) == 1 and len(list(folder.iterdir())) == 2
 
@@ -79,9 +79,9 @@ def test_exports_after_the_first_compile_nothing(
 
     def noted(name: str, of: tuple[str, ...], *more: Any) -> bytes:
         asked.append((name, of))
-        return kept(name, of, *more)
+        return load_or_make(name, of, *more)
 
-    monkeypatch.setattr(machine_code, "kept", noted)
+    monkeypatch.setattr(machine_code, "load_or_make", noted)
     export_fmu(Hexapod(), "velocity", tmp_path / "first.fmu")
     first = set(asked)
     noise, other = ElectronicsSettings(), tmp_path / "other.fmu"

@@ -266,7 +266,7 @@ def test_in_real_time_every_frame_is_accounted_for() -> None:
     assert timing is not None
     assert timing.busy.shape == timing.late.shape == (5120,)
     assert (timing.busy > 0.0).all() and (timing.late >= 0.0).all()
-    assert timing.over == int((timing.busy > 1 / RATE).sum())
+    assert timing.overrun_frames == int((timing.busy > 1 / RATE).sum())
     assert operation.unused == {"early": 3, "lost": 0, "thinned": 0}
     frames = operation.arrivals.frame
     assert frames.size == 80
