@@ -21,7 +21,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import Run
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.studies.diagnosis import Number, diagnose, moved_machine, numbers_of, slopes
+from cmf_mj.studies.diagnosis import Number, diagnose, find_slopes, moved_machine, numbers_of
 from cmf_mj.studies.guide import FILE, Bench, load_guide, make_bench, make_head, run_guide
 from cmf_mj.studies.guide_check import compare, load_master
 
@@ -158,7 +158,7 @@ def _master(
         how = {"jobs": options.jobs, "plant": plant, "record": way.record}
         run_guide(on, head, folder, seed=seed, **how)
     master = load_master(folder, bench=on)
-    return plant, seed, on, head, master, slopes(master, options.jobs)
+    return plant, seed, on, head, master, find_slopes(master, options.jobs)
 
 
 def _check(

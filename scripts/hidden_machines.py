@@ -40,7 +40,13 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.studies.certificate_box import Box
 from cmf_mj.studies.fit.campaign import FILE
-from cmf_mj.studies.fit.plan import LEAD, Planned, Workspace, plan_campaign, record_campaign
+from cmf_mj.studies.fit.plan import (
+    LEAD,
+    PlannedRecording,
+    Workspace,
+    plan_campaign,
+    record_campaign,
+)
 from cmf_mj.studies.tuning.evaluation import least_damping, linear_cab
 from cmf_mj.studies.tuning.forms import Template, make_template
 from cmf_mj.studies.tuning.search import Requirements, judge, search
@@ -180,7 +186,7 @@ def _fit(campaign: Path, folder: Path, jobs: int) -> None:
     began, used = time.monotonic(), time.process_time()
     posterior = fit_campaign(load_campaign(campaign), folder, jobs=jobs)
     results.save(posterior, folder)
-    spent, held = time.process_time() - used, doubt.predictions(posterior)
+    spent, held = time.process_time() - used, doubt.predict_held_back(posterior)
     off = {
         "seconds": time.monotonic() - began,
         "cpu": spent,
@@ -366,7 +372,7 @@ def _swept(kind: Kind, planned: Path, folder: Path) -> None:
 
         how = one.table() | {"title": f"sweep in {dof}"}
         how.pop("change", None)
-        run = space.fitted(Planned("sweep", "neutral", sweep), how)
+        run = space.run_of(PlannedRecording("sweep", "neutral", sweep), how)
         source = Path("scenarios") / f"{dof}.toml"
         text = {key: value for key, value in run.table().items() if value is not None}
         write_text(folder / source, tomlkit.dumps(text))

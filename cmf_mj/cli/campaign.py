@@ -139,7 +139,8 @@ def fit_command(
     posterior = doubts.widened(posterior)
     results.save(posterior, out)
     table = results.numbers(posterior)
-    drawn: dict[str, Any] = {**fit_figures(posterior, doubts.stated), "fit.md": doubts.page(table)}
+    page = doubts.page_writer(table)
+    drawn: dict[str, Any] = {**fit_figures(posterior, doubts.stated), "fit.md": page}
     if doubts.stated:
         stated = Result(doubts.stated, fields_of(doubt.StatedNumber)).table
         drawn |= {"stated.csv": stated.save}
@@ -156,10 +157,10 @@ SomeGuide = Annotated[str, options.any_argument("studies.guide:GUIDES", "GUIDE",
 def _with_cueing() -> None:
     """Let guides drive the aircraft and measure at the pilot's station."""
     from cmf_mj.pilot import omct
-    from cmf_mj.studies.guide import MAKERS
+    from cmf_mj.studies.guide import COMMAND_MAKERS
     from cmf_mj.studies.measurement import MEASURES
 
-    MAKERS["aircraft"], MEASURES["cueing"] = omct.guided, omct.cueing
+    COMMAND_MAKERS["aircraft"], MEASURES["cueing"] = omct.guided, omct.cueing
 
 
 def _bench(guide: str, out: Path, **named: Any) -> Any:
@@ -233,7 +234,7 @@ def guide_check_command(
 ) -> None:
     """Compare with a master: what has changed, and most probably why."""
     from cmf_mj.show import measurement as report
-    from cmf_mj.studies.diagnosis import diagnose, slopes
+    from cmf_mj.studies.diagnosis import diagnose, find_slopes
     from cmf_mj.studies.guide_check import compare, load_master
 
     _with_cueing()
@@ -242,7 +243,7 @@ def guide_check_command(
     changed = any(row.verdict in ("changed", "beyond its limit") for row in rows)
     if changed and diagnosis:
         with progress_bar("simulating") as update:
-            causes = diagnose(master, since, slopes(master, jobs, update), jobs)
+            causes = diagnose(master, since, find_slopes(master, jobs, update), jobs)
     paths = report.save_guide(master, since, rows, causes, out)
     tables = [report.causes_table(causes).table] if causes else []
     show(report.verdict_table(rows), *tables, written(paths, out))

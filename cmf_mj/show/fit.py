@@ -32,9 +32,9 @@ def fit_figures(posterior: Posterior, statements: Sequence[StatedNumber]) -> dic
 
 def recording_figure(posterior: Posterior) -> Figure:
     """A few seconds of each recording held back, else of each fitted, leg 1."""
-    held_back = bool(posterior.campaign.of(held_back=True))
+    held_back = bool(posterior.campaign.recordings_where(held_back=True))
     model = Model(posterior.campaign, held_back=held_back)
-    machine, pieces = model.machine(posterior.z), model.pieces[:_SHOWN_PIECES]
+    machine, pieces = model.plant_at(posterior.z), model.pieces[:_SHOWN_PIECES]
     channel = next((name for name in pieces[0].measured if "pressure" in name), "leg_position")
     scale, unit = (1e-5, "bar") if channel != "leg_position" else (1e3, "mm")
     name = channel.replace("_", " ")

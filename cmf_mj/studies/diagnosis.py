@@ -38,10 +38,10 @@ from cmf_mj.studies.measurement import SIGNATURE_CHANNELS, signature
 Array = NDArray[np.float64]
 
 _MODEL_ERRORS = (0.01, 0.03, 0.1)  #: The values of eps.
-_WIDTH = 3.0  #: Deviation of a number before the check, in its own size.
+_PRIOR_DEVIATION = 3.0  #: Deviation of a number before the check, in its own size.
 _DAMPING = 0.03  #: After a step that gains nothing, then ten times it.
-_SIMULATED, _ROUNDS, _STEPS = 4, 3, 3  #: Hypotheses of a round, rounds, steps of a hypothesis.
-_LISTED = 0.01  #: Least probability of a cause that is listed.
+_HYPOTHESES, _ROUNDS, _STEPS = 4, 3, 3  #: Simulated in a round; rounds; steps of a hypothesis.
+_LEAST_PROBABILITY = 0.01  #: Least probability of a cause that is listed.
 _PRIOR_NONE, _PRIOR_ONE, _PRIOR_TWO = 0.05, 0.7, 0.25  #: Of no, one and two numbers, together.
 
 
@@ -125,8 +125,8 @@ class Slopes(NamedTuple):
     numbers: tuple[Number, ...]
     tests: tuple[str, ...]
     channels: tuple[str, ...]
-    base: Array  #: (n,).
-    slope: Array  #: By theta, (n, numbers).
+    base: Array  #: Signatures of the guide's machine, (n,).
+    by_theta: Array  #: Slopes of the signatures, (n, numbers).
 
     def signatures(self, sizes: Sizes) -> Array | None:
         """Signatures of a machine without noise, (n,); None where it leaves its bounds."""
@@ -144,7 +144,7 @@ class Slopes(NamedTuple):
         return np.concatenate(rows)
 
 
-def slopes(
+def find_slopes(
     master: Master,
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -152,26 +152,28 @@ def slopes(
 ) -> Slopes:
     """Simulate the tests that are `diagnosed`, once for each number, default `numbers_of`."""
     bench = master.bench
-    tests = tuple(t for t in bench.commands if bench.tests[t].diagnosed and t in master.records)
+    recorded_tests = [name for name in bench.commands if name in master.records]
+    tests = tuple(name for name in recorded_tests if bench.tests[name].diagnosed)
     if not tests:
         raise InputError("tests: none is `diagnosed`; allowed: one at least, that was recorded")
-    recorded = set.intersection(*({*master.records[test][0].channels} for test in tests))
-    channels = tuple(name for name in SIGNATURE_CHANNELS if name in recorded)
+    recorded_channels = set.intersection(*({*master.records[test][0].channels} for test in tests))
+    channels = tuple(name for name in SIGNATURE_CHANNELS if name in recorded_channels)
     numbers = tuple(numbers) or numbers_of(bench.plant)
-    known = Slopes(bench, numbers, tests, channels, np.empty(0), np.empty(0))
+    template = Slopes(bench, numbers, tests, channels, np.empty(0), np.empty(0))
     cases: list[Sizes] = [{}, *({number: 1.0} for number in numbers)]
-    base, *moved = on_threads(known.signatures, cases, jobs, progress)
+    base, *moved = on_threads(template.signatures, cases, jobs, progress)
     if base is None:
         raise InputError(f"{master.folder}: its machine leaves its bounds in the simulation")
-    changes = {n: row - base for n, row in zip(numbers, moved, strict=True) if row is not None}
-    slope = np.stack([*changes.values()], axis=1)
-    return known._replace(numbers=tuple(changes), base=base, slope=slope)
+    pairs = zip(numbers, moved, strict=True)
+    changes = {number: row - base for number, row in pairs if row is not None}
+    by_theta = np.stack([*changes.values()], axis=1)
+    return template._replace(numbers=tuple(changes), base=base, by_theta=by_theta)
 
 
 class _Fit(NamedTuple):
     """A hypothesis fitted."""
 
-    places: tuple[int, ...]  #: Of its numbers.
+    indices: tuple[int, ...]  #: Of its numbers among those tried.
     theta: Array
     residual: float  #: Mean of z_H^2.
     is_simulated: bool
@@ -183,28 +185,28 @@ class _Problem:
     def __init__(self, slopes: Slopes, z: Array, deviation: Array) -> None:
         """Take differences over their deviations, and those, (n,)."""
         self.slopes, self.z, self.deviation = slopes, z, deviation
-        self.slope = slopes.slope / deviation[:, None]
+        self.slope = slopes.by_theta / deviation[:, None]
         self.independent = len(slopes.tests) * len(slopes.channels) * slopes.bench.plant.legs
         self.gram = self.slope.T @ self.slope / z.size
         self.projection, self.mean = self.slope.T @ z / z.size, float(z @ z) / z.size
 
-    def linear(self, places: tuple[int, ...]) -> _Fit:
-        """A hypothesis, the numbers at these places moved, fitted by the slopes."""
-        inner, b = self.gram[np.ix_(places, places)], self.projection[list(places)]
-        theta = np.linalg.solve(inner + 1e-9 * self.mean * np.eye(len(places)), b)
-        residual = float(self.mean - 2.0 * theta @ b + theta @ inner @ theta)
-        return _Fit(places, np.asarray(theta, float), max(residual, 0.0), False)
+    def fit_linear(self, indices: tuple[int, ...]) -> _Fit:
+        """Fit a hypothesis, that the numbers with these indices moved, by the slopes."""
+        curvature, projection = self.gram[np.ix_(indices, indices)], self.projection[list(indices)]
+        theta = np.linalg.solve(curvature + 1e-9 * self.mean * np.eye(len(indices)), projection)
+        residual = float(self.mean - 2.0 * theta @ projection + theta @ curvature @ theta)
+        return _Fit(indices, np.asarray(theta, float), max(residual, 0.0), False)
 
-    def fitted(self, places: tuple[int, ...]) -> _Fit:
-        """The same, simulated and fitted."""
-        numbers = [self.slopes.numbers[i] for i in places]
-        theta, z, slope = np.zeros(len(places)), self.z, self.slope[:, list(places)]
+    def fit_simulated(self, indices: tuple[int, ...]) -> _Fit:
+        """The same, simulated at each step of its fit."""
+        numbers = [self.slopes.numbers[i] for i in indices]
+        theta, z, slope = np.zeros(len(indices)), self.z, self.slope[:, list(indices)]
         damping = 0.0
         for _ in range(_STEPS):
             weight = self.independent / (z.size + _MODEL_ERRORS[-1] ** 2 * float(z @ z))
-            inner = weight * slope.T @ slope + np.eye(theta.size) / _WIDTH**2
-            gradient = weight * slope.T @ z - theta / _WIDTH**2
-            step = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), gradient)
+            curvature = weight * slope.T @ slope + np.eye(theta.size) / _PRIOR_DEVIATION**2
+            gradient = weight * slope.T @ z - theta / _PRIOR_DEVIATION**2
+            step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), gradient)
             if not step.any():  # at its bound a number moves nothing
                 break
             sizes = dict(zip(numbers, (theta + step).tolist(), strict=True))
@@ -216,15 +218,16 @@ class _Problem:
                 slope = slope + np.outer(missed, step) / float(step @ step)
                 if float(new_z @ new_z) < float(z @ z):
                     theta, z, damping = theta + step, new_z, 0.0
-        return _Fit(places, np.asarray(theta), float(z @ z) / z.size, True)
+        return _Fit(indices, np.asarray(theta), float(z @ z) / z.size, True)
 
-    def likelihood(self, fit: _Fit) -> float:
+    def log_likelihood(self, fit: _Fit) -> float:
         """Ln L_H, without the part that all hypotheses have."""
         v = 1.0 + np.square(_MODEL_ERRORS) * self.mean
-        inner = _WIDTH**2 * self.independent * self.gram[np.ix_(fit.places, fit.places)]
-        _, volume = np.linalg.slogdet(np.eye(len(fit.places)) + inner / v[:, None, None])
+        gram = self.gram[np.ix_(fit.indices, fit.indices)]
+        curvature = _PRIOR_DEVIATION**2 * self.independent * gram
+        _, volume = np.linalg.slogdet(np.eye(len(fit.indices)) + curvature / v[:, None, None])
         terms = -0.5 * (self.independent * (np.log(v) + fit.residual / v) + volume)
-        terms -= 0.5 * float(fit.theta @ fit.theta) / _WIDTH**2
+        terms -= 0.5 * float(fit.theta @ fit.theta) / _PRIOR_DEVIATION**2
         return float(special.logsumexp(terms))
 
 
@@ -238,50 +241,50 @@ class Cause(NamedTuple):
     """Root mean square of what it does not explain, over that of all."""
 
 
-def diagnose(master: Master, new: Master, known: Slopes, jobs: int | None = None) -> list[Cause]:
+def diagnose(master: Master, new: Master, slopes: Slopes, jobs: int | None = None) -> list[Cause]:
     """Causes of a change, the most probable first; improbable ones are not listed."""
-    difference, deviation = _differences(master, new, known)
-    problem = _Problem(known, difference / deviation, deviation)
-    singles = [(i,) for i in range(len(known.numbers))]
-    pairs = list(combinations(range(len(known.numbers)), 2))
+    difference, deviation = _differences(master, new, slopes)
+    problem = _Problem(slopes, difference / deviation, deviation)
+    singles = [(i,) for i in range(len(slopes.numbers))]
+    pairs = list(combinations(range(len(slopes.numbers)), 2))
     prior_of_single, prior_of_pair = _PRIOR_ONE / len(singles), _PRIOR_TWO / max(1, len(pairs))
 
-    def probability(fit: _Fit) -> float:
-        prior = prior_of_single if len(fit.places) == 1 else prior_of_pair
-        return problem.likelihood(fit) + np.log(prior / len(_MODEL_ERRORS))
+    def log_posterior(fit: _Fit) -> float:
+        prior = prior_of_single if len(fit.indices) == 1 else prior_of_pair
+        return problem.log_likelihood(fit) + np.log(prior / len(_MODEL_ERRORS))
 
-    fits = {places: problem.linear(places) for places in (*singles, *pairs)}
+    fits = {indices: problem.fit_linear(indices) for indices in (*singles, *pairs)}
     for _ in range(_ROUNDS):
-        ranked = sorted(fits.values(), key=probability, reverse=True)[:_SIMULATED]
+        ranked = sorted(fits.values(), key=log_posterior, reverse=True)[:_HYPOTHESES]
         if all(fit.is_simulated for fit in ranked[:3]):
             break
-        ranked += sorted((fits[i] for i in singles), key=lambda fit: fit.residual)[:_SIMULATED]
-        places = sorted({fit.places for fit in ranked if not fit.is_simulated})
-        fits |= {fit.places: fit for fit in on_threads(problem.fitted, places, jobs)}
-    ranked = sorted(fits.values(), key=probability, reverse=True)
+        ranked += sorted((fits[i] for i in singles), key=lambda fit: fit.residual)[:_HYPOTHESES]
+        indices = sorted({fit.indices for fit in ranked if not fit.is_simulated})
+        fits |= {fit.indices: fit for fit in on_threads(problem.fit_simulated, indices, jobs)}
+    ranked = sorted(fits.values(), key=log_posterior, reverse=True)
     v = 1.0 + problem.mean
-    none = -0.5 * problem.independent * (np.log(v) + problem.mean / v) + np.log(_PRIOR_NONE)
-    chance_of_none, *chances = map(float, special.softmax([none, *map(probability, ranked)]))
+    log_none = -0.5 * problem.independent * (np.log(v) + problem.mean / v) + np.log(_PRIOR_NONE)
+    chance_of_none, *chances = map(float, special.softmax([log_none, *map(log_posterior, ranked)]))
     rows = [Cause("none of these", chance_of_none, "", 1.0)]
     for fit, chance in zip(ranked, chances, strict=True):
-        numbers = [known.numbers[i] for i in fit.places]
+        numbers = [slopes.numbers[i] for i in fit.indices]
         sizes = [number.text(theta) for number, theta in zip(numbers, fit.theta, strict=True)]
         names, share = " and ".join(n.name for n in numbers), np.sqrt(fit.residual / problem.mean)
         rows.append(Cause(names, chance, ", ".join(sizes), float(share)))
     rows.sort(key=lambda row: -row.probability)
-    return [row for row in rows if row.probability > _LISTED or row is rows[0]]
+    return [row for row in rows if row.probability > _LEAST_PROBABILITY or row is rows[0]]
 
 
-def _differences(master: Master, new: Master, known: Slopes) -> tuple[Array, Array]:
+def _differences(master: Master, new: Master, slopes: Slopes) -> tuple[Array, Array]:
     """Differences of the signatures and their deviations, in the order of the slopes."""
     differences, deviations = [], []
-    for test in known.tests:
+    for test in slopes.tests:
         if test not in new.records:
             raise InputError(f"{new.folder}: {test}: was left out; a diagnosis needs it")
-        for channel in known.channels:
+        for channel in slopes.channels:
             if channel not in new.records[test][0].channels:
                 raise InputError(f"{new.folder}: {test}: {channel}: is missing; the master has it")
-        change = compare_signatures(master, new, test, known.channels)
+        change = compare_signatures(master, new, test, slopes.channels)
         differences.append(change.difference.ravel())
         deviations.append(np.broadcast_to(change.deviation, change.difference.shape).ravel())
     return np.concatenate(differences), np.concatenate(deviations)

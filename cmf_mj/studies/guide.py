@@ -47,7 +47,7 @@ from cmf_mj.signals import CLASSES
 from cmf_mj.signals.signal import Command, Dof, as_plain
 from cmf_mj.studies.case import frames_a_row
 from cmf_mj.studies.fit.plan import STEP_CORNER, Workspace, paths_from, write_host
-from cmf_mj.studies.measurement import MEASURES, SIGNATURE_CHANNELS, Lines, lines_of
+from cmf_mj.studies.measurement import MEASURES, SIGNATURE_CHANNELS, Lines, signature_lines
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ _FOLDER = Path(__file__).with_name("guides")
 GUIDES = tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))  #: Shipped guides.
 
 RATE = 256  #: Samples a second of what is simulated [Hz].
-BETWEEN = 10.0  #: Rest between two recordings of a plan [s].
+PAUSE = 10.0  #: Rest between two recordings of a plan [s].
 
 Positive = Annotated[float, Field(gt=0.0)]
 Texts = Annotated[tuple[str, ...], Field(strict=False)]
@@ -166,16 +166,16 @@ class Bench(NamedTuple):
     def legs(self, name: str, rate: float | None = None) -> Array:
         """Demand of the legs [m] in a test, (N, 6), at a rate, by default the control law's."""
         machine, pose = self.plant.machine, self.commands[name].pose
-        every = machine.rate / (rate or machine.rate)
-        frames = np.arange(int((len(pose) - 1) / every + 1e-6) + 1) * every + 1e-6
+        spacing = machine.rate / (rate or machine.rate)
+        frames = np.arange(int((len(pose) - 1) / spacing + 1e-6) + 1) * spacing + 1e-6
         return pose_to_legs(pose[frames.astype(int)], machine)
 
     def lines(self, name: str, rate: float) -> Lines:
         """Lines of a test's signature, of recordings at a rate [Hz]."""
-        return lines_of(self.legs(name, rate), rate)
+        return signature_lines(self.legs(name, rate), rate)
 
 
-MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}
+COMMAND_MAKERS: dict[str, Callable[[Mapping[str, Any], Hexapod], Command]] = {}
 """Functions that make commands of further kinds of signals, by kind; other rooms add theirs."""
 
 
@@ -198,7 +198,7 @@ def make_bench(
             test_name = f"{name}_{dof}" if dof else name
             table = dict(test.signal) | ({"dof": dof} if dof else {})
             with within(f"tests.{name}.signal"):
-                command, share = _command(table, test.share, workspace, plant)
+                command, share = _make_command(table, test.share, workspace, plant)
             if share > 1.0:
                 text = f"asks for {share:.2f} times what the machine can"
                 bench.impossible[test_name] = text
@@ -208,54 +208,54 @@ def make_bench(
     return bench
 
 
-def _command(
+def _make_command(
     table: dict[str, Any], share: float | None, workspace: Workspace, plant: Hexapod
 ) -> tuple[Command, float]:
     """The command of a signal within its share of the machine's limits, and the share it uses."""
     kind, rate = str(table.get("kind")), plant.machine.rate
     corner = STEP_CORNER if kind in ("step", "pulse", "chirp") else None
-    if kind in MAKERS:
-        command = MAKERS[kind](table, plant)
-        return command, workspace.use(command.pose)
-    signal = CLASSES[check_name("kind", kind, [*CLASSES, *MAKERS])]
+    if kind in COMMAND_MAKERS:
+        command = COMMAND_MAKERS[kind](table, plant)
+        return command, workspace.used_share(command.pose)
+    signal = CLASSES[check_name("kind", kind, [*CLASSES, *COMMAND_MAKERS])]
 
     def make(size: float | None) -> Command:
-        sized = table if size is None else _sized(table, size, workspace)
-        return validated(signal, as_plain(sized) | {"rate": rate}, kind).command()
+        scaled = table if size is None else _scaled_table(table, size, workspace)
+        return validated(signal, as_plain(scaled) | {"rate": rate}, kind).command()
 
     size = None
     if share is not None:
         size = workspace.largest_size(lambda size: make(size).pose, share, corner)
     command = make(size)
-    return command, workspace.use(command.pose, corner)
+    return command, workspace.used_share(command.pose, corner)
 
 
-def _sized(table: Mapping[str, Any], size: float, workspace: Workspace) -> dict[str, Any]:
+def _scaled_table(table: Mapping[str, Any], size: float, workspace: Workspace) -> dict[str, Any]:
     """A signal with its sizes in parts of what the machine reaches along each axis."""
 
     def reach(dof: str) -> float:
         return size * float(workspace.reach[dof_index(dof)])
 
-    sized = dict(table)
+    scaled = dict(table)
     for field in {"amplitude", "amplitudes", "acceleration"} & table.keys():
         parts = table[field]
         if isinstance(parts, Mapping):
-            sized[field] = {dof: part * reach(dof) for dof, part in parts.items()}
+            scaled[field] = {dof: part * reach(dof) for dof, part in parts.items()}
         else:
-            sized[field] = (np.array(parts) * reach(str(table["dof"]))).tolist()
-    return sized
+            scaled[field] = (np.array(parts) * reach(str(table["dof"]))).tolist()
+    return scaled
 
 
 def plan_guide(bench: Bench, head: MasterSettings, folder: str | Path) -> Table:
     """Write the head of a master and the host's frames of each test; returns order and times."""
     target = _new_folder(folder)
-    rows, end, repetitions = [], 0.0, bench.guide.repetitions
+    rows, elapsed, repetitions = [], 0.0, bench.guide.repetitions
     for number, (name, command) in enumerate(bench.commands.items(), start=1):
         is_held = command.signal.kind in ("step", "pulse")
         write_host(command, target / f"host/{name}.csv", is_held=is_held)
-        end += repetitions * (command.duration + BETWEEN)
+        elapsed += repetitions * (command.duration + PAUSE)
         use, files = 100.0 * bench.used_share[name], f"{name}.1.csv to {name}.{repetitions}.csv"
-        rows.append((number, name, command.duration, repetitions, use, end / 60.0, files))
+        rows.append((number, name, command.duration, repetitions, use, elapsed / 60.0, files))
     head.write(target)
     columns = [
         *("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f")),
@@ -302,16 +302,16 @@ def simulate_test(
     plant = copy.deepcopy(bench.plant if plant is None else plant)
     offset = np.zeros(plant.legs) if shift is None else shift
     legs = bench.legs(name) - offset
-    start, every = legs_to_pose(legs[0], plant.machine), frames_a_row(plant.machine, RATE)
+    start, row_frames = legs_to_pose(legs[0], plant.machine), frames_a_row(plant.machine, RATE)
     settings: dict[str, Any] = {"law": bench.tests[name].law or bench.law, "start": start}
-    settings |= {"electronics": electronics, "seed": seed, "record_every": every}
-    whole = record(Run(plant=plant, source=LegDemand(legs), **settings))
-    channels = {key: whole[key] for key in ("leg_reference", *SIGNATURE_CHANNELS)}
+    settings |= {"electronics": electronics, "seed": seed, "record_every": row_frames}
+    full_record = record(Run(plant=plant, source=LegDemand(legs), **settings))
+    channels = {key: full_record[key] for key in ("leg_reference", *SIGNATURE_CHANNELS)}
     channels |= {key: channels[key] + offset for key in ("leg_reference", "leg_position")}
-    units = {key: whole.units[key] for key in channels}
-    metadata = {key: whole.metadata[key] for key in ("sample_rate", "law")}
+    units = {key: full_record.units[key] for key in channels}
+    metadata = {key: full_record.metadata[key] for key in ("sample_rate", "law")}
     metadata |= plant.machine.metadata() | bench.metadata(name)
-    return Record(whole.time, channels, units, metadata)
+    return Record(full_record.time, channels, units, metadata)
 
 
 def run_guide(
@@ -334,7 +334,7 @@ def run_guide(
     numbers = range(1, (repetitions or bench.guide.repetitions) + 1)
     cases = [(name, number) for name in bench.commands for number in numbers]
 
-    def recorded(case: tuple[str, int]) -> tuple[str, str]:
+    def record_case(case: tuple[str, int]) -> tuple[str, str]:
         name, number = case
         key = (list(bench.commands).index(name), number)
         (noise_seed,) = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)
@@ -343,5 +343,5 @@ def run_guide(
         return record.save(target / f"{name}.{number}.parquet").name, record.digest
 
     target.mkdir(parents=True, exist_ok=True)
-    digests = dict(on_threads(recorded, cases, jobs, progress))
+    digests = dict(on_threads(record_case, cases, jobs, progress))
     return head.model_copy(update={"digests": digests}).write(target)

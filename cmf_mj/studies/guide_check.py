@@ -44,7 +44,7 @@ SOUGHT_IN = {"[dB]": 0.5, "[deg]": 1.0, "[%]": 1.0, "[g]": 0.01}
 SIGNATURE_SOUGHT = 10.0  #: Likewise of a signature [deviations].
 MOST_REPETITIONS = 1000  #: That are stated; beyond they are infinitely many.
 ALIKE = 0.05  #: How far a recorded demand may be off the plan's, over its range.
-_ROUND = 1e-9  # deviation over the mean that is round-off
+_ROUND_OFF = 1e-9  #: Deviation over the mean that is round-off.
 
 
 class Master(NamedTuple):
@@ -61,7 +61,7 @@ class Master(NamedTuple):
         count = min(map(len, histories))
         return np.array([history[:count] for history in histories])
 
-    def measured(self, name: str, mean: Array) -> dict[str, Array]:
+    def measure_test(self, name: str, mean: Array) -> dict[str, Array]:
         """Measures of a test, each of all repetitions (n,); `mean` (N, 3) is of accelerations."""
         values: dict[str, list[float]] = {}
         for record in self.records[name]:
@@ -92,8 +92,8 @@ def load_master(folder: str | Path, bench: Bench | None = None) -> Master:
             bench = make_bench(head.guide, *(beside(folder, part) for part in parts))
     records, digests, missing = dict[str, list[Record]](), dict[str, str](), []
     for name in bench.commands:
-        for path in _files(folder, name, head):
-            record, digests[path.name] = _read(bench, name, path, head)
+        for path in _recording_files(folder, name, head):
+            record, digests[path.name] = _read_test(bench, name, path, head)
             records.setdefault(name, []).append(record)
         if name not in records and name not in head.left_out:
             missing.append(name)
@@ -103,7 +103,7 @@ def load_master(folder: str | Path, bench: Bench | None = None) -> Master:
     return Master(folder, head.model_copy(update={"digests": digests}), bench, records)
 
 
-def _files(folder: Path, name: str, head: MasterSettings) -> list[Path]:
+def _recording_files(folder: Path, name: str, head: MasterSettings) -> list[Path]:
     """Recordings of a test that count, in the order of their numbers."""
     numbered = []
     for path in folder.glob(f"{name}.*"):
@@ -113,7 +113,7 @@ def _files(folder: Path, name: str, head: MasterSettings) -> list[Path]:
     return [path for _, path in sorted(numbered)]
 
 
-def _read(bench: Bench, name: str, path: Path, head: MasterSettings) -> tuple[Record, str]:
+def _read_test(bench: Bench, name: str, path: Path, head: MasterSettings) -> tuple[Record, str]:
     """A recording of a test from the beginning of the test's demand, and the file's digest."""
     record = read_mapped(path, beside(path.parent, head.columns), bench.plant.machine)
     digest = head.digests.get(path.name, record.digest)
@@ -225,7 +225,7 @@ class SignatureChange(NamedTuple):
     deviation: Array  #: Of that difference, (channels, rows, 1).
     degrees: Array  #: Of freedom of those, (rows, 1).
 
-    def worst(self) -> tuple[float, float]:
+    def least_likely(self) -> tuple[float, float]:
         """Student's t of the difference that is least by chance, and its degrees of freedom."""
         # What differs by nothing is by chance, also where nothing is all there ever was.
         t = np.abs(self.difference)
@@ -245,14 +245,14 @@ def compare_signatures(
     lines = master.bench.lines(name, old_records[0].rate)
     old = np.array([signature(record, lines, channels) for record in old_records])
     now = np.array([signature(record, lines, channels) for record in new_records])
-    n, m, rows = len(old), len(now), lines.size
+    n, m, line_count = len(old), len(now), lines.size
     variance = (_deviation(old) ** 2).mean(axis=2)
-    mean, real, imaginary = np.split(variance, [1, 1 + rows], axis=1)
+    mean, real, imaginary = np.split(variance, [1, 1 + line_count], axis=1)
     of_lines = 0.5 * (real + imaginary)
     pooled = np.concatenate([mean, of_lines, of_lines], axis=1)[:, :, None]
-    floor = (_ROUND * np.abs(old).max(axis=(0, 2, 3))[:, None, None]) ** 2
+    floor = (_ROUND_OFF * np.abs(old).max(axis=(0, 2, 3))[:, None, None]) ** 2
     deviation = np.sqrt(np.maximum(pooled, floor) * (1.0 / n + 1.0 / m))
-    share = np.repeat([1.0, 2.0], [1, 2 * rows])[:, None]
+    share = np.repeat([1.0, 2.0], [1, 2 * line_count])[:, None]
     degrees = share * (n - 1.0)  # legs move together: they count as one
     return SignatureChange(now.mean(axis=0) - old.mean(axis=0), deviation, degrees)
 
@@ -297,7 +297,7 @@ def compare(master: Master, new: Master) -> list[Compared]:
             rows.append(Compared(name, "", verdict=f"left out: {reason}"))
             continue
         mean, test = master.accelerations(name).mean(axis=0), master.bench.tests[name]
-        old, now = master.measured(name, mean), new.measured(name, mean)
+        old, now = master.measure_test(name, mean), new.measure_test(name, mean)
         level_of_measure = level / max(1, len(old) - 1)
         for measure, values in old.items():
             if np.isnan(values).all() and np.isnan(now[measure]).all():
@@ -313,7 +313,7 @@ def compare(master: Master, new: Master) -> list[Compared]:
 def _compare_signature(master: Master, new: Master, name: str, level: float) -> Compared:
     """The signature of a test; `level` is of all its alarms."""
     change, power = compare_signatures(master, new, name), master.head.guide.power
-    (t, degrees), level = change.worst(), level / change.difference.size
+    (t, degrees), level = change.least_likely(), level / change.difference.size
     edge = float(stats.t.isf(level / 2.0, degrees))
     n, m = len(master.records[name]), len(new.records[name])
     sought = master.bench.tests[name].sought.get(SIGNATURE, SIGNATURE_SOUGHT)
@@ -339,13 +339,13 @@ def _compare_measure(
     `level` is that of its alarm; without a `limit` or a change that is `sought` these are NaN.
     """
     all_or_none = {float(np.isnan(values).mean()) for values in (old, now)} == {0.0, 1.0}
-    orders = comb(old.size + now.size, now.size)  # that chance may give them
-    has_changed = all_or_none and 1.0 / orders < level
+    order_count = comb(old.size + now.size, now.size)  # that chance may give them
+    has_changed = all_or_none and 1.0 / order_count < level
     old_known, now_known = old[~np.isnan(old)], now[~np.isnan(now)]
     if old_known.size > 1 and now_known.size:  # judged by the repetitions that have the measure
         old, now = old_known, now_known
     n, m, before, after = old.size, now.size, float(old.mean()), float(now.mean())
-    spread = float(np.maximum(_deviation(old), _ROUND * abs(before)))
+    spread = float(np.maximum(_deviation(old), _ROUND_OFF * abs(before)))
     row = Compared(test, measure, before, spread, new=after, limit=limit)
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions
         row = row._replace(new=float(now.max()))
@@ -355,8 +355,8 @@ def _compare_measure(
         t = float((after - before) / (spread * np.sqrt(1.0 / n + 1.0 / m)))
         edge = float(stats.t.isf(level / 2.0, n - 1))
         found = spread * smallest_change(n, m, level, n - 1.0, power)
-        takes = enough_repetitions(sought / spread, level, 1.0, power) if spread else np.nan
-        row = row._replace(off=t, level=edge, found=found, sought=sought, repetitions=takes)
+        needed = enough_repetitions(sought / spread, level, 1.0, power) if spread else np.nan
+        row = row._replace(off=t, level=edge, found=found, sought=sought, repetitions=needed)
         has_changed = has_changed or abs(t) > edge
     if abs(row.new) > limit:
         return row._replace(verdict="beyond its limit")

@@ -77,23 +77,23 @@ def driven_responses(record: Record) -> tuple[dict[str, FrequencyResponse], dict
         return {command.axis: frequency_response(record)}, {}
     matrix = matrix_frequency_response(record)
     lines, response = np.asarray(matrix.omega) / (2.0 * np.pi), np.asarray(matrix.frdata)
-    own, crosstalk = {}, {}
+    responses, crosstalk = {}, {}
     for i, dof in enumerate(DOFS):
         diagonal = response[i, i]
         known = np.isfinite(diagonal)
-        own[dof] = FrequencyResponse(diagonal[known], matrix.omega[known], known[known])
+        responses[dof] = FrequencyResponse(diagonal[known], matrix.omega[known], known[known])
         distance = np.where(known, np.abs(lines - CROSSTALK_FREQUENCY), np.inf)
         gains = np.abs(response[:, i, int(np.argmin(distance))])
-        others = [j for j in range(6) if j != i and j // 3 == i // 3]  # of the same unit
+        others = [j for j in range(6) if j != i and j // 3 == i // 3]  # all in m or all in rad
         crosstalk[dof] = 100.0 * float(gains[others].max() / gains[i])
-    return own, crosstalk
+    return responses, crosstalk
 
 
-def _responses(record: Record) -> Values:
+def _measure_responses(record: Record) -> Values:
     """-90 deg, -3 dB and peak of what is driven, and crosstalk."""
     values: Values = {}
-    own, crosstalk = driven_responses(record)
-    for dof, response in own.items():
+    responses, crosstalk = driven_responses(record)
+    for dof, response in responses.items():
         widths = bandwidths(response)
         values |= {f"{dof} -90 deg [Hz]": widths.phase_hz, f"{dof} -3 dB [Hz]": widths.gain_hz}
         values[f"{dof} peak [dB]"] = widths.peak_db
@@ -102,7 +102,7 @@ def _responses(record: Record) -> Values:
     return values
 
 
-def _steps(record: Record) -> Values:
+def _measure_step(record: Record) -> Values:
     """Overshoot and rise of a step."""
     step, axis = step_metrics(record), record.signal.axis
     overshoot, rise = float(100.0 * step.overshoot), float(step.rise_time)
@@ -110,9 +110,9 @@ def _steps(record: Record) -> Values:
 
 
 def _at_dwells(measure: Callable[[Record, str, Dwell, slice], Values]) -> Measure:
-    """The measure of a record of single sines, from that of a dwell's samples along its axis."""
+    """The measure of a record of single sines, by the `measure` of the samples of each dwell."""
 
-    def measured(record: Record) -> Values:
+    def measure_dwells(record: Record) -> Values:
         rows_per_frame = record.rate / record.signal.rate
         command, values = record.excitation, Values()
         axis, has_sizes = command.axis, len({dwell.amplitude for dwell in command.dwells}) > 1
@@ -128,17 +128,17 @@ def _at_dwells(measure: Callable[[Record, str, Dwell, slice], Values]) -> Measur
                 values[f"{sine_name} {name}"] = float(value)
         return values
 
-    return measured
+    return measure_dwells
 
 
-def _describing_function(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _measure_gain_and_phase(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Gain and phase of the describing function."""
     demand, position = demand_and_position(record, dof, part)
     value = metrics.describing_function(demand, position, record.rate, dwell.frequency)
     return {"gain [dB]": 20.0 * np.log10(abs(value)), "phase [deg]": np.degrees(np.angle(value))}
 
 
-def _balance(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _measure_leg_balance(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Largest difference of two legs in phase and gain."""
     pairs = zip(record["leg_reference"][part].T, record["leg_position"][part].T, strict=True)
     legs = [metrics.describing_function(*pair, record.rate, dwell.frequency) for pair in pairs]
@@ -153,14 +153,14 @@ def _acceleration_noise(record: Record, dof: str, dwell: Dwell, part: slice) -> 
     return metrics.acceleration_noise(acceleration, record.rate, dwell.frequency)
 
 
-def _noise(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _measure_noise(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Acceleration noise in its parts, shares of the fundamental [%]."""
     noise = _acceleration_noise(record, dof, dwell, part)
     shares = ("low_harmonics", "high_harmonics", "stochastic", "peak")
     return {f"{share.replace('_', ' ')} [%]": 100.0 * getattr(noise, share) for share in shares}
 
 
-def _bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _measure_bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Largest deviation of the acceleration from its fundamental [g, rad/s^2].
 
     A turn-around shows as a bump where the velocity changes its sign.
@@ -170,14 +170,14 @@ def _bump(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     return {f"bump [{unit}]": noise.peak * noise.fundamental / size}
 
 
-def _loop_width(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
+def _measure_hysteresis(record: Record, dof: str, dwell: Dwell, part: slice) -> Values:
     """Hysteresis [%]."""
     demand, position = demand_and_position(record, dof, part)
     value = metrics.hysteresis(demand, position, record.rate, dwell.frequency)
     return {"hysteresis [%]": 100.0 * value}
 
 
-def _delay(record: Record) -> Values:
+def _measure_delay(record: Record) -> Values:
     """Lag of the motion behind the demand [s], by correlation, along all driven axes."""
     values: Values = {}
     for dof in DOFS:
@@ -188,7 +188,7 @@ def _delay(record: Record) -> Values:
     return values
 
 
-def _threshold(record: Record) -> Values:
+def _measure_threshold(record: Record) -> Values:
     """Dynamic threshold of an acceleration step [s]."""
     step = record.signal_as(composite.AccelerationStep)
     acceleration, size = accelerations(record)[:, DOFS.index(step.dof)], step.acceleration
@@ -197,33 +197,33 @@ def _threshold(record: Record) -> Values:
 
 
 MEASURES: dict[str, Measure] = {
-    "response": _responses,
-    "step": _steps,
-    "describing_function": _at_dwells(_describing_function),
-    "leg_balance": _at_dwells(_balance),
-    "acceleration_noise": _at_dwells(_noise),
-    "bump": _at_dwells(_bump),
-    "hysteresis": _at_dwells(_loop_width),
-    "delay": _delay,
-    "dynamic_threshold": _threshold,
+    "response": _measure_responses,
+    "step": _measure_step,
+    "describing_function": _at_dwells(_measure_gain_and_phase),
+    "leg_balance": _at_dwells(_measure_leg_balance),
+    "acceleration_noise": _at_dwells(_measure_noise),
+    "bump": _at_dwells(_measure_bump),
+    "hysteresis": _at_dwells(_measure_hysteresis),
+    "delay": _measure_delay,
+    "dynamic_threshold": _measure_threshold,
 }
 """What may be measured of one record, each several numbers by name with their unit."""
 
 
-def lines_of(demand: Array, rate: float) -> Lines:
+def signature_lines(demand: Array, rate: float) -> Lines:
     """Lines of a demand (N, n) that a signature has, as multiples of rate / N.
 
     The strongest of each of 14 bands up to 30 Hz, and twice and three times the strongest of all.
     """
-    size = np.abs(np.fft.rfft(demand - demand.mean(axis=0), axis=0)).sum(axis=1)
-    size[0] = 0.0
-    frequency = np.arange(size.size) * rate / len(demand)
-    lines = {int(size.argmax()) * k for k in (1, 2, 3)} - {0}  # 0 of a demand at rest
+    amplitude = np.abs(np.fft.rfft(demand - demand.mean(axis=0), axis=0)).sum(axis=1)
+    amplitude[0] = 0.0
+    frequency = np.arange(amplitude.size) * rate / len(demand)
+    lines = {int(amplitude.argmax()) * k for k in (1, 2, 3)} - {0}  # 0 of a demand at rest
     for low, high in zip(_BANDS[:-1], _BANDS[1:], strict=True):
         inside = np.flatnonzero((frequency >= low) & (frequency < high))
-        if inside.size and size[inside].max() > _DRIVEN * size.max():
-            lines.add(int(inside[size[inside].argmax()]))
-    return np.array(sorted(line for line in lines if line < size.size))
+        if inside.size and amplitude[inside].max() > _DRIVEN * amplitude.max():
+            lines.add(int(inside[amplitude[inside].argmax()]))
+    return np.array(sorted(line for line in lines if line < amplitude.size))
 
 
 def signature(record: Record, lines: Lines, channels: Sequence[str] = SIGNATURE_CHANNELS) -> Array:

@@ -158,7 +158,7 @@ def main() -> None:
             doubts = doubt(posterior, 1)
             posterior = doubts.widened(posterior)
             results.save(posterior, out)
-            doubts.page(results.numbers(posterior))(out / "fit.md")
+            doubts.page_writer(results.numbers(posterior))(out / "fit.md")
             write_csv(out / "row.csv", COLUMNS, [row(name, posterior, doubts)])
             print(doubts.verdict, flush=True)
     files = (given.out / f"{name}.fit" / "row.csv" for name in LACKING)

@@ -11,9 +11,9 @@ from cmf_mj.studies.diagnosis import (
     Slopes,
     _Problem,
     diagnose,
+    find_slopes,
     moved_machine,
     numbers_of,
-    slopes,
 )
 from cmf_mj.studies.guide import load_guide, make_bench, make_head, run_guide
 from cmf_mj.studies.guide_check import Master, load_master
@@ -32,7 +32,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[Master, Slopes]:
     run_guide(on, make_head(on, machine="lab"), folder / "master")
     master = load_master(folder / "master")
     tried = [one for one in numbers_of(on.plant) if one.name in CHANGES or "leg_1" in one.name]
-    return master, slopes(master, numbers=tried)
+    return master, find_slopes(master, numbers=tried)
 
 
 def changed(master: Master, folder: Path, *names: str) -> Master:
@@ -71,7 +71,9 @@ def test_what_is_not_among_the_numbers_is_none_of_these(
     """The oil, where only what belongs to leg 1 is tried."""
     master, slope = known
     kept = [i for i, one in enumerate(slope.numbers) if "leg_1" in one.name]
-    few = slope._replace(numbers=tuple(slope.numbers[i] for i in kept), slope=slope.slope[:, kept])
+    few = slope._replace(
+        numbers=tuple(slope.numbers[i] for i in kept), by_theta=slope.by_theta[:, kept]
+    )
     first, *_ = diagnose(master, changed(master, tmp_path / "new", "oil stiffness"), few)
     assert first.numbers == "none of these"
 
@@ -79,10 +81,10 @@ def test_what_is_not_among_the_numbers_is_none_of_these(
 def test_a_number_at_its_bound_stays_there(known: tuple[Master, Slopes]) -> None:
     """Less friction than none is asked for."""
     friction = [one for one in numbers_of(known[0].bench.plant) if one.name == "friction"]
-    slope = slopes(known[0], numbers=friction)
-    problem = _Problem(slope, -slope.slope[:, 0], np.ones(slope.base.size))
+    slope = find_slopes(known[0], numbers=friction)
+    problem = _Problem(slope, -slope.by_theta[:, 0], np.ones(slope.base.size))
     with np.errstate(all="raise"):
-        assert problem.fitted((0,)).theta == 0.0
+        assert problem.fit_simulated((0,)).theta == 0.0
 
 
 def test_a_machine_with_nothing_moved_is_the_machine(known: tuple[Master, Slopes]) -> None:

@@ -94,7 +94,10 @@ def test_a_measure_of_some_repetitions_is_judged_by_them_and_a_dead_channel_hide
         _compare_measure("t", "m", np.append(sound, nan), sound, 0.01, nan).verdict == "as before"
     )
     off, spread = np.array([[[0.0]], [[100.0]]]), np.array([[[0.0]], [[1.0]]])
-    assert guide_check.SignatureChange(off, spread, np.array([[3.0]])).worst() == (100.0, 3.0)
+    assert guide_check.SignatureChange(off, spread, np.array([[3.0]])).least_likely() == (
+        100.0,
+        3.0,
+    )
 
 
 def test_recordings_of_another_rate_are_refused(folder: Path) -> None:
@@ -126,7 +129,7 @@ def test_legs_that_move_together_by_chance_alarm_no_more_than_stated(folder: Pat
         old, new = [noise() for _ in range(5)], [noise()]
         pair = (master._replace(records={"all": records}) for records in (old, new))
         one = compare_signatures(*pair, "all")
-        off, degrees = one.worst()
+        off, degrees = one.least_likely()
         alarms += off > stats.t.isf(level / one.difference.size / 2.0, degrees)
     assert stats.binom.sf(alarms, 400, level) > 1e-3
 
@@ -192,7 +195,7 @@ def test_a_recording_that_begins_late_is_aligned(folder: Path, tmp_path: Path) -
         Record(time, channels, record.units, record.metadata).save(file)
     one, other = load_master(late), load_master(folder / "new")
     mean = other.accelerations("all")[0]
-    mine, theirs = (list(each.measured("all", mean).values()) for each in (one, other))
+    mine, theirs = (list(each.measure_test("all", mean).values()) for each in (one, other))
     np.testing.assert_array_equal(mine, theirs)
 
 

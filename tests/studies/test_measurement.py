@@ -8,7 +8,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import acceleration_step, stepped_sines
 from cmf_mj.studies.case import AMPLITUDE
-from cmf_mj.studies.measurement import MEASURES, accelerations, lines_of, signature
+from cmf_mj.studies.measurement import MEASURES, accelerations, signature, signature_lines
 
 
 def run(command: signals.Command, every: int = 16) -> Record:
@@ -78,7 +78,7 @@ def test_a_signature_holds_mean_and_amplitudes_of_a_sum_of_sines() -> None:
     wave = 2.0 + 0.3 * np.cos(2.0 * np.pi * 0.2 * time) - 0.1 * np.sin(2.0 * np.pi * time)
     channels = {"leg_position": np.repeat(wave[:, None], 6, axis=1)}
     record = Record(time, channels, {"leg_position": "m"}, {"sample_rate": 100.0})
-    lines = lines_of(channels["leg_position"], 100.0)
+    lines = signature_lines(channels["leg_position"], 100.0)
     assert {2, 4, 6, 10} <= set(lines.tolist())
     found = signature(record, lines, ["leg_position"])[0, :, 0]
     at = {int(line): i for i, line in enumerate(lines)}
@@ -108,4 +108,4 @@ def test_legs_about_half_a_turn_differ_by_little_and_a_cut_dwell_is_refused(
 
 
 def test_a_demand_at_rest_has_no_lines() -> None:
-    assert lines_of(np.ones((1000, 6)), 100.0).size == 0
+    assert signature_lines(np.ones((1000, 6)), 100.0).size == 0

@@ -11,7 +11,7 @@
     law = "original"                    # where it is not the campaign's
     pose = "heave 5 in below neutral"
 
-    [unknowns.mass]                     # what is not known, default `data_sheet`
+    [unknowns.mass]                     # what is not known, see `default_unknowns`
     path = "cab.mass"
     deviation = 30.0
     source = "guess"
@@ -92,7 +92,7 @@ class CampaignSettings(Settings):
     highest: Annotated[float, Field(gt=0.0)] = 50.0
     """Frequency up to which recordings are explained [Hz], cut at 0.4 of a recording's rate."""
     recordings: Mapping[Name, RecordingSettings] = {}
-    unknowns: Mapping[Name, Unknown] = {}  #: Default those of `data_sheet`.
+    unknowns: Mapping[Name, Unknown] = {}  #: Else `default_unknowns`.
     held: Mapping[Name, Unknown] = {}  #: Not fitted: what they leave open widens predictions.
     evidence: Mapping[Name, EvidenceSettings] = {}
     deviations: Deviations = Deviations()  #: Of what is stated in `evidence`.
@@ -134,12 +134,12 @@ class Campaign(NamedTuple):
         """A number of the data sheet by the path of an unknown, and its unit: see `nominal`."""
         return nominal(path, self.plant, self.sensors, self.law)
 
-    def of(self, held_back: bool) -> tuple[Recording, ...]:
+    def recordings_where(self, held_back: bool) -> tuple[Recording, ...]:
         """The recordings that are held back, or those that are fitted."""
         return tuple(each for each in self.recordings if each.settings.held_back == held_back)
 
 
-def data_sheet(cab: Cab, hydraulics: Any) -> Unknowns:
+def default_unknowns(cab: Cab, hydraulics: Any) -> Unknowns:
     """Unknown numbers of a machine of which only the data sheet is known.
 
     The speed of each leg, lags of drives and valves, leakage, bulk modulus, friction, and mass,
@@ -180,25 +180,27 @@ def load_campaign(folder: str | Path) -> Campaign:
     Raises `InputError` that names the file, the recording and what is wrong.
     """
     source = _READY / f"{folder}.toml" if str(folder) in SHIPPED else Path(folder)
-    path = source / FILE if source.is_dir() else source
-    folder = path.parent
-    settings = _read_settings(path)
-    with within(path):
-        cab = load_cab(beside(folder, settings.cab), beside(folder, settings.machine))
-        hydraulics = hydraulics_of(cab.machine, beside(folder, settings.hydraulics))
+    file = source / FILE if source.is_dir() else source
+    home = file.parent
+    settings = _read_settings(file)
+    with within(file):
+        cab = load_cab(beside(home, settings.cab), beside(home, settings.machine))
+        hydraulics = hydraulics_of(cab.machine, beside(home, settings.hydraulics))
         plant = make_plant(settings.plant, cab, hydraulics)
-        unknowns = Unknowns(settings.unknowns) or data_sheet(cab, hydraulics)
+        unknowns = Unknowns(settings.unknowns) or default_unknowns(cab, hydraulics)
         _check_unknowns(unknowns, settings)
-        law = settings.law or cab.machine.law
+        law_name = settings.law or cab.machine.law
         recordings = tuple(
-            _read_recording(folder, name, law, settings, cab.machine)
+            _read_recording(home, name, law_name, settings, cab.machine)
             for name in settings.recordings
         )
-        known = Unknowns({**unknowns, **settings.held}).on(plant)
-        evidence = load_evidence(settings.evidence, settings.deviations, law, folder, plant, known)
-        campaign = Campaign(folder, settings, plant, unknowns.on(plant), recordings, evidence)
+        all_unknowns = Unknowns({**unknowns, **settings.held}).on(plant)
+        evidence = load_evidence(
+            settings.evidence, settings.deviations, law_name, home, plant, all_unknowns
+        )
+        campaign = Campaign(home, settings, plant, unknowns.on(plant), recordings, evidence)
         fitted_numbers = [number for number in evidence.statements if not number.held_back]
-        if not campaign.of(held_back=False) and not fitted_numbers:
+        if not campaign.recordings_where(held_back=False) and not fitted_numbers:
             allowed = "allowed: recordings or evidence, one of them not held back"
             raise InputError(f"has nothing to fit; {allowed}")
     return campaign
@@ -233,22 +235,22 @@ def _check_unknowns(unknowns: Unknowns, settings: CampaignSettings) -> None:
 
 
 def _read_recording(
-    folder: Path, name: str, law: str, settings: CampaignSettings, machine: Machine
+    folder: Path, name: str, law_name: str, campaign: CampaignSettings, machine: Machine
 ) -> Recording:
-    recording = settings.recordings[name]
-    file, is_valves = recording.file, recording.kind == "valves"
+    settings = campaign.recordings[name]
+    file, is_valves = settings.file, settings.kind == "valves"
     with within(f"recordings.{name}"):
-        columns = beside(folder, recording.columns or settings.columns)
+        columns = beside(folder, settings.columns or campaign.columns)
         record = read_mapped(folder / file, columns, machine)
         command = "valve_command" if is_valves else "leg_reference"
         for channel in (command, "leg_position"):
             if channel not in record.channels:
-                raise InputError(f"{file}: {channel}: is missing; a {recording.kind} needs it")
+                raise InputError(f"{file}: {channel}: is missing; a {settings.kind} needs it")
         for channel in (command, *MEASURED):
             gaps = (~np.isfinite(record.channels.get(channel, np.zeros(1)))).any(axis=-1)
             if gaps.any():
-                time = record.time[int(np.argmax(gaps))]
+                first_gap = record.time[int(np.argmax(gaps))]
                 allowed = "allowed: numbers; let the column map bridge what is short"
-                raise InputError(f"{file}: {channel}: has none at {time:g} s; {allowed}")
-        recorded_law = None if is_valves else load_law(beside(folder, recording.law or law))
-    return Recording(name, recording, record, recorded_law)
+                raise InputError(f"{file}: {channel}: has none at {first_gap:g} s; {allowed}")
+        law = None if is_valves else load_law(beside(folder, settings.law or law_name))
+    return Recording(name, settings, record, law)

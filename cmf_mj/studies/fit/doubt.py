@@ -1,6 +1,6 @@
 """What a fit does not know: numbers in doubt, residuals, held-back recordings, effects, a verdict.
 
-**Directions and residuals.** See `likelihood`.
+**Open directions and residuals.** What recordings leave open, and what is left: see `likelihood`.
 
 **Held back.** Recordings the fit never saw: ratio of measured to simulated leg positions over
 frequency, R = S_ms / S_ss, where the simulated ones have power; gain in dB and phase in deg.
@@ -35,15 +35,15 @@ from cmf_mj.studies.fit.model import Model
 
 Array = NDArray[np.float64]
 
-TO = 8.0  #: Frequency to which a prediction is judged [Hz].
+JUDGED_TO = 8.0  #: Frequency to which a prediction is judged [Hz].
 WITHIN_DB, WITHIN_DEG = 0.5, 3.0  #: What a prediction may be off.
 
 FAR = 2.0  #: Deviations from which a number that is stated speaks against the model.
 
 _SAMPLES = 128  #: Machines that the spread of what is stated is read from.
-_ENDS = (0.05, 0.95)  #: Quantiles that bound it.
-_CHANCE = 2.0  #: Correlation over its bound from which the model is said to miss something.
-_POWER = 1e-4  #: Share of the largest power above which a frequency counts.
+_QUANTILES = (0.05, 0.95)  #: Quantiles that bound this spread.
+_CORRELATED = 2.0  #: Correlation over its bound from which on the model misses something.
+_POWER_SHARE = 1e-4  #: Share of the largest power above which a frequency counts.
 
 
 class ChannelResidual(NamedTuple):
@@ -58,7 +58,7 @@ class ChannelResidual(NamedTuple):
     worst: Annotated[float, Field(title="there, over rms", form=".1f")]
 
 
-def channel_residuals(posterior: Posterior, fitter: Fitter) -> list[ChannelResidual]:
+def measure_residuals(posterior: Posterior, fitter: Fitter) -> list[ChannelResidual]:
     """Residuals by recording and channel; the worst correlation of any leg."""
     rows = []
     for piece in fitter.model.pieces:
@@ -71,12 +71,12 @@ def channel_residuals(posterior: Posterior, fitter: Fitter) -> list[ChannelResid
             residual = residual - residual.mean(axis=0)
             begins = range(0, len(residual) - block + 1, block)
             block_rms = [np.std(residual[begin : begin + block]) for begin in begins]
-            rms, number = float(np.std(residual)), int(np.argmax(block_rms))
+            rms, worst_block = float(np.std(residual)), int(np.argmax(block_rms))
             share = rms / max(float(np.std(values)), 1e-300)
             correlation = max(map(likelihood.demand_correlation, residual.T, demand.T))
-            time = piece.first / piece.rate + number * block * spacing
-            worst = float(block_rms[number]) / max(rms, 1e-300)
-            row = ChannelResidual(piece.name, channel, rms, share, correlation, time, worst)
+            worst_at = piece.first_sample / piece.rate + worst_block * block * spacing
+            worst = float(block_rms[worst_block]) / max(rms, 1e-300)
+            row = ChannelResidual(piece.name, channel, rms, share, correlation, worst_at, worst)
             rows.append(row)
     return rows
 
@@ -95,41 +95,41 @@ class Prediction(NamedTuple):
         return abs(self.gain) <= WITHIN_DB and abs(self.phase) <= WITHIN_DEG
 
 
-def predictions(posterior: Posterior) -> list[Prediction]:
-    """The recordings held back, simulated on the fitted machine."""
+def predict_held_back(posterior: Posterior) -> list[Prediction]:
+    """Simulate the recordings held back on the fitted machine, and compare."""
     model, rows = Model(posterior.campaign, held_back=True), []
-    machine = model.machine(posterior.z)
+    plant = model.plant_at(posterior.z)
     for piece in model.pieces:
         measured, rate = piece.measured, piece.rate
-        simulated = model.simulate(piece, posterior.z, machine)
+        simulated = model.simulate(piece, posterior.z, plant)
         if posterior.campaign.settings.clocks:  # nor has the fit seen how far these are apart
             ratios = _ratios(measured["leg_position"], simulated["leg_position"], rate)
             offset = _clock_offset(*ratios)
-            simulated = model.simulate(piece, posterior.z, machine, offset)
-        measured = {name: values[piece.first :] for name, values in measured.items()}
-        simulated = {name: values[piece.first :] for name, values in simulated.items()}
+            simulated = model.simulate(piece, posterior.z, plant, offset)
+        measured = {name: values[piece.first_sample :] for name, values in measured.items()}
+        simulated = {name: values[piece.first_sample :] for name, values in simulated.items()}
         _, ratio = _ratios(measured["leg_position"], simulated["leg_position"], rate)
         gains, phases = 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
-        missed = 0.0
+        missed_share = 0.0
         for channel in simulated.keys() - {"leg_position"}:
             error = measured[channel] - simulated[channel]
             share = np.std(error - error.mean(axis=0)) / np.std(measured[channel])
-            missed = max(missed, float(share))
+            missed_share = max(missed_share, float(share))
         gain, phase = (float(x[np.abs(x).argmax()]) for x in (gains, phases))
-        rows.append(Prediction(piece.name, gain, phase, missed))
+        rows.append(Prediction(piece.name, gain, phase, missed_share))
     return rows
 
 
 def _ratios(measured: Array, simulated: Array, rate: float) -> tuple[Array, NDArray[np.complex128]]:
-    """Frequencies [Hz] up to `TO`, and measured over simulated histories at them."""
+    """Frequencies [Hz] up to `JUDGED_TO`, and measured over simulated histories at them."""
     length = min(int(4.0 * rate), measured.shape[0])
     settings: dict[str, Any] = {"fs": rate, "nperseg": length, "axis": 0}
     frequency, cross = signal.csd(simulated, measured, **settings)
     _, power = signal.welch(simulated, **settings)
     power = power.sum(axis=1)
-    used = (frequency > 0.0) & (frequency <= TO)
-    used &= power > _POWER * power[used].max()
-    return frequency[used], cross.sum(axis=1)[used] / power[used]
+    in_band = (frequency > 0.0) & (frequency <= JUDGED_TO)
+    lines = in_band & (power > _POWER_SHARE * power[in_band].max())
+    return frequency[lines], cross.sum(axis=1)[lines] / power[lines]
 
 
 def _clock_offset(frequency: Array, ratio: NDArray[np.complex128]) -> float:
@@ -160,7 +160,7 @@ class StatedNumber(NamedTuple):
         return abs(self.error) <= FAR
 
 
-def stated_numbers(
+def compare_stated(
     posterior: Posterior, jobs: int = 2, samples: int = _SAMPLES
 ) -> list[StatedNumber]:
     """All statements of a campaign beside those numbers of the fitted machine."""
@@ -168,18 +168,18 @@ def stated_numbers(
     if not evidence.statements:
         return []
     sheet, unknowns = campaign.plant, campaign.unknowns
-    machines = _open_machines(posterior, jobs, samples)
-    values_open = np.array([machine.value for machine in machines])
-    unstable = 1.0 - np.mean([machine.stable for machine in machines], axis=0)
-    best, machine = unknowns.at(stats.norm.cdf(posterior.z)), posterior.applied(sheet)
-    before = evidence.linear({}, sheet).value
-    fitted = evidence.linear(best, machine).value
+    samples_of_loops = _sample_loops(posterior, jobs, samples)
+    sampled_values = np.array([loops.value for loops in samples_of_loops])
+    unstable = 1.0 - np.mean([loops.stable for loops in samples_of_loops], axis=0)
+    fitted_values, plant = unknowns.at(stats.norm.cdf(posterior.z)), posterior.applied(sheet)
+    before = evidence.linear_numbers({}, sheet).value
+    fitted = evidence.linear_numbers(fitted_values, plant).value
     if campaign.settings.simulated:
-        fitted = evidence.simulated(best, machine, jobs)
+        fitted = evidence.simulated_numbers(fitted_values, plant, jobs)
     rows = []
     for i, statement in enumerate(evidence.statements):
-        finite = values_open[np.isfinite(values_open[:, i]), i]
-        low, high = np.quantile(finite, _ENDS) if finite.size else (np.nan, np.nan)
+        finite = sampled_values[np.isfinite(sampled_values[:, i]), i]
+        low, high = np.quantile(finite, _QUANTILES) if finite.size else (np.nan, np.nan)
         error = -statement.excess(float(fitted[i])) if np.isfinite(fitted[i]) else np.nan
         role = "held back" if statement.held_back else "fitted"
         numbers = (statement.value, before[i], fitted[i], error, low, high, unstable[i])
@@ -188,22 +188,22 @@ def stated_numbers(
     return rows
 
 
-def _open_machines(posterior: Posterior, jobs: int, samples: int) -> list[LoopNumbers]:
-    """The statements' numbers of machines that the fit leaves open."""
+def _sample_loops(posterior: Posterior, jobs: int, samples: int) -> list[LoopNumbers]:
+    """Draw machines that the fit leaves open, and compute the statements' numbers of each."""
     campaign, evidence = posterior.campaign, posterior.campaign.evidence
     held = Unknowns(campaign.settings.held).on(campaign.plant)
     held_values = held.draw("latin_hypercube", samples, 0) if held else [{}] * samples
     points = zip(stats.norm.cdf(posterior.samples(samples)), held_values, strict=True)
-    drawn = [campaign.unknowns.at(shares) | others for shares, others in points]
+    drawn_values = [campaign.unknowns.at(shares) | others for shares, others in points]
 
     def loop_numbers(values: Values) -> LoopNumbers | None:
         try:
-            return evidence.linear(values, evidence.unknowns.apply(values, campaign.plant))
+            return evidence.linear_numbers(values, evidence.unknowns.apply(values, campaign.plant))
         except (InputError, RunError):
             return None
 
-    machines = on_threads(loop_numbers, drawn, jobs)
-    return [machine for machine in machines if machine is not None]
+    loops = on_threads(loop_numbers, drawn_values, jobs)
+    return [numbers for numbers in loops if numbers is not None]
 
 
 class Doubt(NamedTuple):
@@ -219,14 +219,14 @@ class Doubt(NamedTuple):
     @property
     def missed(self) -> list[ChannelResidual]:
         """Residuals that go with the demand, the worst first."""
-        rows = [row for row in self.residuals if row.correlation > _CHANCE]
+        rows = [row for row in self.residuals if row.correlation > _CORRELATED]
         return sorted(rows, key=lambda row: -row.correlation)
 
     @property
     def is_explained(self) -> bool:
         """Whether nothing that was looked at speaks against the model."""
-        close = [row.is_close for row in self.predictions] + [row.is_close for row in self.stated]
-        return all(close) and not (self.missed or self.helpful_effects)
+        rows: list[Prediction | StatedNumber] = [*self.predictions, *self.stated]
+        return all(row.is_close for row in rows) and not (self.missed or self.helpful_effects)
 
     @property
     def helpful_effects(self) -> list[Effect]:
@@ -240,9 +240,10 @@ class Doubt(NamedTuple):
 
     def tables(self) -> list[Table]:
         """What the recordings leave open, residuals, predictions, effects; none of them empty."""
-        directions = fields_of(OpenDirection)
         results: list[Result[Any]] = [
-            Result(self.open_directions, directions, "What the recordings leave open"),
+            Result(
+                self.open_directions, fields_of(OpenDirection), "What the recordings leave open"
+            ),
             Result(self.residuals, fields_of(ChannelResidual), "What is left"),
             Result(self.predictions, fields_of(Prediction), "Recordings held back"),
             Result(self.effects, fields_of(Effect)[:2], "Effects that were tried"),
@@ -253,7 +254,7 @@ class Doubt(NamedTuple):
     @property
     def verdict(self) -> str:
         """How far the fit may be trusted, in words."""
-        lines = [f"{one} and {other} cannot be separated." for one, other in self.twins]
+        lines = [f"{first} and {second} cannot be separated." for first, second in self.twins]
         data = "the recordings" if self.residuals else "what is stated"
         if self.is_explained:
             text = f"The model explains {data}: "
@@ -261,7 +262,7 @@ class Doubt(NamedTuple):
             text += ", no effect tried helps" if self.effects else ""
             if self.predictions:
                 text += f", and {len(self.predictions)} held back are predicted within "
-                text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {TO:g} Hz"
+                text += f"{WITHIN_DB:g} dB and {WITHIN_DEG:g} deg to {JUDGED_TO:g} Hz"
             return "\n".join([*lines, f"{text}."])
         lines.append(f"The model does not explain {data}.")
         lines += [
@@ -288,8 +289,8 @@ class Doubt(NamedTuple):
             lines.append("None of the effects tried helps: the model lacks another.")
         return "\n".join(lines)
 
-    def page(self, numbers: Table) -> Callable[[Path], Path]:
-        """What writes the page of the fit, its numbers first."""
+    def page_writer(self, numbers: Table) -> Callable[[Path], Path]:
+        """A function that writes the page of the fit to a path, its `numbers` first."""
         parts = ["# How far this fit may be trusted", self.verdict]
         tables = (numbers, *self.tables())
         parts += [f"## {table.title}\n\n{table.markdown()}" for table in tables]
@@ -304,8 +305,8 @@ def doubt(posterior: Posterior, jobs: int = 2, *, effects: bool = True) -> Doubt
     return Doubt(
         open_directions=tuple(directions),
         twins=posterior.twins,
-        residuals=tuple(channel_residuals(posterior, fitter)),
-        predictions=tuple(predictions(posterior)),
+        residuals=tuple(measure_residuals(posterior, fitter)),
+        predictions=tuple(predict_held_back(posterior)),
         effects=tuple(try_effects(posterior.linearised, fitter)) if effects else (),
-        stated=tuple(stated_numbers(posterior, jobs)),
+        stated=tuple(compare_stated(posterior, jobs)),
     )

@@ -23,7 +23,7 @@ from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.yielding import Floor, on_floor, on_mounts
-from cmf_mj.studies.fit.iteration import WIDTH, Fitter, Linearised, improve
+from cmf_mj.studies.fit.iteration import LARGEST_WIDTH, Fitter, Linearised, improve
 from cmf_mj.studies.fit.model import Change, difference
 
 Array = NDArray[np.float64]
@@ -39,15 +39,15 @@ class Candidate(NamedTuple):
     """An effect that a machine may have beside the numbers that are fitted."""
 
     changes: Callable[[Plant, Sequence[str]], list[Change]]
-    """The changes to be tried, by the data sheet's machine and its legs."""
+    """The changes to be tried, by the data sheet's plant and its legs."""
     path: str = ""  #: Of a number; an effect without one is a part that yields, of hexapods alone.
     is_signed: bool = False  #: Whether it may go either way.
 
 
-def _of_number(
+def _by_path(
     path: str, unit: str, size: Callable[[Plant], float], is_signed: bool = False
 ) -> Candidate:
-    """A number by its path, with the size that is tried; its unit is of SI."""
+    """The candidate of a number by its path, in SI, with the `size` that is tried."""
     table = {"path": path, "unit": unit, "effect": "value", "low": -1.0, "high": 1.0}
     unknowns = Unknowns(extra=validated(Unknown, table | {"source": "tried"}, path))
 
@@ -90,22 +90,22 @@ def _yielding_floors(sheet: Plant, _: Sequence[str]) -> list[Change]:
     frequency it is nearly linear in 1 / m; one size makes it the machine's over `_FLOOR_SHARE`.
     """
 
-    def on_floor_of(hertz: float, machine: Plant, amount: Array) -> Plant:
+    def on_floor_of(frequency: float, machine: Plant, amount: Array) -> Plant:
         whole = float(machine.model.body_mass.sum())
         mass = whole / (_FLOOR_SHARE * float(amount[0]))
-        return on_floor(machine, Floor(mass, (mass + whole) * (2.0 * np.pi * hertz) ** 2))
+        return on_floor(machine, Floor(mass, (mass + whole) * (2.0 * np.pi * frequency) ** 2))
 
-    return [partial(on_floor_of, float(hertz)) for hertz in _FLOOR_FREQUENCIES]
+    return [partial(on_floor_of, float(frequency)) for frequency in _FLOOR_FREQUENCIES]
 
 
 EFFECTS = {
-    "valve overlap": _of_number("hydraulics.overlap", "1", lambda _: 0.01),
-    "valve hysteresis": _of_number("hydraulics.hysteresis", "1", lambda _: 0.01),
-    "unequal null bias": _of_number("hydraulics.actuators.*.null_bias", "1", lambda _: 0.005, True),
-    "viscous friction": _of_number("hydraulics.viscous_friction", "N s/m", _viscous_friction),
-    "Coulomb friction": _of_number("hydraulics.friction", "N", lambda s: 0.02 * _static_load(s)),
-    "entrained gas": _of_number("hydraulics.entrained_gas", "1", lambda _: 0.002),
-    "resistance of the supply hoses": _of_number(
+    "valve overlap": _by_path("hydraulics.overlap", "1", lambda _: 0.01),
+    "valve hysteresis": _by_path("hydraulics.hysteresis", "1", lambda _: 0.01),
+    "unequal null bias": _by_path("hydraulics.actuators.*.null_bias", "1", lambda _: 0.005, True),
+    "viscous friction": _by_path("hydraulics.viscous_friction", "N s/m", _viscous_friction),
+    "Coulomb friction": _by_path("hydraulics.friction", "N", lambda s: 0.02 * _static_load(s)),
+    "entrained gas": _by_path("hydraulics.entrained_gas", "1", lambda _: 0.002),
+    "resistance of the supply hoses": _by_path(
         "hydraulics.supply_hose", "Pa s/m^3", lambda sheet: sheet.parameters.supply_hose.si
     ),
     "a floor that yields": Candidate(_yielding_floors),
@@ -148,7 +148,7 @@ def try_effects(end: Linearised, fitter: Fitter) -> list[Effect]:
     if points:
         best = min(points, key=lambda name: points[name].cost)
         if end.cost - points[best].cost > _HELPS:
-            points[best] = _refitted(points[best])
+            points[best] = _refit(points[best])
     numbers = slice(fitter.model.size)
     effects = [
         Effect(name, end.cost - point.cost, point.x[numbers] - end.x[numbers])
@@ -161,25 +161,25 @@ def _best_point(end: Linearised, fitter: Fitter, candidate: Candidate) -> _Point
     """The best point with an effect, or without it where the fit ended."""
     legs = fitter.model.unknowns.legs if "*" in candidate.path else ("",)
     size = fitter.model.size
-    zero = np.insert(end.x, size, np.zeros(len(legs)))
-    best, largest_gain = _Point(fitter, zero, end.cost), 0.0
+    without_effect = np.insert(end.x, size, np.zeros(len(legs)))
+    best, largest_gain = _Point(fitter, without_effect, end.cost), 0.0
     for change in candidate.changes(fitter.model.plant, legs):
         fitter_with = fitter.with_effect(
             change if candidate.is_signed else partial(_positive_effect, change)
         )
-        units = [np.insert(end.x, size, unit) for unit in np.eye(len(legs))]
-        residuals = [each for each in fitter_with.residuals_at(units) if each is not None]
+        unit_points = [np.insert(end.x, size, unit) for unit in np.eye(len(legs))]
+        residuals = [each for each in fitter_with.residuals_at(unit_points) if each is not None]
         if len(residuals) < len(legs):
             continue
         by_effect = [difference(each, end.residuals) for each in residuals]
         derivatives = [*end.derivatives[:size], *by_effect, *end.derivatives[size:]]
-        linearised = fitter_with.linearised(zero, end.residuals, derivatives)
-        points, costs = units[:1], [fitter_with.cost(units[0], residuals[0])]
+        linearised = fitter_with.linearised(without_effect, end.residuals, derivatives)
+        points, costs = unit_points[:1], [fitter_with.cost(unit_points[0], residuals[0])]
         move = np.linalg.solve(linearised.hessian, linearised.gradient)
         gain = linearised.predicted_gain
         if gain > largest_gain and (candidate.is_signed or move[size] > 0.0):
             largest_gain = gain
-            moved = [zero + part * move for part in (1.0, 0.5, 0.25)]
+            moved = [without_effect + part * move for part in (1.0, 0.5, 0.25)]
             points += moved
             costs += map(fitter_with.cost, moved, fitter_with.residuals_at(moved))
         least = int(np.argmin(costs))
@@ -195,17 +195,17 @@ def _positive_effect(change: Change, machine: Plant, amount: Array) -> Plant:
     return change(machine, amount)
 
 
-def _refitted(point: _Point) -> _Point:
-    """The numbers fitted again with an effect, from `point` or from what the rests weigh."""
+def _refit(point: _Point) -> _Point:
+    """Fit all numbers again with an effect, from `point` or from what pressures at rest weigh."""
     fitter, x, model = point.fitter, point.x, point.fitter.model
-    others = []
+    starts = []
     for amount in (1.0, 2.0):
         start = np.full(x.size, amount)
         start[: model.size] = model.weigh()
         start[x.size - model.clocks :] = x[x.size - model.clocks :]
-        others.append(start)
-    costs = [point.cost, *map(fitter.cost, others, fitter.residuals_at(others))]
-    x, width = [x, *others][int(np.argmin(costs))], np.full(x.size, WIDTH[1])
+        starts.append(start)
+    costs = [point.cost, *map(fitter.cost, starts, fitter.residuals_at(starts))]
+    x, width = [x, *starts][int(np.argmin(costs))], np.full(x.size, LARGEST_WIDTH)
     for _ in range(_REFIT_STEPS):
         row = improve(fitter, x, width)
         x, width = np.array(row["x"]), np.array(row["width"])

@@ -1,6 +1,6 @@
 """Fits a machine to a campaign: at rest, in slow motions, then all, by iterations (`iteration`).
 
-    rest    static pressures in poses give what is carried, without simulation (`Model.weighed`)
+    rest    static pressures in poses give what is carried, without simulation (`Model.weigh`)
     slow    the first seconds of each recording, at low frequencies (`iteration.STAGES`)
     whole   all of them, up to the campaign's highest frequency
 
@@ -25,7 +25,7 @@ from cmf_mj.studies.engine import Journal, one_library_thread
 from cmf_mj.studies.fit import sampling
 from cmf_mj.studies.fit.campaign import Campaign, load_campaign
 from cmf_mj.studies.fit.evidence import Evidence
-from cmf_mj.studies.fit.iteration import STAGES, WIDTH, Fitter, Linearised, improve
+from cmf_mj.studies.fit.iteration import LARGEST_WIDTH, STAGES, Fitter, Linearised, improve
 from cmf_mj.studies.fit.likelihood import spread
 from cmf_mj.studies.fit.model import Model
 
@@ -75,12 +75,12 @@ class Posterior(NamedTuple):
             ends = np.array([0.5 - 0.5 * share, 0.5 + 0.5 * share])
             columns = [sampling.weighted_quantiles(z, self.weights, ends) for z in self.points.T]
             return np.stack(columns, axis=-1)
-        half = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
-        low, high = self.z - half, self.z + half
+        half_width = stats.t.ppf(0.5 + 0.5 * share, self.degrees) * self.deviation
+        low, high = self.z - half_width, self.z + half_width
         if exchange:
-            exchanged_half = half[self._exchanged_order()]
-            low = np.minimum(low, self.exchanged_z - exchanged_half)
-            high = np.maximum(high, self.exchanged_z + exchanged_half)
+            exchanged_half_width = half_width[self._exchanged_order()]
+            low = np.minimum(low, self.exchanged_z - exchanged_half_width)
+            high = np.maximum(high, self.exchanged_z + exchanged_half_width)
         low, high = low + self._all_shifts.min(axis=0), high + self._all_shifts.max(axis=0)
         return np.clip([low, high], *stats.norm.ppf([1e-6, 1.0 - 1e-6]))
 
@@ -107,10 +107,11 @@ class Posterior(NamedTuple):
         if self.weights.size:
             return np.asarray(self.points[sampling.resampled(self.weights, count, seed)])
         generator = np.random.default_rng(seed)
-        law = stats.multivariate_t(self.z, self.covariance, self.degrees, allow_singular=True)
-        samples = law.rvs(count, random_state=generator).reshape(count, -1)
-        rows = generator.random(count) < 0.5  # about the exchanged coordinates
-        samples[rows] = self.exchanged_z + (samples[rows] - self.z)[:, self._exchanged_order()]
+        student_t = stats.multivariate_t(self.z, self.covariance, self.degrees, allow_singular=True)
+        samples = student_t.rvs(count, random_state=generator).reshape(count, -1)
+        is_exchanged = generator.random(count) < 0.5
+        distances = samples[is_exchanged] - self.z
+        samples[is_exchanged] = self.exchanged_z + distances[:, self._exchanged_order()]
         return samples + generator.choice(self._all_shifts, count)
 
 
@@ -165,24 +166,24 @@ def fit(
     identity = {"campaign": settings, "recordings": digests}
     journal = Journal(Path(folder) / "steps", identity)
     names = tuple(name for name, *_ in campaign.unknowns.numbers())
-    recordings = len(campaign.of(held_back=False))
+    recording_count = len(campaign.recordings_where(held_back=False))
     model = Model(campaign)
     announce("weighing at rest")
     x = np.append(model.weigh(), np.zeros(model.clocks))
-    number, width = 0, np.full(x.size, WIDTH[1])
+    step_number, width = 0, np.full(x.size, LARGEST_WIDTH)
     if campaign.settings.simulated:
         report("the data sheet's machine, simulated")
         campaign = campaign._replace(evidence=_evidence_with_shift(campaign, journal, jobs))
-    for stage in STAGES if recordings else ("whole",):
+    for stage in STAGES if recording_count else ("whole",):
         fitter = Fitter(campaign, stage, jobs)
         for step in range(fitter.stage.steps):
-            note = ", compiling first if new" if number == 0 else ""
-            machines = f"{x.size + 1} machines, {recordings} recordings each"
+            note = ", compiling first if new" if step_number == 0 else ""
+            machines = f"{x.size + 1} machines, {recording_count} recordings each"
             announce(f"{stage} {step + 1}: {machines}{note}")
-            if number not in journal.results:
-                journal.add(number, [improve(fitter, x, width)])
-            (row,) = journal.results[number]
-            number += 1
+            if step_number not in journal.results:
+                journal.add(step_number, [improve(fitter, x, width)])
+            (row,) = journal.results[step_number]
+            step_number += 1
             report(f"{stage} {step + 1}: -ln L {row['merit']:.1f}, {row['gain']:.1f} gained")
             x, width = np.array(row["x"]), np.array(row["width"])
             if row["done"]:
@@ -191,7 +192,7 @@ def fit(
     covariance = spread(best.information, x)
     twins, exchanged = _find_twins(fitter, names, best)
     points, weights = np.empty((0, len(names))), np.empty(0)
-    if not recordings:
+    if not recording_count:
         points, weights = _draw(fitter, journal, report)
     numbers = slice(len(names))  # without clocks
     return Posterior(
@@ -199,7 +200,7 @@ def fit(
         names=names,
         z=x[numbers],
         covariance=covariance[numbers, numbers],
-        degrees=max(3.0, recordings - 1.0),
+        degrees=max(3.0, recording_count - 1.0),
         linearised=best,
         twins=twins,
         exchanged_z=exchanged[numbers],
@@ -209,17 +210,17 @@ def fit(
 
 
 def _draw(fitter: Fitter, journal: Journal, report: Progress) -> tuple[Array, Array]:
-    """Points of importance sampling and their weights; the journal keeps its rounds."""
+    """Draw points of importance sampling with their weights; the journal keeps its rounds."""
 
-    def likelihoods(number: int, points: Array) -> Array:
-        row = _SHIFT_ROW - 1 - number
-        if row not in journal.results:
+    def log_likelihoods(round_number: int, points: Array) -> Array:
+        row_number = _SHIFT_ROW - 1 - round_number
+        if row_number not in journal.results:
             costs = map(fitter.cost, points, fitter.residuals_at(list(points)))
-            journal.add(row, [{"merit": list(costs)}])
-        (result,) = journal.results[row]
+            journal.add(row_number, [{"merit": list(costs)}])
+        (result,) = journal.results[row_number]
         return np.asarray(0.5 * (points**2).sum(axis=1) - result["merit"])
 
-    draws = sampling.importance(likelihoods, fitter.model.size, _DRAWS, _ROUNDS, _SEED)
+    draws = sampling.importance(log_likelihoods, fitter.model.size, _DRAWS, _ROUNDS, _SEED)
     size = sampling.effective_size(draws.weights)
     report(f"{len(draws.points)} machines drawn, effective sample size {size:.0f}")
     return draws.points, draws.weights
@@ -237,9 +238,9 @@ def _evidence_with_shift(campaign: Campaign, journal: Journal, jobs: int) -> Evi
 def _find_twins(
     fitter: Fitter, names: tuple[str, ...], best: Linearised
 ) -> tuple[tuple[tuple[str, str], ...], Array]:
-    """Pairs whose exchange costs next to nothing, and the coordinates with those exchanged."""
+    """Find pairs whose exchange costs next to nothing, and the coordinates with them exchanged."""
     twins, x = [], best.x
-    fitted, sheet = fitter.model.machine(x).parameters, fitter.model.plant.parameters
+    fitted, sheet = fitter.model.plant_at(x).parameters, fitter.model.plant.parameters
     for first, second in _TWINS:
         if not {first, second} <= set(names):
             continue

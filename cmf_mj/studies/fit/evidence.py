@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.analysis.linear.poles import are_stable, least_damped_mode
@@ -61,7 +61,7 @@ MEASURES = {
 """What may be stated of a law along an axis, fields of `Measures`, and its title."""
 
 _RESPONSE_MEASURES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db")
-LEAST = "least_damping"
+LEAST_DAMPING = "least_damping"  #: What may be stated of all modes.
 
 LINES = np.geomspace(0.4, 15.0, 150)  #: Lines the bandwidths are read between [Hz], 2.5 % apart.
 _STEP = 1.5  #: Length of linear steps [s]: the overshoot comes within the first half second.
@@ -69,7 +69,7 @@ _FASTEST_HZ = 30.0  #: Modes above it are of valves and sensors, not of the mach
 FARTHEST = 8.0  #: Deviations of what a machine does not have at all, such as an overshoot.
 
 Positive = Annotated[float, Field(gt=0.0)]
-Line = Annotated[tuple[Positive, float, float], Field(strict=False)]
+ResponseRow = Annotated[tuple[Positive, float, float], Field(strict=False)]
 
 
 class Deviations(Settings):
@@ -96,7 +96,7 @@ class EvidenceSettings(Settings):
     peak_gain_db: float | None = None
     damping_ratio: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     least_damping: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    response: Annotated[tuple[Line, ...], Field(strict=False)] = ()
+    response: Annotated[tuple[ResponseRow, ...], Field(strict=False)] = ()
     held_back: Annotated[tuple[str, ...], Field(strict=False)] = ()
     deviations: Deviations | None = None
 
@@ -116,8 +116,8 @@ class Statement(NamedTuple):
     held_back: bool
 
     def excess(self, predicted: float) -> float:
-        """E of a machine; `FARTHEST` where it has no such number."""
-        if self.field == LEAST:
+        """The error e of a machine; `FARTHEST` where it has no such number."""
+        if self.field == LEAST_DAMPING:
             error = float(np.maximum(0.0, self.value - predicted))
         elif self.field.endswith("_hz"):
             error = float(np.log(self.value / predicted)) if 0.0 < predicted < np.inf else np.nan
@@ -144,28 +144,28 @@ class Evidence(NamedTuple):
     unknowns: Unknowns
     shift: Array  #: d of each statement, (n,).
 
-    def linear(self, values: Values, plant: Plant) -> LoopNumbers:
+    def linear_numbers(self, values: Values, plant: Plant) -> LoopNumbers:
         """The stated numbers of the linear loops of a machine with these values.
 
         Bandwidths are those of the response, also of an unstable loop: a fit must pass through it.
         """
-        plants: dict[str, Linear] = {}
+        linear_by_cab: dict[str, Linear] = {}
         laws = {name: self.unknowns.apply(values, law) for name, law in self.laws.items()}
-        loops: dict[tuple[str, str, str], tuple[Any, Measures]] = {}
+        loops_by_case: dict[tuple[str, str, str], tuple[Any, Measures]] = {}
         value, stable = np.full(len(self.statements), np.nan), np.zeros(len(self.statements), bool)
         for i, statement in enumerate(self.statements):
             law, cab = laws[statement.law], statement.cab
-            if cab not in plants:
-                plants[cab] = Linear(self._plant_with(cab, values, plant), friction="none")
-            if statement.field == LEAST:
-                legs = plants[cab].leg_loop(law)
-                poles = np.asarray(legs.poles(), dtype=complex)
-                value[i], stable[i] = _least_damping(poles, legs.dt), are_stable(poles)
+            if cab not in linear_by_cab:
+                linear_by_cab[cab] = Linear(self._plant_with(cab, values, plant), friction="none")
+            if statement.field == LEAST_DAMPING:
+                leg_loop = linear_by_cab[cab].leg_loop(law)
+                poles = np.asarray(leg_loop.poles(), dtype=complex)
+                value[i], stable[i] = _least_damping(poles, leg_loop.dt), are_stable(poles)
                 continue
             case = statement.law, statement.dof, cab
-            if case not in loops:
-                loops[case] = _measured_loop(plants[cab], law, statement.dof)
-            loop, measures = loops[case]
+            if case not in loops_by_case:
+                loops_by_case[case] = _measure_loop(linear_by_cab[cab], law, statement.dof)
+            loop, measures = loops_by_case[case]
             stable[i] = measures.stable
             if statement.field in MEASURES:
                 value[i] = getattr(measures, statement.field)
@@ -176,18 +176,18 @@ class Evidence(NamedTuple):
                 value[i] = gain if statement.field == "gain_db" else phase
         return LoopNumbers(value + self.shift, stable)
 
-    def simulated(self, values: Values, plant: Plant, jobs: int) -> Array:
+    def simulated_numbers(self, values: Values, plant: Plant, jobs: int) -> Array:
         """The stated numbers of the simulation; those that are no measures are linear."""
-        value = self.linear(values, plant).value
-        measured = [statement for statement in self.statements if statement.field in MEASURES]
-        loops = list(dict.fromkeys((each.law, each.dof, each.cab) for each in measured))
+        value = self.linear_numbers(values, plant).value
+        of_measures = [statement for statement in self.statements if statement.field in MEASURES]
+        case_keys = list(dict.fromkeys((each.law, each.dof, each.cab) for each in of_measures))
         cases = []
-        for law_name, dof, cab in loops:
-            machine = self._plant_with(cab, values, plant)
-            law = bound(self.unknowns.apply(values, self.laws[law_name]), machine)
-            carried = machine.cab_parameters or load_cab(None, plant.machine)
+        for law_name, dof, cab in case_keys:
+            plant_with_cab = self._plant_with(cab, values, plant)
+            law = bound(self.unknowns.apply(values, self.laws[law_name]), plant_with_cab)
+            carried = plant_with_cab.cab_parameters or load_cab(None, plant.machine)
             cases.append(make_case(law, dof, plant.name, carried, plant.parameters, quick=True))
-        results = dict(zip(loops, on_threads(run_case, cases, jobs), strict=True))
+        results = dict(zip(case_keys, on_threads(run_case, cases, jobs), strict=True))
         for i, statement in enumerate(self.statements):
             if statement.field in MEASURES:
                 result = results[statement.law, statement.dof, statement.cab]
@@ -200,12 +200,13 @@ class Evidence(NamedTuple):
     def with_shift(self, jobs: int) -> "Evidence":
         """With d of the data sheet's machine; 0 where a simulation has no such number."""
         plain = self._replace(shift=np.zeros(len(self.statements)))
-        shift = plain.simulated({}, self.plant, jobs) - plain.linear({}, self.plant).value
+        simulated = plain.simulated_numbers({}, self.plant, jobs)
+        shift = simulated - plain.linear_numbers({}, self.plant).value
         return self._replace(shift=np.where(np.isfinite(shift), shift, 0.0))
 
     def excess(self, values: Values, plant: Plant) -> Array:
-        """E of the statements that are fitted."""
-        predicted = self.linear(values, plant).value.tolist()
+        """The errors e of the statements that are fitted."""
+        predicted = self.linear_numbers(values, plant).value.tolist()
         pairs = zip(self.statements, predicted, strict=True)
         return np.array([each.excess(value) for each, value in pairs if not each.held_back])
 
@@ -217,8 +218,8 @@ class Evidence(NamedTuple):
         return Hexapod(self.unknowns.apply(values, carried), plant.parameters)
 
 
-def _measured_loop(linear: Linear, law: Law, dof: str) -> tuple[Any, Measures]:
-    """The loop of a degree of freedom, on single legs of the first."""
+def _measure_loop(linear: Linear, law: Law, dof: str) -> tuple[Any, Measures]:
+    """The loop of a degree of freedom, on single legs that of the first, and its measures."""
     loop = linear.loop(law, dof if isinstance(linear.plant, Hexapod) else "leg_1")
     measures = measure_loop(loop, frequencies=LINES, duration=_STEP)
     if not measures.stable:
@@ -227,12 +228,12 @@ def _measured_loop(linear: Linear, law: Law, dof: str) -> tuple[Any, Measures]:
 
 
 def _least_damping(poles: NDArray[np.complex128], frame: float) -> float:
-    """Of the modes of the machine; 1 of a stable loop that has none."""
-    ratio = least_damped_mode(poles, _FASTEST_HZ, frame=frame)[0]
+    """Least damping ratio of the modes of the machine; 1 of a stable loop that has none."""
+    ratio = least_damped_mode(poles, _FASTEST_HZ, frame=frame).damping_ratio
     return 1.0 if np.isnan(ratio) and are_stable(poles) else ratio
 
 
-def _with_bandwidths(measures: Measures, widths: Any) -> Measures:
+def _with_bandwidths(measures: Measures, widths: Bandwidths) -> Measures:
     """Measures with bandwidths also where the step rings on."""
     of_response = measures_from(widths)
     return measures._replace(**{name: getattr(of_response, name) for name in _RESPONSE_MEASURES})
@@ -257,13 +258,13 @@ def load_evidence(
                 raise InputError("cabs: is refused: single legs carry none; allowed: a hexapod")
             for cab in settings.cabs:
                 load_cab(cab, plant.machine)
-            stated = _statements(name, settings, settings.deviations or deviations, law_name)
-            fields = sorted({statement.field for statement in stated})
+            numbers = _statements(name, settings, settings.deviations or deviations, law_name)
+            fields = sorted({statement.field for statement in numbers})
             for field in settings.held_back:
                 if field not in fields:
                     allowed = ", ".join(fields)
                     raise InputError(f"held_back: {field!r} is not stated; allowed: {allowed}")
-            statements += stated
+            statements += numbers
     no_shift = np.zeros(len(statements))
     return Evidence(tuple(statements), laws, plant, unknowns, no_shift)
 
@@ -275,13 +276,22 @@ def _statements(
     statements: list[Statement] = []
 
     def state(field: str, title: str, value: float, cab: str, frequency: float = 0.0) -> None:
-        quantity, loop = f"{title}, {cab}" if cab else title, (law, settings.dof, cab)
-        deviation, held_back = getattr(deviations, field), field in settings.held_back
-        number = (frequency, value, deviation, held_back)
-        statements.append(Statement(name, quantity, field, *loop, *number))
+        statement = Statement(
+            evidence=name,
+            quantity=f"{title}, {cab}" if cab else title,
+            field=field,
+            law=law,
+            dof=settings.dof,
+            cab=cab,
+            frequency=frequency,
+            value=value,
+            deviation=getattr(deviations, field),
+            held_back=field in settings.held_back,
+        )
+        statements.append(statement)
 
     for cab in settings.cabs or ("",):
-        for field, title in (MEASURES | {LEAST: "least zeta"}).items():
+        for field, title in (MEASURES | {LEAST_DAMPING: "least zeta"}).items():
             value = getattr(settings, field)
             if value is not None:
                 state(field, title, value, cab)
@@ -289,5 +299,6 @@ def _statements(
             state("gain_db", f"gain at {hertz:g} Hz [dB]", gain, cab, hertz)
             state("phase_deg", f"phase at {hertz:g} Hz [deg]", phase, cab, hertz)
     if not statements:
-        raise InputError(f"states nothing; allowed: {', '.join([*MEASURES, LEAST, 'response'])}")
+        allowed = ", ".join([*MEASURES, LEAST_DAMPING, "response"])
+        raise InputError(f"states nothing; allowed: {allowed}")
     return statements

@@ -21,10 +21,10 @@ from cmf_mj.studies.fit.model import Change, Model, Residuals, difference
 
 Array = NDArray[np.float64]
 
-WIDTH = (2e-3, 0.03)  #: Least and largest step of a difference, in deviations of the prior.
+LEAST_WIDTH, LARGEST_WIDTH = 2e-3, 0.03  #: Steps of differences, in deviations of the prior.
 _DAMPING = (0.0, 0.01, 0.1, 1.0)  #: The values of mu.
 _LONGEST_STEP = 1.5  #: Of a coordinate, in deviations of the prior.
-_INNER = 6  #: Most steps on one set of derivatives.
+_INNER_STEPS = 6  #: Most steps on one set of derivatives.
 _ENOUGH_STATED = 1e-3  #: Takes the place of `Stage.enough` where there is evidence alone.
 
 
@@ -106,8 +106,8 @@ class Fitter:
         self, x: Array, residuals: Residuals, derivatives: Sequence[Residuals]
     ) -> "Linearised":
         """Linearised at `x` with known residuals and derivatives."""
-        known = information(residuals, derivatives, self.stage.order, self.spacing)
-        return Linearised(x, residuals, derivatives, known, self.cost(x, residuals))
+        about_x = information(residuals, derivatives, self.stage.order, self.spacing)
+        return Linearised(x, residuals, derivatives, about_x, self.cost(x, residuals))
 
 
 class Linearised(NamedTuple):
@@ -134,7 +134,7 @@ class Linearised(NamedTuple):
         """Cost less that of the best point, if all were linear."""
         return 0.5 * float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
 
-    def steps(self) -> list[Array]:
+    def damped_steps(self) -> list[Array]:
         """Steps of several dampings, none longer than `_LONGEST_STEP`."""
         steps = []
         for damping in _DAMPING:
@@ -146,14 +146,14 @@ class Linearised(NamedTuple):
 
     def derivatives_after(self, step: Array, residuals: Residuals) -> list[Residuals]:
         """Broyden's derivatives after a step: they give the change of residuals along it."""
-        missing = {}
+        unexpected = {}
         for key, before in self.residuals.items():
             slopes = (derivative[key] for derivative in self.derivatives)
             expected = sum(x * slope for x, slope in zip(step, slopes, strict=True))
-            missing[key] = residuals[key] - before - expected
+            unexpected[key] = residuals[key] - before - expected
         shares = step / float(step @ step)
         return [
-            {key: slope + share * missing[key] for key, slope in derivative.items()}
+            {key: slope + share * unexpected[key] for key, slope in derivative.items()}
             for share, derivative in zip(shares, self.derivatives, strict=True)
         ]
 
@@ -161,18 +161,18 @@ class Linearised(NamedTuple):
 def improve(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
     """One iteration of Levenberg and Marquardt from `x`, as a row of the journal.
 
-    Up to `_INNER` steps on one set of derivatives, which Broyden's update carries on; no step where
-    the predicted gain is below the stage's `enough`. The row has the new `x`, the `width` of the
+    Up to `_INNER_STEPS` steps on one set of derivatives, which Broyden's update carries on; no step
+    where the predicted gain is below the stage's `enough`. The row has the new `x`, the `width` of
     differences there, the cost `merit` there, the `gain` of it, and whether the stage is `done`.
     """
     threshold = fitter.stage.enough if fitter.model.pieces else _ENOUGH_STATED
     start = point = fitter.linearised_at(x, width)
     converged = start.predicted_gain < threshold
-    for _ in range(0 if converged else _INNER):
-        steps = point.steps()
+    for _ in range(0 if converged else _INNER_STEPS):
+        steps = point.damped_steps()
         points = [point.x + step for step in steps]
         trials = fitter.residuals_at(points)
-        costs = [fitter.cost(x, residuals) for x, residuals in zip(points, trials, strict=True)]
+        costs = list(map(fitter.cost, points, trials))
         best = int(np.argmin(costs))
         trial, step, gain = trials[best], steps[best], point.cost - costs[best]
         if trial is None or gain <= 0.0:
@@ -183,11 +183,11 @@ def improve(fitter: Fitter, x: Array, width: Array) -> dict[str, Any]:
             break
     deviation = np.sqrt(np.diag(np.linalg.inv(start.hessian)))
     gain = start.cost - point.cost
-    slow = fitter.stage is STAGES["slow"]  # the next stage begins where this one ends
-    done = converged or gain < threshold or (slow and point.predicted_gain < threshold)
+    is_slow = fitter.stage is STAGES["slow"]  # the next stage begins where this one ends
+    done = converged or gain < threshold or (is_slow and point.predicted_gain < threshold)
     return {
         "x": point.x.tolist(),
-        "width": (np.clip(deviation, *WIDTH) if gain > 0.0 else width).tolist(),
+        "width": (np.clip(deviation, LEAST_WIDTH, LARGEST_WIDTH) if gain > 0.0 else width).tolist(),
         "merit": point.cost,
         "gain": gain,
         "done": bool(done),

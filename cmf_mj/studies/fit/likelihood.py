@@ -40,8 +40,8 @@ _CORRELATIONS = 18  #: Correlations of a channel: three of each leg.
 _DEMAND_ORDER = 12  #: Of the autoregressions that whiten both.
 
 
-def coefficients(residual: Array, order: int) -> Array:
-    """Autoregression [1, -a1, ... -ap] of residuals (samples, legs), by Yule and Walker."""
+def autoregression(residual: Array, order: int) -> Array:
+    """Coefficients [1, -a1, ... -ap] of residuals (samples, legs), by Yule and Walker."""
     size = residual.shape[0]
     order = min(order, size // 4)
     centred = residual - residual.mean(axis=0)
@@ -53,13 +53,13 @@ def coefficients(residual: Array, order: int) -> Array:
 
 
 def cost(residuals: Residuals, order: int) -> float:
-    """Their part of -ln L, less is better, each coloured as it is itself; constants taken out."""
+    """Residuals' part of -ln L, each coloured as it is itself; constants taken out."""
     total = 0.0
     for key, residual in residuals.items():
         if key == STATED:
             total += 0.5 * float((residual**2).sum())
             continue
-        white = _whitened(residual - residual.mean(axis=0), coefficients(residual, order))
+        white = _whitened(residual - residual.mean(axis=0), autoregression(residual, order))
         total += 0.5 * white.size * np.log(np.mean(white**2))
     return total
 
@@ -89,15 +89,15 @@ def information(
     recorded = {key: residual for key, residual in residuals.items() if key != STATED}
     legs = max((residual.shape[1] for residual in recorded.values()), default=0)
     channels = sorted({channel for _, channel in recorded})
-    n, errors = len(derivatives), len(channels) * legs
-    bordered, score = np.zeros((n + errors, n + errors)), np.zeros(n + errors)
+    n, error_count = len(derivatives), len(channels) * legs
+    bordered, score = np.zeros((n + error_count, n + error_count)), np.zeros(n + error_count)
     whitened = []
     for (name, channel), residual in recorded.items():
-        colour = coefficients(residual, order)
-        e = _whitened(residual - residual.mean(axis=0), colour)
-        weight = 1.0 / max(float(np.mean(e**2)), 1e-300)
+        colour = autoregression(residual, order)
+        about_mean = _whitened(residual - residual.mean(axis=0), colour)
+        weight = 1.0 / max(float(np.mean(about_mean**2)), 1e-300)
         e = _whitened(residual, colour)
-        slopes = np.zeros((*e.shape, n + errors))
+        slopes = np.zeros((*e.shape, n + error_count))
         slopes[..., :n] = np.stack(
             [-_whitened(derivative[name, channel], colour) for derivative in derivatives], axis=-1
         )
@@ -114,23 +114,25 @@ def information(
     by_recording: dict[str, tuple[Array, Array]] = {}
     for history in whitened:
         by_numbers, by_errors = history.slopes[..., :n], history.slopes[..., n:]
-        free = by_numbers - by_errors @ projection
+        free_slopes = by_numbers - by_errors @ projection
         e = history.residual - by_errors @ shift
-        scores = history.weight * np.einsum("tlp,tl->tp", free, e)
+        scores = history.weight * np.einsum("tlp,tl->tp", free_slopes, e)
         block = max(1, round(BLOCK / spacing[history.recording]))
         begins = range(0, scores.shape[0], block)
         block_scores += [scores[i : i + block].sum(axis=0) for i in begins]
         zero = np.zeros((n, n)), np.zeros(n)
         matrix, gradient = by_recording.get(history.recording, zero)
-        matrix = matrix + history.weight * np.einsum("tlp,tlq->pq", free, free, optimize=True)
+        square = np.einsum("tlp,tlq->pq", free_slopes, free_slopes, optimize=True)
+        matrix = matrix + history.weight * square
         by_recording[history.recording] = matrix, gradient + scores.sum(axis=0)
     whole, gradient = np.zeros((n, n)), np.zeros(n)
     for matrix, gradient_of_recording in by_recording.values():
         whole, gradient = whole + matrix, gradient + gradient_of_recording
     if STATED in residuals:
-        j = np.stack([-derivative[STATED][:, 0] for derivative in derivatives], axis=-1)
-        whole, gradient = whole + j.T @ j, gradient + j.T @ residuals[STATED][:, 0]
-        block_scores += list(j)
+        stated_slopes = np.stack([-derivative[STATED][:, 0] for derivative in derivatives], axis=-1)
+        whole = whole + stated_slopes.T @ stated_slopes
+        gradient = gradient + stated_slopes.T @ residuals[STATED][:, 0]
+        block_scores += list(stated_slopes)
     return Information(whole, gradient, np.reshape(block_scores, (-1, n)), by_recording)
 
 
@@ -208,4 +210,4 @@ def _correlation_over_chance(e: Array, u: Array) -> float:
 
 def _white(history: Array) -> Array:
     column = (history - history.mean())[:, None]
-    return _whitened(column, coefficients(column, _DEMAND_ORDER))[:, 0]
+    return _whitened(column, autoregression(column, _DEMAND_ORDER))[:, 0]

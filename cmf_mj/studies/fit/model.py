@@ -11,7 +11,7 @@ Where the demand stands still, the legs bear what is carried, and cap and rod pr
 
     A_cap p_cap - A_rod p_rod = F(pose; mass, centre of mass)
 
-which needs no simulation. Friction and sensors are off by about `FORCE` of it.
+which needs no simulation. Friction and sensors are off by about `FORCE_DEVIATION` of it.
 
 The residual, measured less simulated, is low-passed below `top` without phase and taken at about
 2.5 `top`, so that a stage of the fit sees what it can explain and nothing above.
@@ -43,13 +43,13 @@ LEAD = 0.5  #: Rest before a recording [s].
 SETTLING = (3.0, 0.3)
 """What is left out of a recording's beginning: so long [s], but at most this share of it."""
 
-REST = 0.25  #: Length of a rest that is weighed [s], as long again after the motion.
-STILL = 1e-4  #: Part of the stroke that the demand moves at most in it.
-FORCE = 0.02  #: Deviation of a leg's force at rest, of the mean force of all.
+REST_LENGTH = 0.25  #: Length of a rest that is weighed [s], as long again after the motion.
+STILL_SHARE = 1e-4  #: Part of the stroke that the demand moves at most in it.
+FORCE_DEVIATION = 0.02  #: Deviation of a leg's force at rest, of the mean force of all.
 
-_MOST_RATE = 512  #: Rate at which a simulation is kept [Hz]; the recording lies between.
+_HIGHEST_RATE = 512  #: Rate at which a simulation is kept [Hz]; the recording lies between.
 
-_CLOCK = np.array([0.02, 1e-4])
+_CLOCK_DEVIATIONS = np.array([0.02, 1e-4])
 """Deviations of the clocks' offset [s] and skew [s/s] before the recordings."""
 
 _WEIGHING_STEPS = 3  #: Steps of Gauss and Newton to what is nearly linear.
@@ -73,12 +73,12 @@ class Piece(NamedTuple):
 
     name: str
     law: Law | None  #: That it ran; None for valve commands.
-    run: Mapping[str, Any]  #: Source, start and spacing of its `Run`.
+    run_settings: Mapping[str, Any]  #: Source, start and spacing of its `Run`.
     time: Array  #: Of the samples, from the beginning of the simulation [s].
     measured: Mapping[str, Array]  #: By channel, (samples, legs).
     demand: Array  #: Of the legs, or of the valves, (samples, legs).
     rate: float  #: Of the recording [Hz].
-    first: int  #: Sample from which it counts.
+    first_sample: int  #: From which on it counts.
 
 
 def make_piece(recording: Recording, plant: Plant, seconds: float | None = None) -> Piece:
@@ -97,17 +97,17 @@ def make_piece(recording: Recording, plant: Plant, seconds: float | None = None)
     rest = np.zeros_like(demand[0]) if is_valves else demand[0]
     rows = np.concatenate([np.tile(rest, (lead, 1)), rows])
     start = record["leg_position"][0] if is_valves else demand[0]
-    run = {
+    settings = {
         "source": ValveCommands(np.clip(rows, -1.0, 1.0)) if is_valves else LegDemand(rows),
         "start": legs_to_pose(start, plant.machine),
-        "record_every": frames_a_row(plant.machine, _MOST_RATE),
+        "record_every": frames_a_row(plant.machine, _HIGHEST_RATE),
         "command_delay": 0 if is_valves else 1,
     }
     measured = {name: record[name][:count] for name in MEASURED if name in record.channels}
     longest, share = SETTLING
-    first = int(min(longest, share * record.time.size / record.rate) * record.rate)
+    first_sample = int(min(longest, share * record.time.size / record.rate) * record.rate)
     law, time = recording.law, time + lead / rate
-    return Piece(recording.name, law, run, time, measured, demand, record.rate, first)
+    return Piece(recording.name, law, settings, time, measured, demand, record.rate, first_sample)
 
 
 class Rest(NamedTuple):
@@ -118,11 +118,11 @@ class Rest(NamedTuple):
 
 
 def find_rests(piece: Piece, plant: Plant) -> list[Rest]:
-    """Where the demand of a recording with all pressures stood still for two times `REST`."""
-    length, cylinders = round(REST * piece.rate), plant.hydraulics.cylinder
+    """Find where the demand, with all pressures recorded, stands still for two `REST_LENGTH`."""
+    length, cylinders = round(REST_LENGTH * piece.rate), plant.hydraulics.cylinder
     if piece.law is None or not set(MEASURED) <= set(piece.measured):
         return []
-    largest_move = STILL * plant.machine.half_stroke
+    largest_move = STILL_SHARE * plant.machine.half_stroke
     rests = []
     for begin in range(length, piece.demand.shape[0] - length + 1, length):
         end = begin + length
@@ -139,14 +139,14 @@ def without_noise(settings: ElectronicsSettings | None, machine: Machine) -> Any
     if settings is None:
         return None
     parts = settings.of(machine)
-    none = {"noise_density": None, "resolution": None}
-    channels = {name: getattr(parts.sensors, name).model_copy(update=none) for name in CHANNELS}
-    endless = parts.servo.dac_bits.model_copy(update={"value": 0})
+    quiet = {"noise_density": None, "resolution": None}
+    channels = {name: getattr(parts.sensors, name).model_copy(update=quiet) for name in CHANNELS}
+    unlimited_bits = parts.servo.dac_bits.model_copy(update={"value": 0})
     return settings.model_copy(
         update={
             "sensors": parts.sensors.model_copy(update=channels),
             "converters": parts.converters.model_copy(update={"quantise": False}),
-            "servo": parts.servo.model_copy(update={"dac_bits": endless}),
+            "servo": parts.servo.model_copy(update={"dac_bits": unlimited_bits}),
         }
     )
 
@@ -159,7 +159,7 @@ class Model:
     clock's offset and skew of each recording, where asked.
     """
 
-    change: Change
+    change: Change  #: Of the effect that `z` has coordinates of; set where it has some.
 
     def __init__(
         self,
@@ -172,11 +172,12 @@ class Model:
         """Take the recordings that are fitted, or those held back, up to `top` [Hz]."""
         self.plant, self.unknowns = campaign.plant, campaign.unknowns
         self.size = len(self.unknowns.numbers())
-        self.clocks = 2 * len(campaign.of(held_back)) * campaign.settings.clocks
+        self.clocks = 2 * len(campaign.recordings_where(held_back)) * campaign.settings.clocks
         self._electronics = without_noise(campaign.settings.electronics, campaign.plant.machine)
         self.top = min(top or np.inf, campaign.settings.highest)
         self.pieces = tuple(
-            make_piece(recording, campaign.plant, seconds) for recording in campaign.of(held_back)
+            make_piece(recording, campaign.plant, seconds)
+            for recording in campaign.recordings_where(held_back)
         )
         self.evidence = campaign.evidence
 
@@ -184,16 +185,16 @@ class Model:
         """Values of the unknowns at coordinates (n,)."""
         return self.unknowns.at(stats.norm.cdf(z[: self.size]))
 
-    def machine(self, z: Array) -> Plant:
+    def plant_at(self, z: Array) -> Plant:
         """The plant with the numbers, and with the effect if `z` has coordinates of one."""
         plant = self.unknowns.apply(self.values(z), self.plant)
         effect = z[self.size : z.size - self.clocks]
         return self.change(plant, effect) if effect.size else plant
 
     def simulate(
-        self, piece: Piece, z: Array, machine: Plant, offset: float = 0.0, skew: float = 0.0
+        self, piece: Piece, z: Array, plant: Plant, offset: float = 0.0, skew: float = 0.0
     ) -> dict[str, Array]:
-        """The channels of a recording as the `machine` of these numbers would have measured them.
+        """The channels of a recording as the `plant` of these numbers would have measured them.
 
         Law and sensors have the numbers too. The measurement's clock is late by `offset` [s], and
         gains on the demand's by `skew` [s/s]. Raises `OutOfBounds` as `simulate`.
@@ -203,7 +204,7 @@ class Model:
             sensors = self.unknowns.apply(values, electronics.sensors)
             electronics = electronics.model_copy(update={"sensors": sensors})
         law = piece.law and self.unknowns.apply(values, piece.law)
-        record = Run(plant=machine, law=law, electronics=electronics, **piece.run).record()
+        record = Run(plant=plant, law=law, electronics=electronics, **piece.run_settings).record()
         time = piece.time + offset + skew * (piece.time - LEAD)
         return {
             name: np.asarray(CubicSpline(record.time, record[name])(time))
@@ -215,14 +216,14 @@ class Model:
 
         Raises `InputError` for numbers that no machine has, `OutOfBounds` where it leaves its own.
         """
-        plant, residuals = self.machine(z), dict[tuple[str, str], Array]()
-        clocks = _CLOCK * z[z.size - self.clocks :].reshape(-1, 2)
-        for number, piece in enumerate(self.pieces):
-            offset, skew = clocks[number] if self.clocks else (0.0, 0.0)
+        plant, residuals = self.plant_at(z), dict[tuple[str, str], Array]()
+        clocks = _CLOCK_DEVIATIONS * z[z.size - self.clocks :].reshape(-1, 2)
+        for i, piece in enumerate(self.pieces):
+            offset, skew = clocks[i] if self.clocks else (0.0, 0.0)
             simulated = self.simulate(piece, z, plant, offset, skew)
             errors = {name: piece.measured[name] - value for name, value in simulated.items()}
-            low = self.low_passed(piece, errors)
-            residuals |= {(piece.name, channel): residual for channel, residual in low.items()}
+            filtered = self.low_passed(piece, errors)
+            residuals |= {(piece.name, channel): error for channel, error in filtered.items()}
         stated = self.evidence.excess(self.values(z), plant)
         if stated.size:
             residuals[STATED] = stated[:, None]
@@ -234,30 +235,30 @@ class Model:
         z = np.zeros(self.size)
         if not rests:
             return z
-        deviation = FORCE * float(np.mean([rest.force for rest in rests]))
+        deviation = FORCE_DEVIATION * float(np.mean([rest.force for rest in rests]))
 
-        def loads(z: Array) -> Array:
-            machine, rows = self.machine(z), []
+        def relative_forces(z: Array) -> Array:
+            plant, rows = self.plant_at(z), []
             for rest in rests:
-                machine.place(rest.pose)
-                rows.append(machine.static_load() / deviation)
+                plant.place(rest.pose)
+                rows.append(plant.static_load() / deviation)
             return np.ravel(rows)
 
         measured, width = np.ravel([rest.force for rest in rests]) / deviation, 0.1
         for _ in range(_WEIGHING_STEPS):
             try:
-                now, moves = loads(z), width * np.eye(z.size)
-                slopes = np.stack([loads(z + move) - now for move in moves]) / width
+                force, moves = relative_forces(z), width * np.eye(z.size)
+                slopes = np.stack([relative_forces(z + move) - force for move in moves]) / width
             except InputError:  # no machine weighs so: pressures of another one
                 break
             matrix = slopes @ slopes.T + np.eye(z.size)
-            z = z + np.linalg.solve(matrix, slopes @ (measured - now) - z)
+            z = z + np.linalg.solve(matrix, slopes @ (measured - force) - z)
         return z
 
     def low_passed(self, piece: Piece, histories: Mapping[str, Array]) -> dict[str, Array]:
         """Histories of one recording below `top`, thinned, without its first samples."""
         sections = signal.butter(4, min(self.top, 0.4 * piece.rate), fs=piece.rate, output="sos")
-        rows = slice(piece.first, None, round(self.spacing(piece) * piece.rate))
+        rows = slice(piece.first_sample, None, round(self.spacing(piece) * piece.rate))
         return {
             name: signal.sosfiltfilt(sections, history, axis=0)[rows]
             for name, history in histories.items()

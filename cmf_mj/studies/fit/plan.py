@@ -67,8 +67,8 @@ LEAD = 1.0  #: Rest at neutral before each demand [s].
 HOST_RATE = 128.0  #: Poses a second of the host files [Hz].
 SAMPLES = 256  #: Samples a second of a record, of a facility's CSV half as many [Hz].
 STEP_CORNER = 3.0  #: Of the critically damped low-pass at which a step's speed is judged [Hz].
-BAND = (10.0, 25.0)  #: Least and most of the highest frequency of multisines [Hz].
-SLOWER = 0.7  #: Gains of the law that is held back by default, over those of the law.
+TOP_RANGE = (10.0, 25.0)  #: Least and most of the highest frequency of multisines [Hz].
+SLOWER_GAINS = 0.7  #: Gains of the other law, over those of the law.
 POSES = (
     {"heave": -1.0},
     {"heave": 0.6, "roll": 0.5},
@@ -77,12 +77,12 @@ POSES = (
     {"pitch": 0.7, "yaw": 0.5, "surge": -0.3},
 )
 """Poses of `hold`, each degree of freedom in parts of what it reaches alone."""
-AWAY = {"heave": 0.6, "roll": 0.5, "surge": 0.4}  #: Pose of `all_legs`, in the same parts.
-ELSEWHERE = {"pitch": 0.7, "yaw": 0.5, "surge": -0.3, "heave": -0.4}  #: Pose of `other_pose`.
-_STAY = ("machine", "cab")  #: Whose files are not copied, but named from the campaign's folder.
+OFF_NEUTRAL = {"heave": 0.6, "roll": 0.5, "surge": 0.4}  #: Pose of `all_legs`, in the same parts.
+OTHER_POSE = {"pitch": 0.7, "yaw": 0.5, "surge": -0.3, "heave": -0.4}  #: Pose of `other_pose`.
+_UNCOPIED = ("machine", "cab")  #: Their files are not copied.
 
 
-class Planned(NamedTuple):
+class PlannedRecording(NamedTuple):
     """One recording of a plan."""
 
     kind: str
@@ -108,7 +108,7 @@ def plan_campaign(
 
     Machine, cab, hydraulics and laws are names or TOML files, by default the machine's; `seconds`
     is the length of each of the eight recordings. The law that is held back is by default the other
-    at `SLOWER` of its gains, since a law made for another machine may ring. Files of laws and
+    at `SLOWER_GAINS` of its gains, since a law made for another machine may ring. Files of laws and
     hydraulics are copied into the folder; those of machine and cab, which name others, stay where
     they are. A folder that holds a campaign is refused.
     """
@@ -123,26 +123,27 @@ def plan_campaign(
     workspace = Workspace(Hexapod(cab, hydraulics, machine=machine), share)
     if sources.get("law") == workspace.machine.law:
         del sources["law"]
-    other = _copied("other_law", other_law, target) if other_law is not None else ""
-    sources |= {k: _copied(k, source, target) for k, source in sources.items() if k not in _STAY}
+    other = _copy_file("other_law", other_law, target) if other_law is not None else ""
+    copied = [name for name in sources if name not in _UNCOPIED]
+    sources |= {name: _copy_file(name, sources[name], target) for name in copied}
     rate = RECORDER if workspace.machine.name == CMF else SAMPLES
-    every = max(round(workspace.machine.rate / rate), 1)
-    settings = {"duration": seconds, "electronics": "noisy", "record_every": every}
+    record_every = max(round(workspace.machine.rate / rate), 1)
+    settings = {"duration": seconds, "electronics": "noisy", "record_every": record_every}
     if not other:
-        flown = load_law(law or workspace.machine.law)
-        other = str(_save_slower_law(flown, target / "other_law.toml"))
+        own_law = load_law(law or workspace.machine.law)
+        other = str(_save_slower_law(own_law, target / "other_law.toml"))
     tables = {}
     for name, planned in _planned_recordings(workspace, seconds - LEAD).items():
-        own_law = {"law": other} if planned.other_law else {}
-        own = own_law | {"title": f"{name}: {planned.pose}"}
-        run = workspace.fitted(planned, sources | settings | own)
-        scenario = run.table() | {"law": None} | paths_from(target / SCENARIOS, sources | own_law)
+        law_entry = {"law": other} if planned.other_law else {}
+        own_settings = law_entry | {"title": f"{name}: {planned.pose}"}
+        run = workspace.run_of(planned, sources | settings | own_settings)
+        scenario = run.table() | {"law": None} | paths_from(target / SCENARIOS, sources | law_entry)
         text = tomlkit.dumps({key: value for key, value in scenario.items() if value is not None})
         source = write_text(target / SCENARIOS / f"{name}.toml", text).relative_to(target)
         command = Command.from_pose(demand(run), run.rate)
         write_host(command, target / f"host/{name}.csv", is_held=planned.kind == "step")
         table = {"kind": planned.kind, "held_back": planned.held_back, "pose": planned.pose}
-        tables[name] = table | paths_from(target, own_law) | {"source": source.as_posix()}
+        tables[name] = table | paths_from(target, law_entry) | {"source": source.as_posix()}
     head = paths_from(target, sources) | {"recordings": tables}
     return write_text(target / FILE, tomlkit.dumps(head))
 
@@ -154,8 +155,8 @@ def write_host(command: Command, path: Path, *, is_held: bool) -> None:
     write_stream(frames, path)
 
 
-def _copied(name: str, source: Source, folder: Path) -> str:
-    """A name as it is; of a file a copy in the folder, so that the campaign can be sent."""
+def _copy_file(name: str, source: Source, folder: Path) -> str:
+    """Copy a file into the folder, so that the campaign can be sent; a name stays as it is."""
     stem, ending, entry = str(source).rpartition(".toml")
     if not ending:
         return str(source)
@@ -164,10 +165,10 @@ def _copied(name: str, source: Source, folder: Path) -> str:
 
 
 def _save_slower_law(law: Law, file: Path) -> Path:
-    """A file of the law with its whole feedback at `SLOWER`."""
-    gains = {name: (SLOWER * np.asarray(gain)).tolist() for name, gain in law.direct_gain}
+    """A file of the law with its whole feedback at `SLOWER_GAINS`."""
+    gains = {name: (SLOWER_GAINS * np.asarray(gain)).tolist() for name, gain in law.direct_gain}
     changes: dict[str, Any] = {"name": f"{law.name}_slower", "title": f"{law.title}, slower"}
-    changes |= {"direct_gain": Gains(**gains), "output_gain": SLOWER * law.output_gain}
+    changes |= {"direct_gain": Gains(**gains), "output_gain": SLOWER_GAINS * law.output_gain}
     return save_law(law.model_copy(update=changes), file, "For a recording that is held back.")
 
 
@@ -203,9 +204,9 @@ class Workspace:
         limits = load_motion_limits(None, self.machine)
         self._limits, self.reach = limits.leg, np.abs(limits.operational).min(axis=1)
         highest = 1.2 * plant.hydraulic_modes().frequency_hz.max()
-        self.top = _rounded(np.clip(highest, *BAND))  #: Highest frequency of multisines [Hz].
+        self.top = _rounded(np.clip(highest, *TOP_RANGE))  #: Highest frequency of multisines [Hz].
 
-    def use(self, poses: Array, corner: float | None = None) -> float:
+    def used_share(self, poses: Array, corner: float | None = None) -> float:
         """Largest share that poses (N, 6) use, behind a low-pass with this `corner` [Hz]."""
         rate = self.machine.rate
         if corner is not None:
@@ -229,7 +230,7 @@ class Workspace:
         )
         return max(stroke, *(float(share.max()) for share in shares))
 
-    def fitted(self, planned: Planned, settings: Mapping[str, Any]) -> Run:
+    def run_of(self, planned: PlannedRecording, settings: Mapping[str, Any]) -> Run:
         """The recording at its part of the largest size, as a run with other `settings`."""
 
         def run(size: float) -> Run:
@@ -245,7 +246,7 @@ class Workspace:
         """Size whose poses, by `poses_of`, use a share, or up to 3 % less."""
         size = share
         for _ in range(12):
-            used = self.use(poses_of(size), corner)
+            used = self.used_share(poses_of(size), corner)
             if 0.97 * share < used <= share:
                 break
             size *= 0.99 * share / used
@@ -256,8 +257,8 @@ class Workspace:
         unit = np.array([direction.get(dof, 0.0) for dof in DOFS]) * self.reach
         pose = 0.5 * part * unit
         for _ in range(20):
-            used = np.abs(pose_to_legs(pose, self.machine)).max() / self.machine.working_stroke
-            pose = pose * (part / used)
+            used_part = np.abs(pose_to_legs(pose, self.machine)).max() / self.machine.working_stroke
+            pose = pose * (part / used_part)
         return pose
 
     def multisine(self, dof: str, size: float, span: float, seed: int) -> dict[str, Any]:
@@ -265,9 +266,9 @@ class Workspace:
         rate, fade = self.machine.rate, min(0.15 * span, 2.0)
         amplitude = _rounded(size * self.reach[dof_index(dof)])
         period = float(np.floor(0.5 * (span - fade) * rate) / rate)
-        lines = {"spectrum": "acceleration", "stop": self.top, "seed": seed}
+        spectrum = {"spectrum": "acceleration", "stop": self.top, "seed": seed}
         times = {"period": period, "periods": 2, "fade": fade}
-        return {"kind": "multisine", "dof": dof, "amplitude": amplitude} | lines | times
+        return {"kind": "multisine", "dof": dof, "amplitude": amplitude} | spectrum | times
 
 
 def _rounded(value: Any) -> Any:
@@ -279,7 +280,7 @@ def _waypoints(times: Sequence[float], poses: Sequence[Array]) -> dict[str, Any]
     return {"kind": "waypoints", "times": _rounded(times), "poses": _rounded(poses)}
 
 
-def _planned_recordings(workspace: Workspace, span: float) -> dict[str, Planned]:
+def _planned_recordings(workspace: Workspace, span: float) -> dict[str, PlannedRecording]:
     """The recordings, of so many seconds after the rest at neutral."""
     neutral, slot = np.zeros(6), span / len(DOFS)
 
@@ -287,9 +288,9 @@ def _planned_recordings(workspace: Workspace, span: float) -> dict[str, Planned]
         return [{"at": LEAD, "fade": 0.0, "signal": list(signals)}]
 
     def hold(size: float) -> list[dict[str, Any]]:
-        held = [neutral, *(workspace.pose(pose, size) for pose in POSES)]
+        poses = [neutral, *(workspace.pose(pose, size) for pose in POSES)]
         moves = [0.5 * (i + 1) * slot for i in range(2 * len(POSES))]
-        return once(_waypoints([0.0, *moves, span], list(np.repeat(held, 2, axis=0))))
+        return once(_waypoints([0.0, *moves, span], list(np.repeat(poses, 2, axis=0))))
 
     def ramp(size: float) -> list[dict[str, Any]]:
         ends = [workspace.pose({dof: 1.0}, size) for dof in ("heave", "roll", "surge")]
@@ -300,7 +301,7 @@ def _planned_recordings(workspace: Workspace, span: float) -> dict[str, Planned]
         signals = [workspace.multisine(dof, size, slot, i) for i, dof in enumerate(DOFS)]
         begins = [LEAD + i * slot for i in range(len(DOFS))]
         pairs = zip(begins, signals, strict=True)
-        return [{"at": begin, "fade": 0.0, "signal": [signal]} for begin, signal in pairs]
+        return [{"at": begin, "fade": 0.0, "signal": [motion]} for begin, motion in pairs]
 
     def steps(size: float) -> list[dict[str, Any]]:
         pulse = {"kind": "pulse", "width": _row_time(0.4 * slot)}
@@ -320,16 +321,16 @@ def _planned_recordings(workspace: Workspace, span: float) -> dict[str, Planned]
         signals += [workspace.multisine(dof, size, span, seed + i) for i, dof in enumerate(DOFS)]
         return once(*signals)
 
-    multisine = partial(Planned, "multisine")
+    multisine = partial(PlannedRecording, "multisine")
     held_back = partial(multisine, held_back=True)
     return {
-        "hold": Planned("hold", "five poses", hold),
-        "ramp": Planned("ramp", "about neutral", ramp, 0.25),
+        "hold": PlannedRecording("hold", "five poses", hold),
+        "ramp": PlannedRecording("ramp", "about neutral", ramp, 0.25),
         "axes_small": multisine("neutral", axes, 0.25),
         "axes_large": multisine("neutral", axes),
-        "all_legs": multisine("up, rolled and ahead", partial(all_axes, 10, AWAY)),
-        "steps": Planned("step", "neutral", steps),
-        "other_pose": held_back("pitched and yawed", partial(all_axes, 20, ELSEWHERE)),
+        "all_legs": multisine("up, rolled and ahead", partial(all_axes, 10, OFF_NEUTRAL)),
+        "steps": PlannedRecording("step", "neutral", steps),
+        "other_pose": held_back("pitched and yawed", partial(all_axes, 20, OTHER_POSE)),
         "other_law": held_back("neutral", partial(all_axes, 30, None), other_law=True),
     }
 
@@ -359,30 +360,30 @@ def record_campaign(
     table = tomlkit.parse(file.read_text(encoding="utf-8"))
     recordings = table["recordings"]
     runs = {name: load_scenario(file.parent / recordings[name]["source"]) for name in names}
-    sheet, channels = runs[names[0]], ("demand_pose", *load_columns().channels)
-    sheet_metadata = load_machine(sheet.machine).metadata()
+    first_run, channels = runs[names[0]], ("demand_pose", *load_columns().channels)
+    sheet_metadata = load_machine(first_run.machine).metadata()
     if machine is None:
-        machine, cab = sheet.machine, cab or sheet.cab
-        hydraulics = hydraulics or sheet.hydraulics
+        machine, cab = first_run.machine, cab or first_run.cab
+        hydraulics = hydraulics or first_run.hydraulics
     plant: Plant = Hexapod(cab, hydraulics, machine=machine)
     if not plant.parameters.actuators:
         gains = load_unknowns("valve_gains")
         plant = gains.apply(gains.draw("random", 1, seed)[0], plant)
 
-    def record(name: str) -> str:
-        key = (names.index(name),)
-        (noise_seed,) = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)
+    def record_one(name: str) -> str:
+        spawn_key = (names.index(name),)
+        (noise_seed,) = np.random.SeedSequence(seed, spawn_key=spawn_key).generate_state(1)
         with within(name):
-            run = runs[name].changed(plant=copy.deepcopy(plant), seed=int(noise_seed)).record()
-        metadata = {key: run.metadata[key] for key in ("sample_rate", "law")}
+            record = runs[name].changed(plant=copy.deepcopy(plant), seed=int(noise_seed)).record()
+        metadata = {key: record.metadata[key] for key in ("sample_rate", "law")}
         metadata |= sheet_metadata | {"command": {"kind": "scenario"}}
-        histories = {channel: run[channel] for channel in channels if channel in run.channels}
-        units = {channel: run.units[channel] for channel in histories}
-        recording = Record(run.time, histories, units, metadata)
+        histories = {channel: record[channel] for channel in channels if channel in record.channels}
+        units = {channel: record.units[channel] for channel in histories}
+        recording = Record(record.time, histories, units, metadata)
         if plant.machine.name == CMF:
             return write_facility_csv(recording, file.parent / f"{name}.csv").name
         return recording.save(file.parent / f"{name}.parquet").name
 
-    for name, written in zip(names, on_threads(record, names, jobs, progress), strict=True):
+    for name, written in zip(names, on_threads(record_one, names, jobs, progress), strict=True):
         recordings[name]["file"] = written
     return write_text(file, tomlkit.dumps(table))

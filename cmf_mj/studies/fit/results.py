@@ -71,44 +71,45 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
     target = Path(folder)
     table = numbers(posterior)
     write_csv(plain_path(target, "numbers.csv"), table.header, table.rows)
-    drawn = physical(posterior, posterior.samples(SAMPLES))
-    columns = dict(zip(paths(posterior), drawn.T, strict=True))
+    sampled_numbers = physical(posterior, posterior.samples(SAMPLES))
+    columns = dict(zip(paths(posterior), sampled_numbers.T, strict=True))
     write_parquet(pa.table(columns), plain_path(target, "samples.parquet"))
     write_text(plain_path(target, "box.toml"), tomlkit.dumps(box(posterior)))
     if any(path.startswith("electronics.") for path in paths(posterior)):
-        write_text(plain_path(target, "sensors.toml"), tomlkit.dumps(_sensors(posterior)))
+        write_text(plain_path(target, "sensors.toml"), tomlkit.dumps(_sensors_table(posterior)))
     if posterior.campaign.plant.cab_parameters is None:
         return target
     law = posterior.applied(posterior.campaign.law)
     law = law.model_copy(update={"name": f"{law.name}_recorded"})
     save_law(law, plain_path(target, "law.toml"))
-    return write_text(plain_path(target, "machine.toml"), tomlkit.dumps(_machine(posterior)))
+    return write_text(plain_path(target, "machine.toml"), tomlkit.dumps(_machine_table(posterior)))
 
 
-def _sensors(posterior: Posterior) -> dict[str, Any]:
+def _sensors_table(posterior: Posterior) -> dict[str, Any]:
     """The file of the fitted sensors."""
     unknowns, sensors = posterior.campaign.unknowns, posterior.campaign.sensors
     assert sensors is not None
     source = _provenance(posterior)
-    fitted = Unknowns({k: u.model_copy(update=source) for k, u in unknowns.items()})
+    fitted = Unknowns({name: each.model_copy(update=source) for name, each in unknowns.items()})
     changed = fitted.apply(unknowns.at(stats.norm.cdf(posterior.z)), sensors)
     table = changed.model_dump(mode="json", exclude_none=True, exclude={"name"})
     return {"base": "ideal", FITTED: table}
 
 
-def _machine(posterior: Posterior) -> dict[str, Any]:
+def _machine_table(posterior: Posterior) -> dict[str, Any]:
     """The file of the fitted machine, whose law is `law.toml` beside it.
 
-    A drawn model is left out: the numbers are those of the file, the machine is drawn from them.
+    The MJCF is left out: the numbers are those of the file, and the machine is drawn from them.
     """
     plant = posterior.applied(posterior.campaign.plant)
-    machine, cab, oil = plant.machine, plant.cab_parameters, plant.parameters
+    machine, cab = plant.machine, plant.cab_parameters
     assert cab is not None
     table = machine.model_dump(mode="json", exclude_none=True, exclude={"mjcf"})
     bodies = cab.model_dump(mode="json", exclude_none=True)
     station = machine.cabs[cab.base].model_dump(mode="json")["station"]
     inertial = ("mass", "centre_of_mass", "inertia")
-    hydraulics = oil.model_dump(mode="json", exclude_none=True, exclude={"name", "half_stroke"})
+    unwritten = {"name", "half_stroke"}
+    hydraulics = plant.parameters.model_dump(mode="json", exclude_none=True, exclude=unwritten)
     table |= {
         "name": f"{machine.name}_fitted".replace(" ", "_"),
         "title": f"{machine.title}, fitted to recordings",
@@ -125,10 +126,11 @@ def _machine(posterior: Posterior) -> dict[str, Any]:
 def _provenance(posterior: Posterior) -> dict[str, Any]:
     """Status and source of what was fitted: recordings, and who states the evidence."""
     campaign = posterior.campaign
-    files = [f"{each.name} {each.record.digest}" for each in campaign.of(held_back=False)]
-    used = {number.evidence for number in campaign.evidence.statements if not number.held_back}
+    recordings = campaign.recordings_where(held_back=False)
+    files = [f"{recording.name} {recording.record.digest}" for recording in recordings]
+    fitted = {number.evidence for number in campaign.evidence.statements if not number.held_back}
     evidence = campaign.settings.evidence
-    sources = dict.fromkeys(evidence[name].source for name in evidence if name in used)
+    sources = dict.fromkeys(evidence[name].source for name in evidence if name in fitted)
     texts = [f"recordings {', '.join(dict.fromkeys(files))}"] if files else []
     texts += [f"what is stated in {', '.join(sources)}"] if sources else []
     return {"status": "identified", "source": f"fitted to {' and '.join(texts)}"}
@@ -159,8 +161,8 @@ def _mark_identified(posterior: Posterior, table: dict[str, Any]) -> None:
         elif root == "legs":
             changed = [table["legs"][field] for field in Legs.model_fields]
         else:
-            field_of_body, *_ = (*groups, last)
-            fields = _FIELDS.get(field_of_body, (field_of_body,))
+            body_field = groups[0] if groups else last
+            fields = _FIELDS.get(body_field, (body_field,))
             changed = [body[field] for body in bodies.get(root, ()) for field in fields]
         for quantity in changed:
             quantity |= provenance
@@ -187,8 +189,8 @@ def box(posterior: Posterior, share: float = 0.99) -> dict[str, Any]:
     keep their order, since a loop is the same with two of them exchanged.
     """
     share_each = 1.0 - (1.0 - share) / len(posterior.names)
-    ends = posterior.bounds(share_each, exchange=False)
-    bounds, best = physical(posterior, ends), physical(posterior, posterior.z)
+    z_bounds = posterior.bounds(share_each, exchange=False)
+    bounds, best = physical(posterior, z_bounds), physical(posterior, posterior.z)
     half_width = np.abs(bounds - best).max(axis=0)
     ratio = np.minimum(half_width / np.maximum(np.abs(best), 1e-12), WIDEST_DEVIATION)
     table = load_box().model_dump(mode="json", exclude_defaults=True)

@@ -28,15 +28,13 @@ Array = NDArray[np.float64]
 _TAILS = 5.0  #: Degrees of freedom of every later round's distributions.
 _SHARES = (0.5, 0.3)
 """Shares of a later round that are drawn from its two distributions; the rest is of the prior."""
-_TEMPERED_SIZE = (
-    0.08  #: Effective sample size of mean and covariance, over the machines of a round.
-)
+_TEMPERED_SIZE = 0.08  #: Effective size of mean and covariance, over the machines of a round.
 _ADDED_VARIANCE = 0.05  #: Variance added to the covariance.
 _EDGE = 1e-6  #: Least distance of a quantile from 0 and 1.
 
 
 def quantiles(points: Array) -> Array:
-    """Points as those of the unit cube."""
+    """Quantiles of points: where they are in the unit cube."""
     return np.asarray(stats.norm.cdf(points))
 
 
@@ -52,12 +50,12 @@ class _Round(NamedTuple):
         uniform = cube("sobol", count, self.mean.size + 1, generator)
         points = _normal(uniform[:, :-1])
         chi = stats.chi2.ppf(np.clip(uniform[:, -1], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
-        component, limit, begin = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
+        component, limit, low = generator.random(count), stats.norm.ppf(1.0 - _EDGE), 0.0
         for share, spread in zip(_SHARES, self.spreads, strict=True):
-            rows = (component >= begin) & (component < begin + share)
+            rows = (component >= low) & (component < low + share)
             distances = points[rows] @ np.linalg.cholesky(spread).T / np.sqrt(chi[rows])[:, None]
             points[rows] = np.clip(self.mean + distances, -limit, limit)
-            begin += share
+            low += share
         return points
 
     def log_density(self, points: Array, prior: Array) -> Array:
@@ -90,17 +88,17 @@ class Draws(NamedTuple):
 
 
 def importance(
-    likelihoods: Callable[[int, Array], Array],
+    log_likelihoods: Callable[[int, Array], Array],
     size: int,
     count: int,
     rounds: int,
     seed: int,
     moments_of: Callable[[Array, Array], tuple[Array, Array]] | None = None,
 ) -> Draws:
-    """So many rounds of `count` points in `size` dimensions.
+    """Draw so many rounds of `count` points in `size` dimensions.
 
-    `likelihoods` gives ln L of the points of a round by its number, (count,); `moments_of` mean and
-    covariance of the posterior from all points and their `ratio`, default those of the weights.
+    `log_likelihoods` gives ln L of the points of a round by its number, (count,); `moments_of` the
+    posterior's mean and covariance from all points and their `ratio`, default by the weights.
     Raises `InputError` for no rounds, and for a count that is no power of 2, as Sobol asks for.
     """
     if rounds < 1 or count < 1 or count & (count - 1):
@@ -109,7 +107,7 @@ def importance(
     later_rounds, identity = list[_Round](), np.eye(size)
     while True:
         number = len(later_rounds)
-        likelihood = np.append(likelihood, likelihoods(number, points[likelihood.size :]))
+        likelihood = np.append(likelihood, log_likelihoods(number, points[likelihood.size :]))
         prior = stats.norm.logpdf(points).sum(axis=1)
         densities = [prior, *(each.log_density(points, prior) for each in later_rounds)]
         ratio = prior - (np.logaddexp.reduce(densities, axis=0) - np.log(len(densities)))
@@ -141,28 +139,25 @@ def tempered(log_weights: Array, count: float) -> Array:
 
     Those of minus infinity stay 0; where no more than `count` are others, these count alike.
     """
-    weights, possible = normalised(log_weights), np.isfinite(log_weights)
+    weights, is_possible = normalised(log_weights), np.isfinite(log_weights)
     if effective_size(weights) >= count:
         return weights
     relative = log_weights - log_weights.max()
 
-    def surplus(log_power: float) -> float:
-        return effective_size(normalised(np.exp(log_power) * relative)) - count
+    def surplus(scaled: Array) -> float:
+        return effective_size(normalised(scaled)) - count
 
-    floored = np.where(possible, log_weights, -1e6)
+    floored = np.where(is_possible, log_weights, -1e6)
     floored -= floored.max()
-
-    def surplus_floored(power: float) -> float:
-        return effective_size(normalised(power * floored)) - count
-
-    if surplus_floored(1e-6) > 0.0:
-        power = optimize.brentq(surplus_floored, 1e-6, 1.0)
+    if surplus(1e-6 * floored) > 0.0:
+        power = optimize.brentq(lambda power: surplus(power * floored), 1e-6, 1.0)
         if power > 1e-3:  # where the floor counts as 0
             return normalised(power * relative)
-    least = np.log(1e-9 / max(1.0, -relative[possible].min()))
-    if surplus(least) <= 0.0:
-        return np.asarray(possible / possible.sum())
-    return normalised(np.exp(optimize.brentq(surplus, least, 0.0)) * relative)
+    least = np.log(1e-9 / max(1.0, -relative[is_possible].min()))
+    if surplus(np.exp(least) * relative) <= 0.0:
+        return np.asarray(is_possible / is_possible.sum())
+    log_power = optimize.brentq(lambda log: surplus(np.exp(log) * relative), least, 0.0)
+    return normalised(np.exp(log_power) * relative)
 
 
 def effective_size(weights: Array) -> float:
@@ -179,11 +174,11 @@ def resampled(weights: Array, count: int, seed: int) -> NDArray[np.int64]:
 
 def weighted_quantiles(values: Array, weights: Array, shares: Array) -> Array:
     """Quantiles of weighted values that are no NaN; NaN where there are none."""
-    known = ~np.isnan(values) & (weights > 0.0)
-    if not known.any():
+    is_counted = ~np.isnan(values) & (weights > 0.0)
+    if not is_counted.any():
         return np.full(np.shape(shares), np.nan)
-    order = np.argsort(values[known], kind="stable")
-    sorted_values, sorted_weights = values[known][order], weights[known][order]
+    order = np.argsort(values[is_counted], kind="stable")
+    sorted_values, sorted_weights = values[is_counted][order], weights[is_counted][order]
     middle = np.cumsum(sorted_weights) - 0.5 * sorted_weights
     return np.asarray(np.interp(shares, middle / sorted_weights.sum(), sorted_values))
 

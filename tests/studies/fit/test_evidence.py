@@ -20,7 +20,7 @@ from cmf_mj.studies.fit import doubt as doubts
 from cmf_mj.studies.fit import engine
 from cmf_mj.studies.fit import evidence as evidence_module
 from cmf_mj.studies.fit.campaign import FILE, SHIPPED, Campaign, load_campaign
-from cmf_mj.studies.fit.doubt import StatedNumber, doubt, stated_numbers
+from cmf_mj.studies.fit.doubt import StatedNumber, compare_stated, doubt
 from cmf_mj.studies.fit.engine import fit
 from cmf_mj.studies.fit.evidence import Evidence, Statement
 from cmf_mj.studies.fit.results import numbers, physical
@@ -41,7 +41,7 @@ def least(leg_speed: float) -> dict[str, tuple[float, bool]]:
     """Least damping ratio of the velocity law and its verdict by cab, at a leg speed [in/s/%]."""
     campaign = shipped("hardware", ("velocity",))
     plant = campaign.unknowns.apply({"leg_speed": leg_speed}, campaign.plant)
-    found = campaign.evidence.linear({"leg_speed": leg_speed}, plant)
+    found = campaign.evidence.linear_numbers({"leg_speed": leg_speed}, plant)
     rows = zip(campaign.evidence.statements, found.value, found.stable, strict=True)
     return {one.cab: (float(x), bool(ok)) for one, x, ok in rows if one.field == "least_damping"}
 
@@ -148,7 +148,7 @@ def test_report_set_meets_the_non_linear_rows() -> None:
     feedback rings on after a step: of it the sweep alone is compared."""
     laws = ("original", "velocity", "velocity_integral", "position_error_rate", "velocity_error")
     campaign = shipped("report", (*laws, "acceleration"))
-    found = campaign.evidence.simulated({}, campaign.plant, 2)
+    found = campaign.evidence.simulated_numbers({}, campaign.plant, 2)
     for one, value in zip(campaign.evidence.statements, found, strict=True):
         if (one.law, one.field) != ("velocity_error", "damping_ratio"):
             assert abs(one.excess(float(value))) <= 1.0, (one, value)
@@ -157,8 +157,8 @@ def test_report_set_meets_the_non_linear_rows() -> None:
 def test_hardware_set_meets_the_hardware_rows_and_linear_loops_predict_it() -> None:
     """Tables 2-4 and 2-6: bandwidths within 10 %, damping within 0.1; linear widths within 5 %."""
     campaign = shipped("hardware", ("original", "velocity"))
-    found = campaign.evidence.simulated({}, campaign.plant, 2)
-    linear = campaign.evidence.linear({}, campaign.plant).value
+    found = campaign.evidence.simulated_numbers({}, campaign.plant, 2)
+    linear = campaign.evidence.linear_numbers({}, campaign.plant).value
     for one, value, other in zip(campaign.evidence.statements, found, linear, strict=True):
         assert abs(one.excess(float(value))) <= 1.0, (one, value)
         if one.field.endswith("bandwidth_hz"):
@@ -185,7 +185,7 @@ def test_step_runs_judge_as_the_linear_loop() -> None:
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few machines are drawn."""
     monkeypatch.setattr(engine, "_DRAWS", 16)
-    monkeypatch.setattr(doubts, "stated_numbers", partial(stated_numbers, samples=24))
+    monkeypatch.setattr(doubts, "compare_stated", partial(compare_stated, samples=24))
 
 
 # -- fits to evidence -----------------------------------------------------------------------------
@@ -318,8 +318,8 @@ def test_spread_holds_what_is_fitted_and_repeats(tmp_path: Path) -> None:
         more = {"held": {"lag": lag}} if held else {}
         path = written(tmp_path / f"{held}", {"heave": known}, **more)
         posterior = fit(path, tmp_path / f"{held}.out")
-        rows[held] = stated_numbers(posterior, samples=16)
-    assert rows[True] == stated_numbers(posterior, samples=16)
+        rows[held] = compare_stated(posterior, samples=16)
+    assert rows[True] == compare_stated(posterior, samples=16)
     (narrow,), (wide,) = rows[False], rows[True]
     assert wide.high - wide.low > 1.2 * (narrow.high - narrow.low)
 

@@ -20,7 +20,7 @@ from cmf_mj.facility.unknown import Unknown
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.studies.certificate_box import load_box
 from cmf_mj.studies.fit import doubt, results
-from cmf_mj.studies.fit.campaign import FILE, data_sheet, load_campaign
+from cmf_mj.studies.fit.campaign import FILE, default_unknowns, load_campaign
 from cmf_mj.studies.fit.engine import Posterior, fit
 from cmf_mj.studies.fit.iteration import Fitter
 
@@ -286,7 +286,7 @@ def test_what_is_wrong_with_a_campaign_is_named(tmp_path: Path) -> None:
 def test_any_data_sheet_has_unknowns_that_change_the_plant(name: str) -> None:
     """At 0.1 quantiles off the middle every number differs, at the middle mass and speed do not."""
     plant = cmf_mj.Hexapod(machine=name)
-    known = data_sheet(plant.cab_parameters, plant.parameters).on(plant)
+    known = default_unknowns(plant.cab_parameters, plant.parameters).on(plant)
     size = len(known.numbers())
     middle, off = (known.apply(known.at(np.full(size, at)), plant) for at in (0.5, 0.6))
     assert middle.cab_parameters.payload.mass == pytest.approx(plant.cab_parameters.payload.mass)

@@ -161,7 +161,7 @@ def test_a_number_of_the_law_changes_the_law_of_every_recording(tmp_path: Path) 
         model.simulate(one, found.z, model.plant)["leg_position"] for one in model.pieces
     )
     piece = model.pieces[0]
-    due = Run(plant=plant, law=other, **piece.run).record()
+    due = Run(plant=plant, law=other, **piece.run_settings).record()
     expected = CubicSpline(due.time, due["leg_position"])(piece.time)
     np.testing.assert_array_equal(closed, expected)
     assert np.abs(closed - piece.measured["leg_position"]).max() > 1e-6
