@@ -124,7 +124,8 @@ def tune_command(
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
-    names, base = ",".join(one.cab for one in template.cabs), cmf_mj.load_cab(cabs[0]).machine.name
+    names = ",".join(cab.carrier.name for cab in template.cabs)
+    base = cmf_mj.load_cab(cabs[0]).machine.name
     on = "" if base == CMF else f"--machine {base} "
     command_line = (
         f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "

@@ -22,11 +22,12 @@ from cmf_mj.studies.recording_slips import Slip, recorded_legs
 
 Array = NDArray[np.float64]
 
-_PRICE = 2.0 * np.log(2.0)
+_PRICE = 2.0 * np.log(2.0)  #: Of a slip, in ln: two legs that fit half as badly.
 _CORNERS = (1.0, 2.0, 4.0, 8.0)  #: f [Hz]: the first that keeps a third of what moves.
-_LONGEST = 2.0  #: Largest delay that is looked for [s].
-_MOVES = 4.0  #: Motion, in r0, from which on something moves.
+_LONGEST_DELAY = 2.0  #: Largest delay that is looked for [s].
+_LEAST_MOTION = 4.0  #: Motion, in r0, from which on something moves.
 _ROUNDING = 1e-9  #: Motion that is rounding.
+_SENSOR_SHARE = 0.01  #: Added to the share of forces that is not explained, for sensors.
 _TINY = 1e-300  #: Added to what is divided by.
 
 
@@ -50,7 +51,7 @@ def smooth(values: Array, rate: float, corner: float) -> Array:
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=pad))
 
 
-def agree(
+def compare(
     expected: Array,
     measured: Array,
     rate: float,
@@ -67,23 +68,24 @@ def agree(
     legs = recorded_legs(expected) & recorded_legs(measured)
     if not legs.any():
         return None
-    motion = measured[:, legs].std()
-    corners = [f for f in _CORNERS if smooth(measured[:, legs], rate, f).std() > 0.33 * motion]
+    motion = measured[:, legs]
+    enough = 0.33 * motion.std()
+    corners = [corner for corner in _CORNERS if smooth(motion, rate, corner).std() > enough]
     corner = corners[0] if corners else _CORNERS[-1]
-    every = max(1, int(rate / (10.0 * corner)))
-    comparison = _Comparison(legs, corner, rate, every, floor, are_rates)
-    motions = [comparison.low(values).std(axis=0).max() for values in (expected, measured)]
+    stride = max(1, int(rate / (10.0 * corner)))
+    comparison = _Comparison(legs, corner, rate, stride, floor, are_rates)
+    motions = [comparison.low_pass(values).std(axis=0).max() for values in (expected, measured)]
     largest, least = max(motions), min(motions)
-    moves = bool((least if are_rates else largest) > _MOVES * floor and least > _ROUNDING)
-    recorded = comparison.fit(Slip("", expected, measured), moves)
-    mended = [comparison.fit(slip, moves) for slip in slips]
-    best = min(mended, key=lambda fit: fit.cost, default=recorded)
-    text = " or ".join(fit.slip for fit in mended if fit.cost < best.cost + 0.5 * _PRICE)
-    is_dearer = best.cost + _PRICE >= recorded.cost
-    if is_dearer or best.unexplained >= 0.5 * min(1.0, recorded.unexplained):
-        best, text = recorded, ""
-    found = best._replace(slip=text, unexplained=recorded.unexplained)
-    return found if moves else found._replace(delay=np.nan, gain=np.nan)
+    moves = bool((least if are_rates else largest) > _LEAST_MOTION * floor and least > _ROUNDING)
+    as_recorded = comparison.fit(Slip("", expected, measured), moves)
+    fits = [comparison.fit(slip, moves) for slip in slips]
+    best = min(fits, key=lambda fit: fit.cost, default=as_recorded)
+    text = " or ".join(fit.slip for fit in fits if fit.cost < best.cost + 0.5 * _PRICE)
+    is_dearer = best.cost + _PRICE >= as_recorded.cost
+    if is_dearer or best.unexplained >= 0.5 * min(1.0, as_recorded.unexplained):
+        best, text = as_recorded, ""
+    agreement = best._replace(slip=text, unexplained=as_recorded.unexplained)
+    return agreement if moves else agreement._replace(delay=np.nan, gain=np.nan)
 
 
 class _Comparison(NamedTuple):
@@ -92,41 +94,42 @@ class _Comparison(NamedTuple):
     legs: NDArray[np.bool_]
     corner: float  #: f [Hz].
     rate: float  #: Of the histories [Hz].
-    every: int  #: Samples of the histories to one that is compared.
+    stride: int  #: Samples of the histories to one that is compared.
     floor: float  #: r0.
     are_rates: bool  #: Whether they are rates of one clock.
 
-    def low(self, values: Array) -> Array:
+    def low_pass(self, values: Array) -> Array:
         """The legs below the corner, rates about their mean."""
-        low = smooth(values[:, self.legs], self.rate, self.corner)[:: self.every]
+        low = smooth(values[:, self.legs], self.rate, self.corner)[:: self.stride]
         return low - low.mean(axis=0) if self.are_rates else low
 
     def fit(self, slip: Slip, moves: bool) -> Agreement:
         """Fit delay and gain to histories without a slip."""
-        e, m, every, rate = self.low(slip.expected), self.low(slip.measured), self.every, self.rate
-        delay_samples = _delay_samples(e, m, rate / every) if moves and not self.are_rates else 0.0
+        e, m = self.low_pass(slip.expected), self.low_pass(slip.measured)
+        stride, rate = self.stride, self.rate
+        delay_samples = _delay_samples(e, m, rate / stride) if moves and not self.are_rates else 0.0
         e = shifted(e, (delay_samples, 0.0), order=1, mode="nearest")
         fit = _fit_gain(e, m, self.floor, moves)
-        speed = np.sqrt((abs(fit.gain) * np.gradient(e, every / rate, axis=0)).var(axis=0).mean())
+        speed = np.sqrt((abs(fit.gain) * np.gradient(e, stride / rate, axis=0)).var(axis=0).mean())
         residual = np.sqrt((m - fit.gain * e).var(axis=0).mean())
-        independent = 2.0 * self.corner * m.size * every / rate
+        independent = 2.0 * self.corner * m.size * stride / rate
         delay_error = float(2.0 * ((residual + _TINY) / (speed + _TINY)) / np.sqrt(independent))
-        delay = delay_samples * every / rate
+        delay = delay_samples * stride / rate
         return fit._replace(slip=slip.text, delay=delay, delay_error=delay_error)
 
 
 def _delay_samples(expected: Array, measured: Array, rate: float) -> float:
     """Samples d where the velocities correlate best; of two as good the fewer."""
-    size, fine = 2 * expected.shape[0], 32
+    size, subdivision = 2 * expected.shape[0], 32
     e, m = (np.fft.rfft(np.diff(v, axis=0), size, axis=0) for v in (expected, measured))
-    correlation = np.fft.irfft((e.conj() * m).sum(axis=1), size * fine)
-    longest = int(min(_LONGEST * rate, 0.25 * expected.shape[0]) * fine)
+    correlation = np.fft.irfft((e.conj() * m).sum(axis=1), size * subdivision)
+    longest = int(min(_LONGEST_DELAY * rate, 0.25 * expected.shape[0]) * subdivision)
     window = np.concatenate([correlation[-longest:], correlation[: longest + 1]])
     if -window.min() > 1.5 * window.max():  # all legs have the other sign
         window = -window
     neighbour = np.maximum(np.roll(window, 1), np.roll(window, -1))
     peaks = np.flatnonzero(window >= np.maximum(neighbour, 0.97 * window.max())) - longest
-    return float(peaks[np.abs(peaks).argmin()]) / fine if peaks.size else 0.0
+    return float(peaks[np.abs(peaks).argmin()]) / subdivision if peaks.size else 0.0
 
 
 def _fit_gain(e: Array, m: Array, floor: float, moves: bool) -> Agreement:
@@ -149,13 +152,13 @@ def _fit_gain(e: Array, m: Array, floor: float, moves: bool) -> Agreement:
     motion = np.sqrt((m_motion**2).mean()) if moves else max(np.sqrt((m**2).mean()), floor)
     unexplained = float(np.sqrt((residual**2).mean()) / motion)
     cost = float(np.log(residual_by_leg + floor).sum())
-    return Agreement("", 0.0, cost, gain, unexplained)
+    return Agreement("", delay=0.0, cost=cost, gain=gain, unexplained=unexplained)
 
 
 def explain_forces(
     parts: Array, force: Array, slips: Iterable[tuple[str, Array]]
 ) -> tuple[Agreement, list[str]]:
-    """Whether forces (N, 6) are sums of parts (N, 6, k), and which slip's mending makes them so.
+    """Find whether forces (N, 6) are sums of parts (N, 6, k), and whose mending makes them so.
 
     Of n forces what k unknown factors leave has the share e of all, and a hundredth is added, for
     sensors. A slip is named, that which leaves least, e', where
@@ -176,9 +179,9 @@ def explain_forces(
         column = force[:, legs].ravel()
         e = np.asarray(column - basis @ (basis.T @ column)).reshape(-1, legs.sum()) + 1e-9
         correlation = float((e[1:] * e[:-1]).sum() / (e**2).sum())
-        new = max((e.size - e.shape[1]) * (1.0 - correlation) / (1.0 + correlation), 0.1)
-        share = float(np.linalg.norm(e)) / whole + 0.01
-        return share, share * float(np.exp(-max(np.log(1.4), 8.0 / new)))
+        independent = max((e.size - e.shape[1]) * (1.0 - correlation) / (1.0 + correlation), 0.1)
+        share = float(np.linalg.norm(e)) / whole + _SENSOR_SHARE
+        return share, share * float(np.exp(-max(np.log(1.4), 8.0 / independent)))
 
     recorded_share, better_share = remainder(force)
     mended = {text: remainder(mended_force) for text, mended_force in slips}
@@ -187,4 +190,5 @@ def explain_forces(
     slip = " or ".join(texts) if least < better_share else ""
     exchanges = {text: better for text, (_, better) in mended.items() if "legs" in text}
     unnamed = [text for text, better in exchanges.items() if recorded_share > better]
-    return Agreement(slip, np.nan, recorded_share, np.nan, recorded_share - 0.01), unnamed
+    rest = recorded_share - _SENSOR_SHARE
+    return Agreement(slip, np.nan, cost=recorded_share, gain=np.nan, unexplained=rest), unnamed

@@ -67,19 +67,18 @@ def pose_slips(pose: Array, measured: Array, machine: Machine) -> Iterator[Slip]
     yield mended("the pose is z up", pose * np.array([1.0, -1, -1, 1, -1, -1]))
     yield mended("surge and sway are exchanged", pose[:, [1, 0, 2, 3, 4, 5]])
     yield mended("roll and pitch are exchanged", pose[:, [0, 1, 2, 4, 3, 5]])
-    is_angle = np.repeat([0.0, 1.0], 3)
+    is_angle = np.repeat([False, True], 3)
     for unit in (*(name for name in LENGTH_UNITS if name != "m"), "deg"):
-        kind, si, axes = (
-            ("angles", "rad", is_angle) if unit == "deg" else ("lengths", "m", 1 - is_angle)
-        )
-        size = factor(unit) ** axes
+        kind, si = ("angles", "rad") if unit == "deg" else ("lengths", "m")
+        size = np.where(is_angle == (unit == "deg"), factor(unit), 1.0)
         yield mended(f"its {kind} are in {unit} where the map says {si}", pose * size)
         yield mended(f"its {kind} are in {si} where the map says {unit}", pose * (1.0 / size))
 
 
-def pressure_slips(cap: Array, rod: Array, areas: Array) -> Iterator[tuple[str, Array]]:
-    """One slip in the pressures [Pa], and the forces without it; `areas` of cap and rod, (2, 6)."""
-    cap_area, rod_area = areas
+def pressure_slips(
+    cap: Array, rod: Array, cap_area: Array, rod_area: Array
+) -> Iterator[tuple[str, Array]]:
+    """One slip in the pressures [Pa], and the forces without it; areas are (6,) [m^2]."""
     yield "cap and rod are exchanged", cap_area * rod - rod_area * cap
     push, pull = cap_area * cap, rod_area * rod
     for text, order in _leg_exchanges(push - pull):
@@ -89,17 +88,17 @@ def pressure_slips(cap: Array, rod: Array, areas: Array) -> Iterator[tuple[str, 
         yield f"both pressures of {text}", other_push - other_pull
 
 
-def scale_slip(gain: float, unit_factors: Mapping[str, float]) -> str:
+def scale_slip_text(gain: float, unit_factors: Mapping[str, float]) -> str:
     """The sign or unit that is wrong where a gain is one that no machine has, else nothing."""
     if not np.isfinite(gain) or 0.4 < gain < 2.0:
         return ""
     if gain < 0.0:
         return "all legs have the other sign"
-    likely = unit_slips(unit_factors, lambda factor: abs(np.log(gain * factor)) < 0.12)
+    likely = unit_slips_text(unit_factors, lambda scale: abs(np.log(gain * scale)) < 0.12)
     return f"is {gain:.3g} of what is expected: {likely or 'its scale is another'}"
 
 
-def unit_slips(
+def unit_slips_text(
     unit_factors: Mapping[str, float], mends: Callable[[float], bool], map_unit: str = ""
 ) -> str:
     """Units of a file that differ from the map's and whose factor `mends` a channel, in words.
@@ -114,29 +113,29 @@ def unit_slips(
     )
 
 
-def length_slip(values: Array, machine: Machine, map_unit: str) -> str:
+def length_slip_text(values: Array, machine: Machine, map_unit: str) -> str:
     """Why lengths [m] are beyond the stroke: from gimbal to gimbal, or in units that fit a leg."""
     least, largest = float(np.nanmin(values)), float(np.nanmax(values))
     longest = float(machine.geometry.neutral.max()) + machine.half_stroke
 
-    def fits_gimbals(factor: float, slack: float = 1.02) -> bool:
-        return machine.retracted < slack * factor * least and factor * largest < slack * longest
+    def fits_gimbals(scale: float, slack: float = 1.02) -> bool:
+        return machine.retracted < slack * scale * least and scale * largest < slack * longest
 
-    def fits_stroke(factor: float) -> bool:
-        return 0.02 < factor * max(largest, -least) / machine.half_stroke < 1.02
+    def fits_stroke(scale: float) -> bool:
+        return 0.02 < scale * max(largest, -least) / machine.half_stroke < 1.02
 
     if fits_gimbals(1.0, 1.5):
-        first, neutral = np.nanmean(values[0]), longest - machine.half_stroke
+        first_mean, neutral = np.nanmean(values[0]), longest - machine.half_stroke
         text = (
             "from gimbal to gimbal? State `offset`, what the file shows at neutral: its first row"
         )
-        return f"{text} has {first:.5g} m, the data sheet {neutral:.5g} m"
-    if units := unit_slips(LENGTH_UNITS, fits_gimbals, map_unit):
-        return f"{units}, from gimbal to gimbal: state `offset` too"
-    return unit_slips(LENGTH_UNITS, fits_stroke, map_unit)
+        return f"{text} has {first_mean:.5g} m, the data sheet {neutral:.5g} m"
+    if unit_text := unit_slips_text(LENGTH_UNITS, fits_gimbals, map_unit):
+        return f"{unit_text}, from gimbal to gimbal: state `offset` too"
+    return unit_slips_text(LENGTH_UNITS, fits_stroke, map_unit)
 
 
-def clipping(values: Array, step: float) -> tuple[float, int] | None:
+def find_clipping(values: Array, step: float) -> tuple[float, int] | None:
     """The limit at which a column stays while it comes and goes at speed, and samples there."""
     for limit in (np.nanmax(values), np.nanmin(values)):
         lengths = []
@@ -153,7 +152,7 @@ def clipping(values: Array, step: float) -> tuple[float, int] | None:
     return None
 
 
-def frozen_span(values: Array, leg: int, rate: float) -> slice | None:
+def find_frozen_span(values: Array, leg: int, rate: float) -> slice | None:
     """Longest span of one value of a leg, in histories (N, 6), in which most other legs move."""
     is_still = np.append(np.diff(values[:, leg]) == 0.0, False)
     first, end = max(runs(is_still), key=lambda run: run[1] - run[0], default=(0, 0))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.result import Field
 from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import leg_jacobian, legs_to_pose, pose_to_legs, rotation
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
@@ -35,15 +36,15 @@ Status = Literal["fault", "loss", "fine", "unseen"]
 PRESSURES = ("cap_pressure", "rod_pressure")
 MEASURED = ("leg_position", "leg_velocity", "leg_acceleration", *PRESSURES)
 
-_COMPARED = ("leg_position", "leg_velocity", *PRESSURES, "valve_command")
+_FILTERED = ("leg_position", "leg_velocity", *PRESSURES, "valve_command")
 _DEMANDS = ("leg_reference", *POSES)
 _LEG_CHECKS = ("legs", "range", "velocity")  #: Checks of what the legs say of themselves.
-_LEAD = 0.012  #: By which a law that feeds speed forward may answer early [s].
-_FAST = 2.5  #: Speed, in that of the valves as open as they are, that no load explains.
-_SLOWEST = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
+_LONGEST_LEAD = 0.012  #: By which a law that feeds speed forward may answer early [s].
+_FASTEST_SHARE = 2.5  #: Speed, in that of the valves as open as they are, that no load explains.
+_LONGEST_DELAY = 0.4  #: Delay of a loop [s] beyond which clocks are apart.
 _FORCE_CORNER = 4.0  #: Frequency up to which forces are compared [Hz].
-_CREEP = 1e-3  #: Speed from which on a leg moves [m/s].
-_FOLLOWS = 0.7  #: Share not explained from which on nothing is said of a gain or delay.
+_CREEP_SPEED = 1e-3  #: Speed from which on a leg moves [m/s].
+_MOST_UNEXPLAINED = 0.7  #: Share not explained from which on nothing is said of a gain or delay.
 
 
 class Finding(NamedTuple):
@@ -64,17 +65,17 @@ class _Recording:
         """Take the motion below 10 Hz, gaps bridged, NaN for channels that were not recorded."""
         self.record, self.machine, self.plant = record, machine, plant
         self.supply = float(plant.hydraulics.supply.pressure)
-        every = max(1, int(record.rate / 50.0))
-        self.slow_rate = record.rate / every
-        self.slow = {
-            name: pairs.smooth(self.bridged_channel(name), record.rate, 10.0)[::every]
-            for name in (*_COMPARED, *_DEMANDS)
+        stride = max(1, int(record.rate / 50.0))
+        self.low_rate = record.rate / stride
+        self.filtered = {
+            name: pairs.smooth(self.bridged_channel(name), record.rate, 10.0)[::stride]
+            for name in (*_FILTERED, *_DEMANDS)
         }
         self.has_pose = any(True for _ in self.channels_with_numbers(POSES))
-        position = self.slow["leg_position"]
+        position = self.filtered["leg_position"]
         self.leg_speed = np.full_like(position, np.nan)
         if record.time.size >= 30 and len(position) > 1:
-            self.leg_speed = np.gradient(position, 1.0 / self.slow_rate, axis=0)
+            self.leg_speed = np.gradient(position, 1.0 / self.low_rate, axis=0)
 
     def bridged_channel(self, name: str) -> Array:
         """A channel with its gaps bridged, (N, 6)."""
@@ -107,21 +108,22 @@ def check_recording(record: Record, machine: Machine, cab: str | None = None) ->
     'the recording fits the machine'
     """
     recording = _Recording(record, machine, Hexapod(load_cab(cab, machine)))
-    checks = (_missing, _gaps, _range, _clipping, _motion, _slopes)
+    checks = (_check_missing, _check_gaps, _check_range, _check_clipping, _check_legs, _check_rates)
     findings = [finding for check in checks for finding in check(recording)]
     for finding in findings:
         is_of_legs = finding.name in _LEG_CHECKS and finding.channel.startswith("leg")
         if is_of_legs and finding.status == "fault":
             return findings  # forces by legs that are not what they say would only repeat it
-    return [*findings, *_force(recording)]
+    return [*findings, *_check_force(recording)]
 
 
 def verdict(findings: list[Finding]) -> str:
     """The faults in words, or that there are none and what is lost."""
-    faults, losses = (
-        "; ".join(f"{f.channel}: {f.text}" for f in findings if f.status == status)
-        for status in ("fault", "loss")
-    )
+
+    def texts(status: Status) -> str:
+        return "; ".join(f"{row.channel}: {row.text}" for row in findings if row.status == status)
+
+    faults, losses = texts("fault"), texts("loss")
     fits = "the recording fits the machine"
     return faults or (f"{fits}; lost: {losses}" if losses else fits)
 
@@ -131,7 +133,7 @@ def _legs_text(legs: NDArray[np.bool_]) -> str:
     return f"{'legs' if len(numbers) > 1 else 'leg'} {' '.join(numbers)}"
 
 
-def _missing(recording: _Recording) -> Iterator[Finding]:
+def _check_missing(recording: _Recording) -> Iterator[Finding]:
     record = recording.record
     for channel in (name for name in MEASURED if name in record.channels):
         absent = ~slips.recorded_legs(record[channel])
@@ -149,7 +151,7 @@ def _missing(recording: _Recording) -> Iterator[Finding]:
         yield Finding("missing", "loss", channels, 6.0 * len(missing), "columns", text)
 
 
-def _gaps(recording: _Recording) -> Iterator[Finding]:
+def _check_gaps(recording: _Recording) -> Iterator[Finding]:
     record = recording.record
     for channel, values in record.channels.items():
         for leg, column in enumerate(np.atleast_2d(values.T)):
@@ -173,7 +175,7 @@ def _gaps(recording: _Recording) -> Iterator[Finding]:
         yield Finding("gaps", "loss", channel, samples / record.rate, "s", text)
 
 
-def _range(recording: _Recording) -> Iterator[Finding]:
+def _check_range(recording: _Recording) -> Iterator[Finding]:
     machine, supply = recording.machine, recording.supply
     proof = max(2.0 * supply, recording.plant.hydraulics.proof_pressure)
     channels = recording.channels_with_numbers(("leg_position", "leg_reference", *PRESSURES))
@@ -184,7 +186,7 @@ def _range(recording: _Recording) -> Iterator[Finding]:
         if largest > 1.02 * bound:
             stated = recording.record.metadata.get("recording", {}).get("units", {})
             map_unit = stated.get(channel, "m")
-            cause = "" if is_pressure else slips.length_slip(values, machine, map_unit)
+            cause = "" if is_pressure else slips.length_slip_text(values, machine, map_unit)
             cause = cause or "are unit and offset right?"
             text = f"up to {largest:.4g} {unit}, beyond {bound:.4g}: {cause}"
         elif is_pressure and lowest < -2e5:
@@ -195,19 +197,19 @@ def _range(recording: _Recording) -> Iterator[Finding]:
             yield Finding("range", "fault", channel, float(largest), unit, text)
 
 
-def _clipping(recording: _Recording) -> Iterator[Finding]:
+def _check_clipping(recording: _Recording) -> Iterator[Finding]:
     record = recording.record
     for channel, values, unit in recording.channels_with_numbers((*MEASURED, "valve_command")):
         for leg, column in enumerate(recording.bridged_channel(channel).T):
-            span = slips.frozen_span(values, leg, record.rate)
+            span = slips.find_frozen_span(values, leg, record.rate)
             if span and channel.startswith("leg_"):  # valves and pressures have limits
                 begin, end = record.time[span.start], record.time[span.stop - 1]
-                still = f"leg {leg + 1} stands still from {begin:.4g} to {end:.4g} s"
-                text = f"{still}, others move: frozen"
+                stop = f"leg {leg + 1} stands still from {begin:.4g} to {end:.4g} s"
+                text = f"{stop}, others move: frozen"
                 yield Finding("clipping", "fault", channel, end - begin, "s", text)
             steps = np.abs(np.diff(column))
             steps = steps[steps > 1e-12 * np.abs(column).max()]
-            clipping = slips.clipping(column, float(steps.min())) if steps.size else None
+            clipping = slips.find_clipping(column, float(steps.min())) if steps.size else None
             if clipping is not None:
                 limit, samples = clipping
                 is_empty = channel in PRESSURES and limit < 1e-3 * recording.supply
@@ -217,9 +219,9 @@ def _clipping(recording: _Recording) -> Iterator[Finding]:
                 yield Finding("clipping", status, channel, limit, unit, text)
 
 
-def _motion(recording: _Recording) -> Iterator[Finding]:
+def _check_legs(recording: _Recording) -> Iterator[Finding]:
     """Positions and references against what is demanded: legs and clock."""
-    position, half_stroke = recording.slow["leg_position"], recording.machine.half_stroke
+    position, half_stroke = recording.filtered["leg_position"], recording.machine.half_stroke
     if not slips.recorded_legs(position).any():
         yield Finding("legs", "fault", "leg_position", np.nan, "", "not recorded; it is needed")
         return
@@ -235,26 +237,26 @@ def _motion(recording: _Recording) -> Iterator[Finding]:
     if "demand_pose" in demands:
         compared.append(("leg_reference", "demand_pose"))
     for channel, demand in compared:
-        measured, expected = recording.slow[channel], recording.slow[demand]
+        measured, expected = recording.filtered[channel], recording.filtered[demand]
         candidates: list[slips.Slip] = []
         if demand in POSES:
             candidates += slips.pose_slips(expected, measured, recording.machine)
             expected = pose_to_legs(expected, recording.machine)
         candidates += slips.leg_slips(expected, measured)
         floor = 2e-3 * half_stroke
-        fit = pairs.agree(expected, measured, recording.slow_rate, floor, candidates)
+        fit = pairs.compare(expected, measured, recording.low_rate, floor, candidates)
         if fit is not None:
-            yield _agreement("legs", channel, demand, fit, slips.LENGTH_UNITS)
-            if not fit.slip and (clock := _clock(channel, demand, fit)):
+            yield _agreement_finding("legs", channel, demand, fit, slips.LENGTH_UNITS)
+            if not fit.slip and (clock := _clock_finding(channel, demand, fit)):
                 yield clock
 
 
-def _agreement(
+def _agreement_finding(
     check: str, channel: str, against: str, fit: pairs.Agreement, unit_factors: Mapping[str, float]
 ) -> Finding:
-    follows = fit.unexplained < _FOLLOWS
-    scale = slips.scale_slip(fit.gain, unit_factors) if follows or fit.slip else ""
-    faults = "; ".join(text for text in (fit.slip, scale) if text)
+    follows = fit.unexplained < _MOST_UNEXPLAINED
+    scale_text = slips.scale_slip_text(fit.gain, unit_factors) if follows or fit.slip else ""
+    faults = "; ".join(text for text in (fit.slip, scale_text) if text)
     status: Status = "fine" if follows else "loss"
     text = f"differs from what {against} would give" if follows else f"does not follow {against}"
     if faults:
@@ -262,12 +264,12 @@ def _agreement(
     return Finding(check, status, channel, 100.0 * fit.unexplained, "%", text)
 
 
-def _clock(channel: str, demand: str, fit: pairs.Agreement) -> Finding | None:
+def _clock_finding(channel: str, demand: str, fit: pairs.Agreement) -> Finding | None:
     """The delay of a motion behind its demand, where it has one."""
-    if not np.isfinite(fit.delay) or fit.unexplained >= _FOLLOWS:
+    if not np.isfinite(fit.delay) or fit.unexplained >= _MOST_UNEXPLAINED:
         return None
-    is_early = fit.delay < -_LEAD - fit.delay_error
-    is_late = fit.delay > _SLOWEST + fit.delay_error
+    is_early = fit.delay < -_LONGEST_LEAD - fit.delay_error
+    is_late = fit.delay > _LONGEST_DELAY + fit.delay_error
     text = f"behind {demand}, to {1e3 * fit.delay_error:.2g} ms"
     status: Status = "fine"
     if demand != "platform_pose" and (is_early or is_late):
@@ -276,42 +278,44 @@ def _clock(channel: str, demand: str, fit: pairs.Agreement) -> Finding | None:
     return Finding("clock", status, channel, 1e3 * fit.delay, "ms", text)
 
 
-def _slopes(recording: _Recording) -> Iterator[Finding]:
+def _check_rates(recording: _Recording) -> Iterator[Finding]:
     """Velocities and valve commands against the slope of the positions."""
-    slope, rate = recording.leg_speed, recording.slow_rate
-    velocity, valves = recording.slow["leg_velocity"], recording.slow["valve_command"]
-    fit = pairs.agree(slope, velocity, rate, 1e-3, slips.leg_slips(slope, velocity), are_rates=True)
+    slope, rate = recording.leg_speed, recording.low_rate
+    velocity, valves = recording.filtered["leg_velocity"], recording.filtered["valve_command"]
+    candidates = slips.leg_slips(slope, velocity)
+    fit = pairs.compare(slope, velocity, rate, 1e-3, candidates, are_rates=True)
     if fit is not None:
         inverse = "" if recording.has_pose else ", or these the other way round"
         against = f"the slope of positions{inverse}"
-        yield _agreement("velocity", "leg_velocity", against, fit, slips.LENGTH_UNITS)
-    fit = pairs.agree(slope, valves, rate, 2e-3, slips.leg_slips(slope, valves), are_rates=True)
+        yield _agreement_finding("velocity", "leg_velocity", against, fit, slips.LENGTH_UNITS)
+    candidates = slips.leg_slips(slope, valves)
+    fit = pairs.compare(slope, valves, rate, 2e-3, candidates, are_rates=True)
     if fit is None or not (fit.unexplained < 0.8 or fit.slip):
         return
-    sign = fit._replace(gain=min(fit.gain, 0.0) or np.nan)  # a positive gain has any size
-    yield _agreement("valves", "valve_command", "velocities", sign, {})
+    fit_of_sign = fit._replace(gain=min(fit.gain, 0.0) or np.nan)  # else gains have any size
+    yield _agreement_finding("valves", "valve_command", "velocities", fit_of_sign, {})
     speed = 1.0 / (fit.gain * recording.plant.parameters.leg_speed.si)
-    if speed > _FAST and fit.unexplained < _FOLLOWS and not recording.has_pose:
-        scale = slips.scale_slip(speed, slips.LENGTH_UNITS)
-        text = f"velocity by the valves {scale}, or the scale of valve_command"
+    if speed > _FASTEST_SHARE and fit.unexplained < _MOST_UNEXPLAINED and not recording.has_pose:
+        scale_text = slips.scale_slip_text(speed, slips.LENGTH_UNITS)
+        text = f"velocity by the valves {scale_text}, or the scale of valve_command"
         yield Finding("valves", "fault", "leg_position", speed, "1", text)
 
 
-def _force(recording: _Recording) -> Iterator[Finding]:
+def _check_force(recording: _Recording) -> Iterator[Finding]:
     """Forces by the pressures against weight, friction and inertia."""
-    plant, machine, rate = recording.plant, recording.machine, recording.slow_rate
-    every = max(1, int(rate / (2.5 * _FORCE_CORNER)))
+    plant, machine, rate = recording.plant, recording.machine, recording.low_rate
+    stride = max(1, int(rate / (2.5 * _FORCE_CORNER)))
 
-    def low(values: Array) -> Array:
-        return pairs.smooth(values, rate, _FORCE_CORNER)[::every]
+    def smooth(values: Array) -> Array:
+        return pairs.smooth(values, rate, _FORCE_CORNER)[::stride]
 
-    cap, rod, position = (low(recording.slow[name]) for name in (*PRESSURES, "leg_position"))
-    areas = np.array([plant.hydraulics.cylinder.cap_area, plant.hydraulics.cylinder.rod_area])
-    force = areas[0] * cap - areas[1] * rod
+    cap, rod, position = (smooth(recording.filtered[name]) for name in (*PRESSURES, "leg_position"))
+    cylinder = plant.hydraulics.cylinder
+    force = cylinder.cap_area * cap - cylinder.rod_area * rod
     if not slips.recorded_legs(force).any() or not slips.recorded_legs(position).all():
         return
     speed = np.nan_to_num(recording.leg_speed)
-    acceleration = low(np.gradient(speed, 1.0 / rate, axis=0) if len(speed) > 1 else speed)
+    acceleration = smooth(np.gradient(speed, 1.0 / rate, axis=0) if len(speed) > 1 else speed)
     try:
         poses = legs_to_pose(position, machine)
         mean_pose = legs_to_pose(position.mean(axis=0), machine)
@@ -322,18 +326,18 @@ def _force(recording: _Recording) -> Iterator[Finding]:
         return
     if slips.recorded_legs(force).all():
         forces = np.stack([force.mean(axis=0), plant.static_load()])
-        carried, weight = (forces @ leg_jacobian(mean_pose, machine))[:, 2]
+        carried, weight = (forces @ leg_jacobian(mean_pose, machine))[:, dof_index("heave")]
         share = float(carried / weight)
-        slip = slips.scale_slip(share, slips.PRESSURE_UNITS)
+        slip = slips.scale_slip_text(share, slips.PRESSURE_UNITS)
         text = "of the data sheet's weight is carried by the pressures"
         status: Status = "fault" if slip else "fine"
         text += f": {slip}" if slip else ""
         yield Finding("force", status, "pressures", 100.0 * share, "%", text)
-    friction = low(_last_directions(speed))
+    friction = smooth(_last_directions(speed))
     parts = np.dstack([_weights(poses, machine), friction, inertia])
-    candidates = slips.pressure_slips(cap, rod, areas)
+    candidates = slips.pressure_slips(cap, rod, cylinder.cap_area, cylinder.rod_area)
     fit, unnamed = pairs.explain_forces(parts, force, candidates)
-    yield _agreement("force", "pressures", "weight, friction and inertia", fit, {})
+    yield _agreement_finding("force", "pressures", "weight, friction and inertia", fit, {})
     if unnamed and not fit.slip:
         rest = f" and {len(unnamed) - 3} more" if len(unnamed) > 3 else ""
         text = f"whether {' or '.join(unnamed[:3])}{rest} does not show: these carry alike"
@@ -342,7 +346,7 @@ def _force(recording: _Recording) -> Iterator[Finding]:
 
 def _last_directions(speeds: Array) -> Array:
     """Which way each leg moves or moved last, (N, 6): 1, -1, and 0 before it does."""
-    moves = np.abs(speeds) > _CREEP
+    moves = np.abs(speeds) > _CREEP_SPEED
     last_rows = np.maximum.accumulate(np.where(moves, np.arange(len(speeds))[:, None], 0))
     return np.take_along_axis(np.sign(speeds) * moves, last_rows, axis=0)
 

@@ -293,7 +293,7 @@ def test_a_delay_is_as_sure_as_the_noise_allows() -> None:
         asked = sosfiltfilt(sections, random.normal(size=(1000, 6)), axis=0)
         asked *= np.hanning(1000)[:, None]  # at rest at both ends
         noise = random.normal(size=asked.shape) * asked.std() * random.uniform(0.3, 2.0)
-        found = pairs.agree(asked, np.roll(asked, 3, axis=0) + noise, rate, 1e-3)
+        found = pairs.compare(asked, np.roll(asked, 3, axis=0) + noise, rate, 1e-3)
         assert found is not None
         held += abs(found.delay - 0.06) < found.delay_error + 0.5 / rate / 32.0
     assert held >= 34

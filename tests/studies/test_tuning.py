@@ -18,7 +18,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
 from cmf_mj.studies.tuning.evaluation import evaluate, least_damping, linear_cab
-from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
+from cmf_mj.studies.tuning.forms import FORMS, Form, candidate_law, make_template
 from cmf_mj.studies.tuning.search import Requirements, SearchResult, judge, save_law, search
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -42,7 +42,7 @@ def test_the_shipped_law_keeps_the_targets_with_valves_off(
 
 def test_the_shipped_law_is_where_its_form_starts() -> None:
     form, law = FORMS["modal_plan"], load_law("modal_plan")
-    begun = candidate(form, make_template("modal_plan", law.title), form.start)
+    begun = candidate_law(form, make_template("modal_plan", law.title), form.start)
     assert (begun.plan, begun.load_feedback) == (law.plan, law.load_feedback)
     assert begun.direct_gain == law.direct_gain
 
@@ -65,7 +65,7 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
     first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
     assert first.law == second.law and first.evaluations == 12
     form = FORMS["modal_plan"]
-    begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    begun = evaluate(candidate_law(form, template, form.start), template.cabs, (None,))
     assert first.performance.phase_hz.min() > 0.95 * begun.phase_hz.min()
     path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
     back = load_law(path)
@@ -80,7 +80,7 @@ def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form
     for number in form.free.values():
         assert number.low <= number.start <= number.high
     template = make_template("mine", "Mine", ("gfd",))
-    performance = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    performance = evaluate(candidate_law(form, template, form.start), template.cabs, (None,))
     assert performance.tail.max() < 0.2
     assert performance.phase_hz.min() > 1.0
 
@@ -129,9 +129,9 @@ def with_load_gain(share: float) -> Law:
 def test_plants_without_friction_are_those_of_the_machine_that_has_none() -> None:
     template = make_template("mine", "Mine", [rubbing(60.0)], 0.02)
     (without,), (smooth,) = template.frictionless, make_template("mine", "", [rubbing(0.0)]).cabs
-    for one, other in zip(without.sampled, smooth.sampled, strict=True):
+    for one, other in zip(without.matrices, smooth.matrices, strict=True):
         np.testing.assert_array_equal(one, other)
-    assert np.abs(template.cabs[0].sampled[0] - smooth.sampled[0]).max() > 1e-3
+    assert np.abs(template.cabs[0].matrices[0] - smooth.matrices[0]).max() > 1e-3
     chosen = make_template("mine", "Mine", [rubbing(60.0)], "none")
     assert chosen.frictionless is chosen.cabs
 

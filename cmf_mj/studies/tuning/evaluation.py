@@ -41,18 +41,18 @@ LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
 
 STEP_TIME = 0.7  #: Length of the steps [s].
 
-STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
+STEPPED_DOFS = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
 """Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,
 heave and yaw are easier."""
 
 
 @allocating
-def run_linear_loop(dcl, state, drive, drive_state, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
-    """Run the law against a sampled linear plant (A, B, C), one frame of delay.
+def run_linear_loop(dcl, state, drive, drive_state, matrices, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
+    """Run the law against a sampled linear plant, `matrices` A, B, C, with one frame of delay.
 
     The legs' positions of all frames are written to `legs_out`, (frames, legs).
     """
-    a, b, c = plant
+    a, b, c = matrices
     legs, command = demand.shape[0], dcl.workspace.command
     x = np.zeros(a.shape[0])
     for frame in range(legs_out.shape[0]):
@@ -77,14 +77,9 @@ class LinearCab(NamedTuple):
     velocity: NDArray[np.complex128]  #: Responses of leg velocities to commands, (K, 6, 6).
     pressures: tuple[NDArray[np.complex128], NDArray[np.complex128]]
     """Those of cap and rod pressures."""
-    sampled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+    matrices: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
     """A, B, C at the machine's control rate, outputs `FEEDBACK`."""
     system: control.StateSpace  #: The same with names, and all outputs.
-
-    @property
-    def cab(self) -> str:
-        """Name of the cab."""
-        return self.carrier.name
 
 
 def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
@@ -92,16 +87,16 @@ def linear_cab(plant: Hexapod, friction: Contact | None = None) -> LinearCab:
     system = linearize(plant, friction=friction)
     legs, omega = plant.legs, 2.0 * np.pi * LINES
     response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
-    rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
+    responses = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
     sampled = control.sample_system(system, plant.machine.frame, method="zoh", copy_names=True)
     a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
     assert plant.cab_parameters is not None
     return LinearCab(
         carrier=plant.cab_parameters,
         jacobian=pose_jacobian(np.zeros(6), plant.machine),
-        velocity=rows["leg_velocity"],
-        pressures=(rows["cap_pressure"], rows["rod_pressure"]),
-        sampled=(a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
+        velocity=responses["leg_velocity"],
+        pressures=(responses["cap_pressure"], responses["rod_pressure"]),
+        matrices=(a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
         system=sampled,
     )
 
@@ -114,7 +109,7 @@ class Performance(NamedTuple):
     peak_db: NDArray[np.float64]  #: Peak gain to 10 Hz, (cabs, seeds, 6).
     overshoot: NDArray[np.float64]  #: Of the step, fraction, (cabs, seeds, 4).
     tail: NDArray[np.float64]
-    """Largest distance from the demand in the last tenth of the step, fraction, (.., 4)."""
+    """Largest distance from the demand in the last tenth of the step, (cabs, seeds, 4)."""
 
 
 def step_response(
@@ -124,31 +119,31 @@ def step_response(
 
     The law is bound to the cab; `dofs` are indices, `gains` valve gains over the nominal, (6,).
     """
-    machine, axes = cab.carrier.machine, list(dofs)
-    a, b, c = cab.sampled
-    size = REPORT_AMPLITUDES[axes] * STEP_PER_AMPLITUDE
+    machine, indices = cab.carrier.machine, list(dofs)
+    a, b, c = cab.matrices
+    size = REPORT_AMPLITUDES[indices] * STEP_PER_AMPLITUDE
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
     feedback = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
     state = engaged_state(dcl, np.zeros(legs), feedback)
     positions = np.empty((round(STEP_TIME * machine.rate), legs))
-    demand = cab.jacobian[:, axes] @ size
+    demand = cab.jacobian[:, indices] @ size
     settings = servo.load_servo_settings(None, fitting(machine))
     drive, drive_state = servo.make_servo_electronics(settings, law.frame), servo.start(legs)
-    plant = a, np.ascontiguousarray(b * gains), c
-    run_linear_loop(dcl, state, drive, drive_state, plant, demand, feedback, positions)
-    return positions @ np.linalg.inv(cab.jacobian)[axes].T / size
+    matrices = a, np.ascontiguousarray(b * gains), c
+    run_linear_loop(dcl, state, drive, drive_state, matrices, demand, feedback, positions)
+    return positions @ np.linalg.inv(cab.jacobian)[indices].T / size
 
 
 def _evaluate_case(law: Law, cab: LinearCab, seed: int | None, scale: float) -> Performance:
     """Measures of one cab and one set of valve gains."""
     bound_law, gains = bound(law, cab.carrier), scale * valve_gains(seed)
     pressures = cab.pressures[0] * gains, cab.pressures[1] * gains
-    legs = closed_loop_response(bound_law, cab.velocity * gains, LINES, pressures=pressures)
-    pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
-    widths = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
+    leg_response = closed_loop_response(bound_law, cab.velocity * gains, LINES, pressures=pressures)
+    pose_response = np.linalg.inv(cab.jacobian) @ leg_response @ cab.jacobian
+    widths = [line_bandwidths(LINES, pose_response[:, dof, dof]) for dof in range(len(DOFS))]
     phase = np.array([width.phase_hz for width in widths])
-    steps = [step_response(bound_law, cab, dofs, gains) for dofs in STEPPED]
+    steps = [step_response(bound_law, cab, dofs, gains) for dofs in STEPPED_DOFS]
     return Performance(
         phase_hz=np.where(np.isnan(phase), LINES[-1], phase),
         peak_db=np.array([width.peak_db for width in widths]),
@@ -171,7 +166,7 @@ def evaluate(
 
 
 def least_damping(law: Law, cabs: Sequence[LinearCab]) -> float:
-    """Least damping ratio of oscillations with all cabs, negative where one grows; at most 1."""
+    """Least damping ratio of oscillations with all cabs, at most 1; negative where one grows."""
     loops = [closed_loop(bound(law, cab.carrier), cab.system) for cab in cabs]
-    pairs = np.concatenate([oscillations(loop.poles(), loop.dt) for loop in loops])
-    return float(np.min(-pairs.real / np.abs(pairs), initial=1.0))
+    poles = np.concatenate([oscillations(loop.poles(), loop.dt) for loop in loops])
+    return float(np.min(-poles.real / np.abs(poles), initial=1.0))

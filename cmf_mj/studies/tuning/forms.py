@@ -39,8 +39,8 @@ from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
 
-HEAVY = 2  #: Modes of the pair of surge and sway, which have separate gains.
-EASY = 2  #: The next modes, yaw and heave, whose chirp and step ask little of the valves.
+HEAVY_MODES = 2  #: Modes of the pair of surge and sway, which have separate gains.
+EASY_MODES = 2  #: The next modes, yaw and heave, whose chirp and step ask little of the valves.
 EASY_REACH = 8.0  #: Frequency that bounds the acceleration of their reference [Hz].
 APPROACH = 3.5  #: Frequency at which a plan's reference closes small errors [Hz].
 SMOOTH = 6.5  #: Frequency that bounds the jerk of a plan's reference [Hz].
@@ -59,13 +59,13 @@ class Template(NamedTuple):
     modes: Mapping[str, Modes]  #: Nominal modes of the cabs, and of single legs.
     amplitude: NDArray[np.float64]
     """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
-    rate: NDArray[np.float64]  #: Rate of modes whose fastest leg is at its limit, (6,) [in/s].
+    speed: NDArray[np.float64]  #: Of modes whose fastest leg is at its limit, (6,) [in/s].
     cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on, friction as stated.
     frictionless: tuple[LinearCab, ...]  #: The same without dry friction.
-    actuator: HydraulicParameters  #: Set of the machine.
+    hydraulics: HydraulicParameters  #: The machine's hydraulic set.
     frame: float  #: Control frame [s].
-    faster: float  #: Leg speed per command over the CMF's.
-    heavier: float  #: sqrt(K M) of the lowest mode of its first cab over that of the CMF's.
+    speed_ratio: float  #: Leg speed per command over the CMF's.
+    impedance_ratio: float  #: sqrt(K M) of the lowest mode of its first cab over that of the CMF's.
 
 
 class FreeNumber(NamedTuple):
@@ -91,7 +91,7 @@ class Form(NamedTuple):
         return [number.start for number in self.free.values()]
 
     def named(self, values: Sequence[float]) -> Values:
-        """Values by name."""
+        """Values by the names of what is free."""
         return dict(zip(self.free, map(float, values), strict=True))
 
 
@@ -104,42 +104,43 @@ def make_template(
 ) -> Template:
     """What a search needs besides the form; `friction` as `linearize` takes it."""
     plants = [Hexapod(cab) for cab in cabs]
-    machine, actuator = plants[0].machine, plants[0].parameters
+    machine, hydraulics = plants[0].machine, plants[0].parameters
     linear = frictionless = tuple(linear_cab(plant, friction) for plant in plants)
     if friction not in (None, "none"):
         frictionless = tuple(linear_cab(plant, "none") for plant in plants)
     legs = SingleLegs(machine=machine)
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
-    shapes = [np.array(modes[cab.cab].shape) for cab in linear]
+    shapes = [np.array(modes[cab.carrier.name].shape) for cab in linear]
     amplitudes = [
         np.abs(shape @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
         for shape, cab in zip(shapes, linear, strict=True)
     ]
-    largest = np.max([np.abs(shape).max(axis=1) for shape in shapes], axis=0)
+    largest_of_legs = np.max([np.abs(shape).max(axis=1) for shape in shapes], axis=0)
     leg_speed = float(f"{units.from_si('in/s', machine.limits.leg.velocity.si):.6g}")
-    first, cmf = modes_of_cab(load_cab(None, machine)), modes_of_cab(load_cab())
+    own, cmf = modes_of_cab(load_cab(None, machine)), modes_of_cab(load_cab())
     return Template(
         name=name,
         title=title,
         modes=modes | {legs.name: nominal_modes(legs)},
         amplitude=np.max(amplitudes, axis=0) / units.INCH,
-        rate=leg_speed / largest,
+        speed=leg_speed / largest_of_legs,
         cabs=linear,
         frictionless=frictionless,
-        actuator=actuator,
+        hydraulics=hydraulics,
         frame=machine.frame,
-        faster=actuator.leg_speed.si / load_hydraulics().leg_speed.si,
-        heavier=first.frequency[0] * first.mass[0] / (cmf.frequency[0] * cmf.mass[0]),
+        speed_ratio=hydraulics.leg_speed.si / load_hydraulics().leg_speed.si,
+        impedance_ratio=own.frequency[0] * own.mass[0] / (cmf.frequency[0] * cmf.mass[0]),
     )
 
 
-def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
+def candidate_law(form: Form, template: Template, values: Sequence[float]) -> Law:
     """The law of some values of `form.free`, rounded as its table prints them."""
     gains = {}
     for name, value in form.named(values).items():
         kind = name.removesuffix("_heavy").removesuffix("_light")
-        scale = template.faster if name in _ON_MOTION or kind in ("position", "velocity") else 1.0
-        scale *= template.faster * template.heavier if kind == "load" else 1.0
+        is_on_motion = name in _ON_MOTION or kind in ("position", "velocity")
+        scale = template.speed_ratio if is_on_motion else 1.0
+        scale *= template.speed_ratio * template.impedance_ratio if kind == "load" else 1.0
         gains[name] = float(f"{value / scale:.4g}")
     return form.law(template, gains)
 
@@ -147,35 +148,36 @@ def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
 def _by_mode(gains: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
     """Gains of all modes, those of the heavy ones first."""
     heavy, light = sign * gains[f"{name}_heavy"], sign * gains[f"{name}_light"]
-    return (heavy,) * HEAVY + (light,) * (len(REPORT_AMPLITUDES) - HEAVY)
+    return (heavy,) * HEAVY_MODES + (light,) * (len(REPORT_AMPLITUDES) - HEAVY_MODES)
 
 
 def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(float(f"{v:.4g}") for v in values)
 
 
-def _modal(template: Template, **fields: object) -> Law:
+def _modal_law(template: Template, **fields: object) -> Law:
     common = {"name": template.name, "title": template.title, "modes": template.modes}
     return Law.model_validate(common | {"coordinates": "hydraulic_modes"} | fields)
 
 
 def _modal_plan(template: Template, gains: Values) -> Law:
-    actuator = template.actuator
+    hydraulics = template.hydraulics
     bounds = np.array(_by_mode(gains, "acceleration"))
-    bounds[HEAVY : HEAVY + EASY] = EASY_REACH
-    swing = actuator.supply_pressure.si - actuator.return_pressure.si
-    stall = 0.5 * swing * (actuator.cap_area + actuator.rod_area) / (1e3 * units.POUND_FORCE)
+    bounds[HEAVY_MODES : HEAVY_MODES + EASY_MODES] = EASY_REACH
+    pressure_drop = hydraulics.supply_pressure.si - hydraulics.return_pressure.si
+    areas = hydraulics.cap_area + hydraulics.rod_area
+    stall = 0.5 * pressure_drop * areas / (1e3 * units.POUND_FORCE)
     plan = Plan(
-        speed=float(f"{units.from_si('in/s/%', actuator.leg_speed.si):.6g}"),
-        drive_lag=float(f"{units.from_si('Hz', actuator.drive_lag.si):.6g}"),
-        valve_lag=float(f"{units.from_si('Hz', actuator.valve_lag.si):.6g}"),
-        leak_rate=actuator.leak_rate.si,
+        speed=float(f"{units.from_si('in/s/%', hydraulics.leg_speed.si):.6g}"),
+        drive_lag=float(f"{units.from_si('Hz', hydraulics.drive_lag.si):.6g}"),
+        valve_lag=float(f"{units.from_si('Hz', hydraulics.valve_lag.si):.6g}"),
+        leak_rate=hydraulics.leak_rate.si,
         pairs=(
             (gains["first_pair"], gains["first_damping"]),
             (gains["second_pair"], gains["second_damping"]),
         ),
         pole=gains["pole"],
-        rate=_rounded(template.rate),
+        rate=_rounded(template.speed),
         acceleration=_rounded((2.0 * np.pi * bounds) ** 2 * template.amplitude),
         smooth=SMOOTH,
         approach=APPROACH,
@@ -183,16 +185,16 @@ def _modal_plan(template: Template, gains: Values) -> Law:
         position=_by_mode(gains, "position"),
         velocity=_by_mode(gains, "velocity"),
     )
-    return _modal(
+    return _modal_law(
         template,
-        direct_gain=Gains(error_integral=float(f"{INTEGRAL / template.faster:.4g}")),
+        direct_gain=Gains(error_integral=float(f"{INTEGRAL / template.speed_ratio:.4g}")),
         plan=plan,
         load_feedback=LoadFeedback(gain=_by_mode(gains, "load"), corner=LOAD_CORNER),
     )
 
 
 def _modal_feedback(template: Template, gains: Values) -> Law:
-    return _modal(
+    return _modal_law(
         template,
         direct_gain=Gains(
             reference=_by_mode(gains, "position"),
@@ -205,13 +207,13 @@ def _modal_feedback(template: Template, gains: Values) -> Law:
 
 def _on_velocity(template: Template, gains: Values, **fields: object) -> Law:
     """Velocity feedback with its net position gain and velocity gain as chosen."""
-    flown = load_law("velocity").at_rate(round(1.0 / template.frame))
-    back = flown.output_gain / template.faster
-    through = -back / (1.0 - flown.state_gain)
-    direct_gain = flown.direct_gain.model_copy(
+    report_law = load_law("velocity").at_rate(round(1.0 / template.frame))
+    output_gain = report_law.output_gain / template.speed_ratio
+    gain_of_position = -output_gain / (1.0 - report_law.state_gain)
+    direct_gain = report_law.direct_gain.model_copy(
         update={
             "reference": gains["position"],
-            "position": float(f"{through - gains['position']:.6g}"),
+            "position": float(f"{gain_of_position - gains['position']:.6g}"),
             "velocity": -gains["velocity"],
             "acceleration": -gains.get("acceleration", 0.0),
         }
@@ -220,10 +222,10 @@ def _on_velocity(template: Template, gains: Values, **fields: object) -> Law:
         "name": template.name,
         "title": template.title,
         "source": "",
-        "output_gain": back,
+        "output_gain": output_gain,
         "direct_gain": direct_gain,
     }
-    return flown.model_copy(update=changes | fields)
+    return report_law.model_copy(update=changes | fields)
 
 
 def _pressure(template: Template, gains: Values) -> Law:
@@ -247,7 +249,7 @@ def _acceleration(template: Template, gains: Values) -> Law:
     return _on_velocity(template, gains, **filtered)
 
 
-def _outer(position: float, velocity: float) -> dict[str, FreeNumber]:
+def _motion_gains(position: float, velocity: float) -> dict[str, FreeNumber]:
     """Gains on position and velocity of forms without modes, by their starts."""
     bounded_position = FreeNumber(10.0, 80.0, position)
     return {"position": bounded_position, "velocity": FreeNumber(0.0, 6.0, velocity)}
@@ -274,10 +276,10 @@ FORMS: Mapping[str, Form] = {
         spread=0.05,
         reach=lambda gains: min(gains["acceleration_heavy"], gains["acceleration_light"]),
     ),
-    "velocity": Form(_outer(25.5, 3.1), _on_velocity),
+    "velocity": Form(_motion_gains(25.5, 3.1), _on_velocity),
     "pressure": Form(
         {
-            **_outer(32.5, 3.7),
+            **_motion_gains(32.5, 3.7),
             "load": FreeNumber(0.0, 10.0, start=0.19),
             "corner": FreeNumber(0.1, 5.0, start=1.3),
         },
@@ -285,7 +287,7 @@ FORMS: Mapping[str, Form] = {
     ),
     "feed_forward": Form(
         {
-            **_outer(18.0, 2.83),
+            **_motion_gains(18.0, 2.83),
             "forward_velocity": FreeNumber(0.0, 3.0, start=1.42),
             "forward_acceleration": FreeNumber(0.0, 0.2, start=0.033),
             "filter": FreeNumber(5.0, 40.0, start=34.0),
@@ -294,7 +296,7 @@ FORMS: Mapping[str, Form] = {
     ),
     "acceleration": Form(
         {
-            **_outer(25.5, 3.1),
+            **_motion_gains(25.5, 3.1),
             "acceleration": FreeNumber(0.0, 0.2, start=0.025),
             "filter": FreeNumber(1.0, 60.0, start=2.5),
         },

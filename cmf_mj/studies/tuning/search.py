@@ -29,10 +29,10 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
 from cmf_mj.studies.engine import libraries
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate, least_damping
-from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate
+from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate_law
 
 FASTER = 1.5  #: Factor on all valve gains at which the loop must still be well damped.
-MEAN = 0.1  #: Weight of the mean bandwidth next to the lowest.
+MEAN_WEIGHT = 0.1  #: Weight of the mean bandwidth next to the lowest.
 Seeds = Sequence[int | None]  #: Sets of valve gains, `valve_gains`.
 
 
@@ -71,7 +71,8 @@ class SearchResult(NamedTuple):
     def verdict(self) -> str:
         """Which limits are not kept, and by how much."""
         excess = self.excess._asdict()
-        broken = [text.format(excess[k]) for k, text in _EXCESS_TEXTS.items() if not excess[k] <= 0]
+        texts = _EXCESS_TEXTS.items()
+        broken = [text.format(excess[name]) for name, text in texts if not excess[name] <= 0]
         if broken:
             return f"limits not kept: {', '.join(broken).replace('%', ' %')}"
         names = (text.partition(" by ")[0] for text in _EXCESS_TEXTS.values())
@@ -87,10 +88,10 @@ def judge(
     if template.frictionless is not template.cabs:
         frictionless = evaluate(law, template.frictionless, seeds)
     faster = evaluate(law, template.frictionless, (None,), scale=FASTER)
-    in_one, in_all = performance.overshoot[..., :-1], performance.overshoot[..., -1]  # `STEPPED`
+    in_one_dof, in_all = np.split(performance.overshoot, [-1], axis=-1)  # as `STEPPED_DOFS`
     worst = Requirements(
         peak_db=performance.peak_db.max(),
-        overshoot=in_one.max(),
+        overshoot=in_one_dof.max(),
         together=in_all.max(),
         tail=np.max([each.tail.max() for each in (performance, frictionless, faster)]),
         margin_db=faster.peak_db.max(),
@@ -104,12 +105,12 @@ def judge(
 def cost(
     form: Form, values: Sequence[float], template: Template, limits: Requirements, seeds: Seeds
 ) -> float:
-    """What is minimised."""
+    """The cost that a search minimises, of a law with these values."""
     with libraries().limit(limits=1):  # the same bits on any number of cores, and faster
-        performance, excess = judge(candidate(form, template, values), template, limits, seeds)
+        performance, excess = judge(candidate_law(form, template, values), template, limits, seeds)
     penalty = sum(over / weight for over, weight in zip(excess, _WEIGHTS, strict=True))
     slowest = min(float(performance.phase_hz.min()), form.reach(form.named(values)))
-    total = -slowest - MEAN * float(performance.phase_hz.mean()) + penalty
+    total = -slowest - MEAN_WEIGHT * float(performance.phase_hz.mean()) + penalty
     return float(total) if np.isfinite(total) else 1e3
 
 
@@ -131,7 +132,7 @@ def search(
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
     limits, law_form = limits or Requirements(), FORMS[check_name("form", form, FORMS)]
-    first = np.array(law_form.start)
+    start = np.array(law_form.start)
     low = np.array([number.low for number in law_form.free.values()])
     high = np.array([number.high for number in law_form.free.values()])
 
@@ -143,9 +144,9 @@ def search(
         warnings.simplefilter("ignore")
         import cma
 
-        share = (first - low) / (high - low)
-        strategy = cma.CMAEvolutionStrategy(share, law_form.spread, options)
-    least_cost, best_values, count = np.inf, first.tolist(), 0
+        start_point = (start - low) / (high - low)
+        strategy = cma.CMAEvolutionStrategy(start_point, law_form.spread, options)
+    least_cost, best_values, count = np.inf, start.tolist(), 0
     while count < evaluations and not strategy.stop():
         points = strategy.ask()
         costs = [cost(law_form, values_of(point), template, limits, seeds) for point in points]
@@ -156,7 +157,7 @@ def search(
             least_cost, best_values = costs[best], values_of(points[best])
         if progress is not None:
             progress(min(count, evaluations), evaluations)
-    law = candidate(law_form, template, best_values)
+    law = candidate_law(law_form, template, best_values)
     performance, excess = judge(law, template, limits, seeds)
     return SearchResult(law, performance, excess, least_cost, count)
 
