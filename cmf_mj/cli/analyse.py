@@ -90,7 +90,7 @@ def measure_command(
 
     measures = measure_recordings(files, dof, estimator, columns, machine)
     paths = report.save_recordings(measures, out)
-    show(report.recordings_table(measures), written(paths))
+    show(report.response_table(measures), written(paths))
 
 
 @drawing("identify")

@@ -119,7 +119,7 @@ def learn_command(
         learnt = learn(asked, law, plants, progress=update, **run)
     paths = report.save_learning(learnt, out)
     show(report.trial_table(learnt), unfolded=True)
-    show(report.verdict(learnt), written(paths, out))
+    show(report.verdict_text(learnt), written(paths, out))
 
 
 @command("flight")
@@ -198,7 +198,7 @@ def omct_command(
 ) -> None:
     """Objective motion cueing test; `--laws none` leaves law and machine out."""
     from cmf_mj.pilot.omct import FREQUENCIES, omct
-    from cmf_mj.show import cueing as report
+    from cmf_mj.show import omct as report
 
     how: dict[str, Any] = {"washout": washout, "cab": cab, "hydraulics": hydraulics}
     frequencies, tested = _QUICK if quick else FREQUENCIES, [] if laws == ["none"] else laws

@@ -119,9 +119,9 @@ def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
 
     def add_options(function: Callable[..., None]) -> Callable[..., None]:
         def draw(figure_format: str | None, **arguments: Any) -> None:
-            from cmf_mj.show.look import printed
+            from cmf_mj.show.look import write_figures_as
 
-            with printed(figure_format):
+            with write_figures_as(figure_format):
                 function(**arguments)
 
         own = signature(function, eval_str=True)

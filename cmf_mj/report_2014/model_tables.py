@@ -152,7 +152,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> LoopFigures:
         times, positions = loop_step(loop.system, 2.0) if stable else ((), ())
         step_axes.plot(times, positions, label=label, color=colour)
         printed = published[f"linear_{loop.model}"]
-        if loop.law.name == printed.law and look.plot_printed(gain, phase, printed, colour):
+        if loop.law.name == printed.law and look.plot_published(gain, phase, printed, colour):
             circles = "; circles: Table 4-1"
     law = f"{loops[0].law.title}, reference to leg position"
     gain.set_title(f"Frequency response, {law}{circles}")

@@ -1,4 +1,4 @@
-"""Tables, figures and files of comparisons."""
+"""Tables, figures and files of comparisons of laws."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.show import look
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import REPORT_AMPLITUDES, CaseResult, dof_amplitude
-from cmf_mj.studies.comparison import PUBLISHED
+from cmf_mj.studies.comparison import PUBLISHED_NAMES
 
 AGREEMENT = 0.1  #: Distance of two readings of -90 deg above which a table shows both [Hz].
 
@@ -55,11 +55,10 @@ def phase_text(measures: Measures, small_motion_hz: float = float("nan")) -> str
     ('3.16/3.52 [3.30]', '-')
     """
     first, later = measures.phase_bandwidth_hz, measures.later_phase_hz
-    has_later, is_grazed = not np.isnan(later), not np.isnan(measures.graze_from_hz)
     text = number(first, ".2f")
-    if has_later:
+    if not np.isnan(later):
         text = f"{text}/{later:.2f}"
-    elif is_grazed:
+    elif not np.isnan(measures.graze_from_hz):
         text = f"~{text}"
     falls = [hertz for hertz in (first, later) if not np.isnan(hertz)]
     distance = min((abs(small_motion_hz - hertz) for hertz in falls), default=np.inf)
@@ -84,7 +83,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
         texts += [cell for cell in cells if isinstance(cell, str)]
         published = by_case[law, dof, plants[0]].published
         if has_published:
-            cells += [getattr(published, name, None) for name in PUBLISHED]
+            cells += [getattr(published, name, None) for name in PUBLISHED_NAMES]
             cells.append(_SOURCE_LETTERS.get(published.of, "") if published else "")
         rows.append([law, dof, *cells])
     marks = [text for mark, text in _MARKS.items() if any(mark in cell for cell in texts)]
@@ -105,18 +104,18 @@ def _cells(result: CaseResult) -> list[Cell]:
 
 
 def _table_title(results: Sequence[CaseResult]) -> str:
-    """Hydraulics and cab, and the size of the sweeps."""
+    """Hydraulics and cab, and the amplitudes of the sweeps."""
     case = results[0].case
     cab = next((result.case.cab_name for result in results if result.case.cab), "")
-    length = case.size / dof_amplitude(case.dof, 1.0)
-    inches = units.from_si("in", length)
-    degrees = units.from_si("deg", dof_amplitude("roll", length))
+    translation = case.size / dof_amplitude(case.dof, 1.0)
+    inches = units.from_si("in", translation)
+    degrees = units.from_si("deg", dof_amplitude("roll", translation))
     plant = f"hydraulics: {case.hydraulics.name}" + (f", cab: {cab}" if cab else "")
     return f"{plant}; simulated sweeps of {inches:.3g} in, {degrees:.3g} deg"
 
 
 def _verdict(result: CaseResult) -> str:
-    """The verdict, with the axis that swings most at the end of the step where that is another."""
+    """The verdict, with the degree of freedom that swings most at the end if not the step's."""
     if result.verdict != "unstable" or result.case.plant != "hexapod":
         return result.verdict
     record, machine = result.step, result.case.motion_base
@@ -128,12 +127,12 @@ def _verdict(result: CaseResult) -> str:
     return result.verdict if dof == result.case.dof else f"{result.verdict} ({dof})"
 
 
-def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
+def _colour_by_law(results: Sequence[CaseResult]) -> dict[str, str]:
     laws = dict.fromkeys(result.case.law.name for result in results)
     return {law: look.COLOURS[i % len(look.COLOURS)] for i, law in enumerate(laws)}
 
 
-def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
+def _curve_style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
     """Laws by colour, plants by line."""
     case, verdict = result.case, result.verdict
     label = ", ".join(filter(None, (case.law.name, case.plant.replace("_", " "), verdict)))
@@ -141,7 +140,7 @@ def _style(result: CaseResult, colours: Mapping[str, str]) -> dict[str, Any]:
     return {"color": colours[case.law.name], "linestyle": line, "label": label}
 
 
-def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
+def _figure_title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
     cab = next((result.case.cab_name.upper() for result in results if result.case.cab), "")
     motion = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
     hydraulics = results[0].case.hydraulics.name
@@ -150,15 +149,15 @@ def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) 
 
 def responses_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
-    first, colours = results[0].case, _colours(results)
-    title = _title("Frequency response", first.dof, first.size, results)
+    first, colours = results[0].case, _colour_by_law(results)
+    title = _figure_title("Frequency response", first.dof, first.size, results)
     figure, gain, phase = look.bode_axes(title, limits=True)
     for result in results:
-        style, printed = _style(result, colours), result.published
+        style, published = _curve_style(result, colours), result.published
         if result.response is not None:
             look.plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
-        if printed is not None:
-            look.plot_printed(gain, phase, printed, style["color"])
+        if published is not None:
+            look.plot_published(gain, phase, published, style["color"])
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
     circles = "circles: published; " if any(result.published for result in results) else ""
@@ -169,7 +168,7 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
 
 def step_figure(results: Sequence[CaseResult]) -> Figure:
     """Step responses of one degree of freedom, and what laws ask of the valve that moves most."""
-    dof, reference, colours = results[0].case.dof, results[0].step, _colours(results)
+    dof, reference, colours = results[0].case.dof, results[0].step, _colour_by_law(results)
     unit, step = dof_unit(dof), reference.signal_as(Step)
     labels, x = (f"{dof} [{unit}]", "valve [%]"), "time after the step [s]"
     figure, (response, command) = look.stack(8.0, 7.0, *labels, x=x, ratios=(2, 1))
@@ -178,7 +177,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     low, high = -0.5 * demand[-1], 2.0 * demand[-1]
     busiest: int | None = None
     for result in results:
-        record, style = result.step, _style(result, colours)
+        record, style = result.step, _curve_style(result, colours)
         try:
             motion = units.from_si(unit, dof_history(record, "leg_position", dof))
         except NoPoseError:
@@ -191,11 +190,12 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
             busiest = int(np.ptp(valves, axis=0).argmax())
             command.set(ylabel=f"valve {busiest + 1} [%]")
         command.plot(record.time - step.at, valves[:, busiest], **style)
-    response.set(title=_title("Step response", dof, step.size, results), ylim=(low, high))
+    title = _figure_title("Step response", dof, step.size, results)
+    response.set(title=title, ylim=(low, high))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
     is_unstable = any(result.verdict == "unstable" for result in results)
-    title = "unstable: legs ring on 12 s after the step" if is_unstable else None
-    look.legend(figure, title=title)
+    note = "unstable: legs ring on 12 s after the step" if is_unstable else None
+    look.legend(figure, title=note)
     return figure
 
 
@@ -204,7 +204,7 @@ _RECORDS = re.compile(rf"({'|'.join(PLANTS)})-.+-({'|'.join(DOFS)})-(chirp|step)
 
 
 def drop_comparison(folder: Path, comparison: Sequence[CaseResult], records: bool) -> int:
-    """Remove the files of an earlier comparison from a folder, and say how many they were.
+    """Remove the files of an earlier comparison from a folder, and return their number.
 
     They are `measures.md`, figures and records by their names; with `records` those of this
     comparison stay. All other files stay.
@@ -229,7 +229,7 @@ def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
     table = comparison_table(comparison)
     files: dict[str, Any] = {"comparison.csv": comparison, "comparison.md": table}
     for dof in dict.fromkeys(result.case.dof for result in comparison):
-        along_dof = [result for result in comparison if result.case.dof == dof]
-        files[f"bode_{dof}.png"] = responses_figure(along_dof)
-        files[f"step_{dof}.png"] = step_figure(along_dof)
+        results = [result for result in comparison if result.case.dof == dof]
+        files[f"bode_{dof}.png"] = responses_figure(results)
+        files[f"step_{dof}.png"] = step_figure(results)
     return look.save_files(files, folder)

@@ -1,4 +1,4 @@
-"""Figures of machines fitted to recordings; tables and figures of identified linear models."""
+"""Figures of machines fitted to recordings; table and files of identified linear models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cmf_mj.studies.fit.doubt import FAR, StatedNumber
 from cmf_mj.studies.fit.engine import Posterior
 from cmf_mj.studies.fit.model import Model
 
-_SHOWN_SECONDS = 4.0  #: Of a recording.
+_SHOWN_SECONDS = 4.0  #: From the start of a recording.
 _SHOWN_PIECES = 4  #: Recordings in the figure.
 
 
@@ -31,43 +31,43 @@ def fit_figures(posterior: Posterior, statements: Sequence[StatedNumber]) -> dic
 
 
 def recording_figure(posterior: Posterior) -> Figure:
-    """A few seconds of each recording held back, else of each fitted, leg 1."""
+    """Leg 1 in the first seconds of recordings held back, or of fitted ones where none is."""
     held_back = bool(posterior.campaign.recordings_where(held_back=True))
     model = Model(posterior.campaign, held_back=held_back)
     machine, pieces = model.plant_at(posterior.z), model.pieces[:_SHOWN_PIECES]
     channel = next((name for name in pieces[0].measured if "pressure" in name), "leg_position")
     scale, unit = (1e-5, "bar") if channel != "leg_position" else (1e3, "mm")
     name = channel.replace("_", " ")
-    figure, axes = stack(7.0, 2.0 * len(pieces) + 1.0, *[f"{name} 1 [{unit}]"] * len(pieces))
-    for axis, piece in zip(axes, pieces, strict=True):
+    figure, panels = stack(7.0, 2.0 * len(pieces) + 1.0, *[f"{name} 1 [{unit}]"] * len(pieces))
+    for axes, piece in zip(panels, pieces, strict=True):
         simulated = model.simulate(piece, posterior.z, machine)
         time = piece.time - piece.time[0]
         is_shown = time <= _SHOWN_SECONDS
         measured, fitted = (
             history[channel][is_shown, 0] for history in (piece.measured, simulated)
         )
-        axis.plot(time[is_shown], scale * measured, label="measured")
-        axis.plot(time[is_shown], scale * fitted, "--", label="fitted machine")
-        axis.set_title(f"{name} of leg 1, {piece.name.replace('_', ' ')}")
-    legend(axes[0])
+        axes.plot(time[is_shown], scale * measured, label="measured")
+        axes.plot(time[is_shown], scale * fitted, "--", label="fitted machine")
+        axes.set_title(f"{name} of leg 1, {piece.name.replace('_', ' ')}")
+    legend(panels[0])
     return figure
 
 
 def statement_figure(statements: Sequence[StatedNumber]) -> Figure:
-    """How far the fitted machine is from each statement, in its deviations."""
+    """Distance of the fitted machine from each statement, over the statement's deviation."""
     figure = new_figure(7.5, 1.3 + 0.21 * len(statements), gridded=False)
     axes = figure.add_subplot()
     axes.axvspan(-FAR, FAR, color="0.92")
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     for role, colour in (("fitted", BLUE), ("held back", ORANGE)):
-        places = [
-            place
-            for place, statement in enumerate(statements)
+        rows = [
+            row
+            for row, statement in enumerate(statements)
             if statement.role == role and np.isfinite(statement.error)
         ]
-        if places:
-            distances = [statements[place].error for place in places]
-            axes.plot(distances, places, "o", color=colour, label=role)
+        if rows:
+            errors = [statements[row].error for row in rows]
+            axes.plot(errors, rows, "o", color=colour, label=role)
     titles = [f"{statement.evidence}, {statement.quantity}" for statement in statements]
     axes.set_yticks(range(len(titles)), titles, fontsize=8)
     axes.invert_yaxis()

@@ -22,20 +22,20 @@ from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import cueing, look
 from cmf_mj.show.player.traces import Panels
 
-_MOTIONS = {
+_STYLES = {
     "aircraft": ("aircraft", look.BLUE, 1.2),
     "asked": ("asked of the platform", look.DARK, 0.9),
     "simulator": ("cab", look.ORANGE, 0.9),
 }
-"""Motions at the pilot's station, and how they are drawn."""
-_SCALE = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
+"""Label, colour and line width of each motion at the pilot's station."""
+_PRINTED_PER_SI = np.array([by_kind(dof, 1e3, 1.0 / DEGREE) for dof in DOFS])
 """Printed units in one SI unit: mm or mm/s^2, and deg or deg/s."""
 _LEAST_CHANGE = 0.01  #: Of a motion along an axis that is drawn [m/s^2, deg/s].
 
 
 def drawn_motions(flight: FlightResult) -> list[cueing.DrawnMotion]:
     """The motions of a flight."""
-    return [cueing.DrawnMotion(getattr(flight, name), *style) for name, style in _MOTIONS.items()]
+    return [cueing.DrawnMotion(getattr(flight, name), *style) for name, style in _STYLES.items()]
 
 
 def saved_traces(records: Sequence[Path]) -> list[Panels]:
@@ -43,13 +43,13 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
 
     They are of the axes along which a motion of any record changes by more than `_LEAST_CHANGE`.
     """
-    files = [{name: path.with_name(f"{name}.parquet") for name in _MOTIONS} for path in records]
+    files = [{name: path.with_name(f"{name}.parquet") for name in _STYLES} for path in records]
     if not all(path.exists() for paths in files for path in paths.values()):
         return []
     panels_by_record = [
         cueing.motion_panels(
             *(
-                cueing.DrawnMotion(load_flight(path).motion, *_MOTIONS[name])
+                cueing.DrawnMotion(load_flight(path).motion, *_STYLES[name])
                 for name, path in paths.items()
             )
         )
@@ -62,7 +62,7 @@ def saved_traces(records: Sequence[Path]) -> list[Panels]:
     return [tuple(compress(panels, has_motion)) for panels in panels_by_record]
 
 
-class _Bar(NamedTuple):
+class _Bars(NamedTuple):
     """Bars of an error, one for each of `MOTION_NAMES`."""
 
     label: str
@@ -74,11 +74,11 @@ def comparison_figure(flights: Sequence[FlightResult]) -> Figure:
     """Perceived size of the machine's error and of the flight's, law by law."""
     figure, first = look.new_figure(12.0, 4.5), flights[0]
     machine_axes, flight_axes = figure.subplots(1, 2)
-    machine_bars = list[_Bar]()
-    flight_bars = [_Bar("machine that follows at once", look.GREY, first.washout_error)]
+    machine_bars = list[_Bars]()
+    flight_bars = [_Bars("machine that follows at once", look.GREY, first.washout_error)]
     for flight, colour in zip(flights, look.COLOURS, strict=False):
-        machine_bars.append(_Bar(flight.law, colour, flight.machine))
-        flight_bars.append(_Bar(flight.law, colour, flight.cueing))
+        machine_bars.append(_Bars(flight.law, colour, flight.machine))
+        flight_bars.append(_Bars(flight.law, colour, flight.cueing))
     _plot_bars(machine_axes, "of the machine: asked less cab", machine_bars)
     _plot_bars(flight_axes, "of the flight: aircraft less cab", flight_bars)
     look.legend(figure)
@@ -86,11 +86,11 @@ def comparison_figure(flights: Sequence[FlightResult]) -> Figure:
     return figure
 
 
-def _plot_bars(axes: Axes, title: str, bars: Sequence[_Bar]) -> None:
-    """Perceived rms errors over their thresholds."""
+def _plot_bars(axes: Axes, title: str, bars: Sequence[_Bars]) -> None:
+    """Draw perceived rms errors over their thresholds."""
     ratios = [bar.error.rms / bar.error.threshold for bar in bars]
-    for place, (bar, ratio) in enumerate(zip(bars, ratios, strict=True)):
-        x = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
+    for index, (bar, ratio) in enumerate(zip(bars, ratios, strict=True)):
+        x = np.arange(6) + 0.8 * ((index + 0.5) / len(bars) - 0.5)
         axes.bar(x, ratio, 0.75 / len(bars), color=bar.colour, label=bar.label)
     axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
     axes.set_xticks(range(6), cueing.MOTION_NAMES)
@@ -108,15 +108,15 @@ def flight_table(flights: Sequence[FlightResult]) -> Table:
         for i, name in enumerate(cueing.MOTION_NAMES)
     ]
     columns += [("flight: f_x [mm/s²]", ".1f"), ("f_y [mm/s²]", ".1f"), ("loop [ms]", ".0f")]
-    ideal_x, ideal_y, *_ = flights[0].washout_error.rms * _SCALE
-    no_errors = ["0"] * len(_SCALE)
+    ideal_x, ideal_y, *_ = flights[0].washout_error.rms * _PRINTED_PER_SI
+    no_errors = ["0"] * len(_PRINTED_PER_SI)
     rows: list[list[Cell]] = [
         ["machine that follows at once", *no_errors, ideal_x, ideal_y, "0", None, None]
     ]
     leg_displacement = LIMITS.index("leg_displacement")
     for flight in flights:
-        force_x, force_y, *_ = flight.cueing.rms * _SCALE
-        errors = [*(flight.machine.rms * _SCALE), force_x, force_y]
+        force_x, force_y, *_ = flight.cueing.rms * _PRINTED_PER_SI
+        errors = [*(flight.machine.rms * _PRINTED_PER_SI), force_x, force_y]
         legs = 100 * flight.use.share[leg_displacement].max()
         rows.append([flight.law, *errors, 1e3 * flight.loop_delay, legs, flight.fault or "none"])
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
@@ -125,7 +125,7 @@ def flight_table(flights: Sequence[FlightResult]) -> Table:
 
 def save_flight(flight: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
-    files: dict[str, Any] = {f"{name}.parquet": getattr(flight, name) for name in _MOTIONS}
+    files: dict[str, Any] = {f"{name}.parquet": getattr(flight, name) for name in _STYLES}
     case = f"{flight.law}, cab {flight.cab}"
     title = f"Motion at the pilot's station: {case}"
     files["motion.png"] = cueing.motion_axes(title, *drawn_motions(flight)).figure
@@ -147,20 +147,20 @@ def trial_table(learnt: Learning) -> Table:
     first, rows = learnt.trials[0], []
     for number, trial in enumerate(learnt.trials):
         shares = [100.0 * trial.legs / first.legs, 100.0 * trial.predicted / first.predicted]
-        errors = [*(trial.pose * _SCALE), 1e3 * trial.legs, *shares]
+        errors = [*(trial.pose * _PRINTED_PER_SI), 1e3 * trial.legs, *shares]
         rows.append([str(number), *errors, trial.held_frames])
     columns = [("legs [mm]", ".3f"), ("left [%]", ".2f"), ("linear [%]", ".2f"), ("held", "d")]
     title = f"tracking error below {BAND:g} Hz, rms; left of the first run's"
     return Table(title, ("trial", *axes, *columns), rows)
 
 
-def verdict(learnt: Learning) -> str:
+def verdict_text(learnt: Learning) -> str:
     """Convergence of the linear models, and the best trial."""
-    of_learner, *of_others = learnt.learner.ratio().max(axis=1)
+    own_ratio, *other_ratios = learnt.learner.ratio().max(axis=1)
     share = learnt.trials[learnt.best].legs / learnt.trials[0].legs
     return (
-        f"largest singular value of Q (1 - L G): {of_learner:.2f} of the machine that learns, "
-        f"{max(of_learner, *of_others):.2f} over machines and poses; best trial {learnt.best}: "
+        f"largest singular value of Q (1 - L G): {own_ratio:.2f} of the machine that learns, "
+        f"{max(own_ratio, *other_ratios):.2f} over machines and poses; best trial {learnt.best}: "
         f"{share:.2%} left"
     )
 
@@ -174,9 +174,10 @@ def learning_figure(learnt: Learning) -> Figure:
         errors = [1e3 * getattr(trial, name) for trial in learnt.trials]
         trials.semilogy(errors, style, label=label)
     trials.set(xlabel="trial", ylabel=f"legs below {BAND:g} Hz, rms as sensed [mm]")
-    lines, values = filter_frequencies(len(learnt.reference.time)), learnt.learner.ratio()
-    ratio.plot(lines, values[1:].T, color=look.GREY, linewidth=0.8)
-    ratio.plot(lines, values[0], label="machine that learns, mean pose (grey: others, other poses)")
+    hertz = filter_frequencies(len(learnt.reference.time))
+    own_ratio, *other_ratios = learnt.learner.ratio()
+    ratio.plot(hertz, np.transpose(other_ratios), color=look.GREY, linewidth=0.8)
+    ratio.plot(hertz, own_ratio, label="machine that learns, mean pose (grey: others, other poses)")
     ratio.axhline(1.0, color=look.DARK, linestyle=":")
     ratio.set(ylabel="largest singular value of Q (1 - L G)")
     look.frequency_axis(ratio.xaxis)

@@ -1,4 +1,4 @@
-"""Tables, figures and files of a linearised plant, and of hydraulic modes over the envelope."""
+"""A linearised plant with loops of a law, and hydraulic modes: study, tables, figures, files."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ class LinearizationStudy(NamedTuple):
     law: str
     modes: tuple[Mode, ...]
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
-    loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
+    loops: dict[str, FrequencyResponse]  #: Position per demand under the law, likewise.
     stable: bool  #: The verdict on all of these loops.
     slowest_pole: complex  #: The pole of the loops that grows most, or decays least [rad/s].
     margins: NDArray[np.float64]  #: Of the loops: gain [dB], phase [deg], (n, 2).
@@ -90,7 +90,7 @@ def save_system(system: control.StateSpace, path: Path, description: Mapping[str
 _LEAST_SHARE = 0.1  #: Of a kind of state or a degree of freedom that a table names.
 
 
-def _title(study: LinearizationStudy) -> str:
+def _plant_text(study: LinearizationStudy) -> str:
     plant, pose = study.linear.plant, np.asarray(study.linear.pose, dtype=float)
     name = f"{plant.name} {plant.cab}".strip().replace("_", " ")
     return f"{name}, {plant.parameters.name}, {pose_text(pose)}"
@@ -104,7 +104,7 @@ def _shares_text(share_by_name: Mapping[str, float]) -> str:
 
 
 def pole_table(study: LinearizationStudy) -> Table:
-    """All modes: pole, frequency, damping, what takes part; one row for poles that coincide."""
+    """All modes: pole, frequency, damping, participation; one row for poles that coincide."""
     groups: list[list[Mode]] = []
     for mode in study.modes:
         if groups and np.isclose(mode.pole, groups[-1][0].pole, rtol=1e-6, atol=1e-6):
@@ -113,7 +113,7 @@ def pole_table(study: LinearizationStudy) -> Table:
             groups.append([mode])
     rows = []
     for group in groups:
-        mode = group[0]
+        mode, *others = group
         pole, hertz = f"{mode.pole.real:.4g}", f"{mode.frequency / (2.0 * np.pi):.3g}"
         if np.isnan(mode.damping_ratio):
             pole = hertz = "0"
@@ -121,14 +121,14 @@ def pole_table(study: LinearizationStudy) -> Table:
             pole += f" ± {mode.pole.imag:.4g}j"
         mechanical_share = mode.participation["motion"] + mode.participation["oil"]
         dofs = legs = ""
-        if len(group) == 1 and mechanical_share >= _LEAST_SHARE:
+        if not others and mechanical_share >= _LEAST_SHARE:
             dofs = _shares_text(dict(zip(DOFS, mode.dof_shares, strict=True)))
             legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
         states = _shares_text(mode.participation)
         rows.append((pole, hertz, mode.damping_ratio, str(len(group)), states, dofs, legs))
     columns = ("pole [rad/s]", ("Hz", ""), ("damping", ".3f"), ("times", ""))
     return Table(
-        f"modes: {_title(study)}",
+        f"modes: {_plant_text(study)}",
         (*columns, "states", "degrees of freedom", "legs"),
         rows,
         "shares of states by participation factors, of degrees of freedom in the leg "
@@ -139,16 +139,16 @@ def pole_table(study: LinearizationStudy) -> Table:
 def loop_table(study: LinearizationStudy) -> Table:
     """Bandwidths and margins of the law's loops."""
     rows = []
-    for (name, loop), margins_of_loop in zip(study.loops.items(), study.margins, strict=True):
-        measures = measures_from(bandwidths(loop))
-        widths_of_loop = measures.gain_bandwidth_hz, measures.peak_gain_db
-        cells = (phase_text(measures), *widths_of_loop, *margins_of_loop)
+    for (name, response), margins in zip(study.loops.items(), study.margins, strict=True):
+        measures = measures_from(bandwidths(response))
+        widths = measures.gain_bandwidth_hz, measures.peak_gain_db
+        cells = (phase_text(measures), *widths, *margins)
         rows.append((name, *(cells if study.stable else ["unstable"] * len(cells))))
-    widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
-    margins = (("gain margin [dB]", ".1f"), ("phase margin [deg]", ".0f"))
+    width_columns = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
+    margin_columns = (("gain margin [dB]", ".1f"), ("phase margin [deg]", ".0f"))
     return Table(
         f"{study.law} around the linearised plant",
-        ("dof", *widths, *margins),
+        ("dof", *width_columns, *margin_columns),
         rows,
         f"'-': not reached below {FREQUENCIES[-1]:g} Hz; margins: at the valve commands along one "
         "axis, the others closed; negative: of a gain that falls, or a phase that leads"
@@ -180,11 +180,11 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         "state_space.json": partial(save_system, study.linear.system, description=description),
         "modes.csv": pole_table(study),
     }
-    title = f"Position per command, all legs by J\n{_title(study)}"
+    title = f"Position per command, all legs by J\n{_plant_text(study)}"
     plant_figure, gain, _ = look.bode_figure(title, study.responses)
     gain.set(ylabel="gain [dB of m]")
     unstable = "" if study.stable else ", unstable"
-    title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
+    title = f"Demand to position, {study.law}{unstable}\n{_plant_text(study)}"
     loop_figure, *_ = look.bode_figure(title, study.loops, stable=study.stable, limits=True)
     return look.save_files(files | {"bode.png": plant_figure, "loop.png": loop_figure}, folder)
 
@@ -200,9 +200,9 @@ def _energy_shares(shares: NDArray[np.float64]) -> list[tuple[str, float]]:
 
 
 def mode_names(modes: HydraulicModes) -> list[str]:
-    """The degree of freedom with most of each mode's kinetic energy, and the next with a share."""
-    largest = (_energy_shares(shares)[:2] for shares in modes.share.T)
-    return [" with ".join(dof for dof, share in pair if share > _NAMING_SHARE) for pair in largest]
+    """One or two degrees of freedom with most of each mode's kinetic energy, as its name."""
+    pairs = (_energy_shares(shares)[:2] for shares in modes.share.T)
+    return [" with ".join(dof for dof, share in pair if share > _NAMING_SHARE) for pair in pairs]
 
 
 def _names_at_neutral(envelope: EnvelopeModes) -> list[str]:
@@ -213,14 +213,14 @@ def _names_at_neutral(envelope: EnvelopeModes) -> list[str]:
 def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     """Frequency, mass a leg feels, and what moves in each mode; `name` is the pose's."""
     rows = []
-    columns = (mode_names(modes), modes.frequency_hz, modes.leg_mass, modes.share.T)
-    for mode, hertz, leg_mass, shares in zip(*columns, strict=True):
-        listed = [pair for pair in _energy_shares(shares) if pair[1] > _LISTED_SHARE]
+    properties = (mode_names(modes), modes.frequency_hz, modes.leg_mass, modes.share.T)
+    for mode, hertz, leg_mass, shares in zip(*properties, strict=True):
+        listed = [(dof, share) for dof, share in _energy_shares(shares) if share > _LISTED_SHARE]
         text = ", ".join(f"{dof} {100.0 * share:.0f} %" for dof, share in listed)
         rows.append((mode, hertz, units.from_si("lbm", leg_mass), text))
-    numbers = ("mode", ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
+    columns = ("mode", ("frequency [Hz]", ".2f"), ("mass a leg feels [lbm]", ".0f"))
     title = ", ".join(filter(None, (modes.cab.upper(), name, pose_text(modes.pose, ".1f"))))
-    return Table(title, (*numbers, "share of the kinetic energy"), rows)
+    return Table(title, (*columns, "share of the kinetic energy"), rows)
 
 
 def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
@@ -241,15 +241,15 @@ def sweep_figure(ranges: Sequence[EnvelopeModes], sweeps: Sequence[Sequence[Swee
     figure = look.new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
     for line, sweeps_of_cab in zip(cycle(_LINE_STYLES), sweeps, strict=False):
-        for axis, sweep in zip(panels.flat, sweeps_of_cab, strict=True):
+        for axes, sweep in zip(panels.flat, sweeps_of_cab, strict=True):
             unit = dof_unit(sweep.dof)
             excursion = units.from_si(unit, sweep.excursion)
             for hertz, colour in zip(sweep.frequency_hz.T, look.COLOURS, strict=False):
-                axis.plot(excursion, hertz, line, color=colour)
+                axes.plot(excursion, hertz, line, color=colour)
             down = ", down" if sweep.dof == "heave" else ""
-            axis.set_xlabel(f"{sweep.dof} [{unit}]{down}")
-    for axis in panels[:, 0]:
-        look.frequency_axis(axis.yaxis)
+            axes.set_xlabel(f"{sweep.dof} [{unit}]{down}")
+    for axes in panels[:, 0]:
+        look.frequency_axis(axes.yaxis)
     names_by_mode = zip(*(_names_at_neutral(envelope) for envelope in ranges), strict=True)
     entries = [
         Line2D([], [], color=colour, label=" or ".join(dict.fromkeys(names)))

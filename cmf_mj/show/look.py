@@ -1,4 +1,4 @@
-"""How every figure looks: palette, grid, Bode axes and panels, and how it becomes a file."""
+"""How every figure looks: palette, grid, Bode axes, panels; and how contents become files."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,9 +29,7 @@ BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK = (
 )  # fmt: skip
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, BLACK, "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
-
 FAINT = 0.3  #: Opacity of pale curves.
-
 DARK, GREY, PALE = "0.2", "0.6", "0.9"  #: Colours of limits, of references, and of grids.
 
 STYLE: dict[str, Any] = {
@@ -48,22 +46,21 @@ STYLE: dict[str, Any] = {
 """Style of all axes."""
 
 FORMATS = ("png", "svg", "pdf")  #: Of the files of figures.
-
 _SMALLEST_TEXT = 9.0 * 72.0 / 1280.0  #: 9 px of 1280 px across, for a figure 1 in wide [points].
 
-_FORM: ContextVar[str | None] = ContextVar("form", default=None)
+_FORMAT: ContextVar[str | None] = ContextVar("format", default=None)
 """Format of all figures that are written; None as the name of each ends."""
 
 
 @contextmanager
-def printed(form: str | None = None) -> Iterator[None]:
+def write_figures_as(form: str | None = None) -> Iterator[None]:
     """Write all figures in a format: png, svg or pdf."""
     check_name("figure_format", form or "png", FORMATS)
-    token = _FORM.set(form)
+    token = _FORMAT.set(form)
     try:
         yield
     finally:
-        _FORM.reset(token)
+        _FORMAT.reset(token)
 
 
 class _Figure(Figure):
@@ -93,27 +90,27 @@ def stack(
     """A figure of axes above each other, one for each label of y, all over the same `x`."""
     figure = new_figure(width, height)
     options: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": ratios}
-    axes = list(figure.subplots(len(labels), 1, **options)[:, 0])
-    for axis, label in zip(axes, labels, strict=True):
-        axis.set_ylabel(label)
-    axes[-1].set_xlabel(x)
-    return figure, axes
+    rows = list(figure.subplots(len(labels), 1, **options)[:, 0])
+    for axes, label in zip(rows, labels, strict=True):
+        axes.set_ylabel(label)
+    rows[-1].set_xlabel(x)
+    return figure, rows
 
 
-def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+def shade(axes: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
     """Shade the stretches of time `where` a condition is true."""
-    over_all = axis.get_xaxis_transform()
-    style: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "transform": over_all}
-    axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
+    full_height = axes.get_xaxis_transform()
+    style: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "transform": full_height}
+    axes.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
 def legend(*targets: Axes | Figure, **options: Any) -> None:
     """A small legend beside each of the axes; or below all axes of a figure, a name once."""
     for target in targets:
-        place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+        layout: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         if isinstance(target, Figure):
-            place = _figure_legend(target, options.pop("handles", ()))
-        target.legend(**{"fontsize": 8, "frameon": False, **place, **options})
+            layout = _figure_legend(target, options.pop("handles", ()))
+        target.legend(**{"fontsize": 8, "frameon": False, **layout, **options})
 
 
 def _figure_legend(figure: Figure, handles: Iterable[Any]) -> dict[str, Any]:
@@ -170,12 +167,12 @@ def plot_bode(
     """
     is_clear = ~(response.coherence < CLEAR) | (not stable)
     opacity = 1.0 if stable else FAINT
-    for axis, values in ((gain, response.gain_db), (phase, response.phase_deg)):
+    for axes, values in ((gain, response.gain_db), (phase, response.phase_deg)):
         clear_values = np.where(is_clear, values, np.nan)
-        (line,) = axis.plot(response.frequency, clear_values, alpha=opacity, **style)
+        (line,) = axes.plot(response.frequency, clear_values, alpha=opacity, **style)
         style |= {"color": line.get_color(), "label": None}
         if not is_clear.all():
-            axis.plot(response.frequency, values, alpha=FAINT, **style)
+            axes.plot(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
 
 
@@ -198,12 +195,12 @@ def bode_figure(
     return figure, gain, phase
 
 
-def plot_printed(gain: Axes, phase: Axes, printed: Published, colour: str) -> bool:
-    """Draw published bandwidths as circles, and say whether there were any."""
-    gain_hz, phase_hz = printed.gain_bandwidth_hz, printed.phase_bandwidth_hz
-    for axis, hertz, level in ((gain, gain_hz, -3.0), (phase, phase_hz, -90.0)):
+def plot_published(gain: Axes, phase: Axes, published: Published, colour: str) -> bool:
+    """Draw published bandwidths as circles; true if there are any."""
+    gain_hz, phase_hz = published.gain_bandwidth_hz, published.phase_bandwidth_hz
+    for axes, hertz, level in ((gain, gain_hz, -3.0), (phase, phase_hz, -90.0)):
         if hertz is not None:
-            axis.plot(hertz, level, "o", color=colour, fillstyle="none")
+            axes.plot(hertz, level, "o", color=colour, fillstyle="none")
     return bool(gain_hz or phase_hz)
 
 
@@ -212,15 +209,15 @@ def plot_bound(gain: Axes, phase: Axes, response: FrequencyResponse, **style: An
     share = np.minimum(response.bound / np.abs(response.response), 0.99)
     gain_change = 20.0 * np.log10(np.clip([1.0 - share, 1.0 + share], 1e-3, None))
     angle = np.degrees(np.arcsin(share))
-    for axis, values, (low, high) in (
+    for axes, values, (low, high) in (
         (gain, response.gain_db, gain_change),
         (phase, response.phase_deg, (-angle, angle)),
     ):
-        axis.fill_between(response.frequency, values + low, values + high, alpha=0.25, **style)
+        axes.fill_between(response.frequency, values + low, values + high, alpha=0.25, **style)
 
 
 def _make_readable(figure: Figure) -> None:
-    """Give the text of a figure at least the smallest size."""
+    """Give every text of a figure at least the smallest size, and wrap its titles."""
     smallest = _SMALLEST_TEXT * float(figure.get_figwidth())
     for text in figure.findobj(Text):
         text.set_fontsize(max(float(text.get_fontsize()), smallest))
@@ -237,12 +234,12 @@ def _axes_of(figure: Figure) -> list[Axis]:
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
-    """Write a figure by the ending of the name and release its memory; `printed` changes it.
+    """Write a figure by the ending of the name and release its memory.
 
-    The file appears when it is complete, and the same figure gives the same bits: no date, no names
-    of programs. Folders are made.
+    `write_figures_as` changes the ending. The file appears when it is complete, and the same figure
+    gives the same bits: no date, no names of programs. Folders are made.
     """
-    form = _FORM.get()
+    form = _FORMAT.get()
     path = path if form is None else path.with_suffix(f".{form}")
     kind = path.suffix.removeprefix(".")
     _make_readable(figure)

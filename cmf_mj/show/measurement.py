@@ -24,7 +24,7 @@ from cmf_mj.studies.measurement import RecordingMeasures, accelerations, driven_
 
 Array = NDArray[np.float64]
 
-RESPONSE = tuple(
+RESPONSE_FIELDS = tuple(
     Field("", title, form, "", path, about=about)
     for path, title, form, about in (
         ("measures.phase_bandwidth_hz", "-90 deg bandwidth", ".3f Hz", "first fall through it"),
@@ -38,12 +38,12 @@ RESPONSE = tuple(
 )
 
 
-def recordings_table(measures: RecordingMeasures) -> Table:
-    """Bandwidths and peak of recordings."""
+def response_table(measures: RecordingMeasures) -> Table:
+    """Bandwidths, peak and coherence of the response that recordings show."""
     response = measures.response
     least_coherence = response.coherence.min()
     values = {"measures": measures_from(bandwidths(response)), "coherence": least_coherence}
-    rows = lines(values, RESPONSE)
+    rows = lines(values, RESPONSE_FIELDS)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
     reason = f"not excited, or of a coherence below {CLEAR:g}"
     rows.append(("lines left out", str(measures.left_out), reason))
@@ -76,21 +76,21 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
         "radius_95": response.bound,
     }
     figure = response_figure(title, measures.files[0].stem, response)
-    table = recordings_table(measures)
+    table = response_table(measures)
     files = {"response.csv": columns, "response.png": figure, "measures.csv": table}
     return look.save_files(files, folder)
 
 
-def _histories(master: Master, name: str, axis: int, count: int) -> tuple[Array, Array]:
-    """Motion and acceleration along an axis in repetitions of a test, `count` samples, (n, N)."""
+def _histories(master: Master, name: str, dof: int, count: int) -> tuple[Array, Array]:
+    """Motion and acceleration in one degree of freedom in the repetitions of a test, (n, count)."""
     records, machine = master.records[name], master.bench.plant.machine
-    motion = [legs_to_pose(record["leg_position"], machine)[:count, axis] for record in records]
-    acceleration = [accelerations(record)[:count, axis] for record in records]
+    motion = [legs_to_pose(record["leg_position"], machine)[:count, dof] for record in records]
+    acceleration = [accelerations(record)[:count, dof] for record in records]
     return np.array(motion), np.array(acceleration)
 
 
-def _largest_axis(demand: Array) -> int:
-    """The axis that a demand moves most, of translations if any moves."""
+def _main_dof(demand: Array) -> int:
+    """Index of the degree of freedom that a demand moves most, of translations if any moves."""
     reach = np.ptp(demand, axis=0)
     translation, rotation = np.split(reach, 2)
     if translation.max() > 0.1 * rotation.max():
@@ -98,43 +98,43 @@ def _largest_axis(demand: Array) -> int:
     return len(translation) + int(np.argmax(rotation))
 
 
-def overplot(master: Master, new: Master, name: str) -> Figure:
-    """A test along the axis that moves most: motion, acceleration, and both less the master's mean.
+def overplot_figure(master: Master, new: Master, name: str) -> Figure:
+    """A test in its main degree of freedom: motion, motion less the master's mean, acceleration.
 
     The band is twice the deviation of the master's repetitions.
     """
     first = master.records[name][0]
     demand = legs_to_pose(first["leg_reference"], master.bench.plant.machine)
-    axis = _largest_axis(demand)
-    unit, is_compared = by_kind(DOFS[axis], "m", "rad"), new is not master
+    dof = _main_dof(demand)
+    unit, is_compared = by_kind(dof, "m", "rad"), new is not master
     difference = "now less master" if is_compared else "repetitions less mean"
-    labels = (f"{DOFS[axis]} [{unit}]", f"{difference} [{unit}]", f"acceleration [{unit}/s^2]")
+    labels = (f"{DOFS[dof]} [{unit}]", f"{difference} [{unit}]", f"acceleration [{unit}/s^2]")
     figure, (motion, deviation, acceleration) = look.stack(8.0, 6.5, *labels)
     count = min(len(record.time) for record in (*master.records[name], *new.records[name]))
     time = first.time[:count]
-    motions, accelerations_of_master = _histories(master, name, axis, count)
-    mean = motions.mean(axis=0)
-    band = 2.0 * np.sqrt(((motions - mean) ** 2).sum(axis=0) / max(1, len(motions) - 1))
-    motion.plot(time, demand[:count, axis], color=look.GREY, lw=0.8, label="demand")
+    master_motions, master_accelerations = _histories(master, name, dof, count)
+    mean, freedom = master_motions.mean(axis=0), max(1, len(master_motions) - 1)
+    band = 2.0 * np.sqrt(((master_motions - mean) ** 2).sum(axis=0) / freedom)
+    motion.plot(time, demand[:count, dof], color=look.GREY, lw=0.8, label="demand")
     motion.plot(time, mean, color=look.DARK, label="master")
     deviation.fill_between(time, -band, band, color=look.BLUE, alpha=0.3, label="repetitions")
-    acceleration.plot(time, accelerations_of_master.mean(axis=0), color=look.DARK)
+    acceleration.plot(time, master_accelerations.mean(axis=0), color=look.DARK)
     if is_compared:
-        for moved, accelerated in zip(*_histories(new, name, axis, count), strict=True):
-            motion.plot(time, moved, "--", color=look.ORANGE, lw=0.9, label="now")
-            deviation.plot(time, moved - mean, color=look.ORANGE, lw=0.7)
-            acceleration.plot(time, accelerated, "--", color=look.ORANGE, lw=0.9)
+        for new_motion, new_acceleration in zip(*_histories(new, name, dof, count), strict=True):
+            motion.plot(time, new_motion, "--", color=look.ORANGE, lw=0.9, label="now")
+            deviation.plot(time, new_motion - mean, color=look.ORANGE, lw=0.7)
+            acceleration.plot(time, new_acceleration, "--", color=look.ORANGE, lw=0.9)
     title = master.bench.tests[name].title.lower()
-    motion.set_title(f"Motion in {DOFS[axis]}, {title} ({name.replace('_', ' ')})")
+    motion.set_title(f"Motion in {DOFS[dof]}, {title} ({name.replace('_', ' ')})")
     look.legend(figure)
     return figure
 
 
-def _figures(master: Master, new: Master) -> dict[str, Figure]:
+def _guide_figures(master: Master, new: Master) -> dict[str, Figure]:
     """Over-plots of tests, and Bode plots of those with frequency responses, by file."""
     figures = {}
     for name in [name for name in master.records if name in new.records]:
-        figures[f"{name}.png"] = overplot(master, new, name)
+        figures[f"{name}.png"] = overplot_figure(master, new, name)
         test = master.bench.tests[name]
         if "response" in test.measures:
             curves, _ = driven_responses(master.records[name][0])
@@ -146,18 +146,18 @@ def _figures(master: Master, new: Master) -> dict[str, Figure]:
     return figures
 
 
-def _about(master: Master) -> list[Table | str]:
-    """What a guide is, on which machine, and its recordings."""
+def _description(master: Master) -> list[Table | str]:
+    """What a guide is, on which machine, its tests and recordings."""
     head, bench = master.head, master.bench
     machine = ", ".join(f"{key} {value}" for key, value in bench.identity.items())
     origin = "simulated with noisy electronics" if head.simulated else "recorded"
     rows = []
     for name, test in bench.tests.items():
         limits = [f"{measure} up to {limit:g}" for measure, limit in test.limits.items()]
-        limit = ", ".join(limits) or test.no_limit
+        limit_text = ", ".join(limits) or test.no_limit
         count = str(len(master.records.get(name, ())))
         rows.append(
-            (name, test.source, test.conditions, f"{bench.used_share[name]:.0%}", count, limit)
+            (name, test.source, test.conditions, f"{bench.used_share[name]:.0%}", count, limit_text)
         )
     left_out = list({**bench.impossible, **head.left_out}.items())
     columns = ("test", "source", "conditions", "use of limits", "repetitions", "limit, or why none")
@@ -205,14 +205,16 @@ def save_guide(
         "recordings of both."
     )
     measures = Result(rows, fields_of(Compared), "Measures", caption)
-    files: dict[str, Any] = {**_figures(master, new), "measures.csv": measures}
+    files: dict[str, Any] = {**_guide_figures(master, new), "measures.csv": measures}
     tables = [verdict_table(rows), measures.table]
     if causes:
         files["causes.csv"] = causes_table(causes)
         tables.insert(1, causes_table(causes).table)
-    about = _about(master) if new is master else [f"{new.folder} against {master.folder}"]
+    description = (
+        _description(master) if new is master else [f"{new.folder} against {master.folder}"]
+    )
     blocks = [f"# {master.head.guide.title}"]
-    for block in (*about, *tables):
+    for block in (*description, *tables):
         is_table = isinstance(block, Table)
         blocks.append(f"## {block.title}\n\n{block.markdown()}" if is_table else block)
     blocks += [f"![{Path(name).stem}]({name})" for name in files if name.endswith(".png")]

@@ -1,4 +1,4 @@
-"""Tables, figures and files of runs: overview, account of host frames, timing, replay."""
+"""Tables, figures and files of runs: overview, account of host frames, real time, replay."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -46,10 +46,10 @@ def overview_figure(
     if has_states:
         height_by_label = {"": 1.2} | height_by_label
     height, ratios = 11.0 if has_states else 9.6, list(height_by_label.values())
-    figure, axes = look.stack(9.0, height, *height_by_label, ratios=ratios)
-    *state_axes, motion, error, valve, pressure, supply = axes
-    for axis in state_axes:
-        _plot_states(axis, record)
+    figure, panels = look.stack(9.0, height, *height_by_label, ratios=ratios)
+    *state_panels, motion, error, valve, pressure, supply = panels
+    for panel in state_panels:
+        _plot_states(panel, record)
     plot_motion(motion, record)
     leg_error = (record["leg_reference"] - record["leg_extension"]) / units.INCH
     error.plot(time, leg_error, lw=0.8, label=_leg_names(leg_error))
@@ -60,27 +60,27 @@ def overview_figure(
     for name, colour in (("supply", look.DARK), ("return", look.GREY)):
         supply.plot(time, record[f"{name}_pressure"] / units.PSI, color=colour, lw=1.0, label=name)
     supply.set_ylim(bottom=0.0)
-    for axis in axes:
+    for panel in panels:
         for change in changes:
-            axis.axvline(change, color="0.4", ls=":", lw=0.9)
+            panel.axvline(change, color="0.4", ls=":", lw=0.9)
         for event in events:
-            axis.axvline(event, color="#b00020", ls="--", lw=0.9)
+            panel.axvline(event, color="#b00020", ls="--", lw=0.9)
     look.legend(motion, error, supply)
-    figure.align_ylabels(axes)
+    figure.align_ylabels(panels)
     run = title or f"{record.metadata['plant']}, {record.metadata['law']}"
     figure.suptitle(f"Motion, valves and pressures: {run}")
     return figure
 
 
-def _plot_states(axis: Axes, record: Record) -> None:
+def _plot_states(axes: Axes, record: Record) -> None:
     """Operating states by name, shaded where the host was silent or late."""
-    axis.step(record.time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
-    axis.set_yticks([int(state) for state in State], [state.name.lower() for state in State])
-    axis.set_ylim(-0.5, len(State) - 0.5)
+    axes.step(record.time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
+    axes.set_yticks([int(state) for state in State], [state.name.lower() for state in State])
+    axes.set_ylim(-0.5, len(State) - 0.5)
     if "host_stale" in record.channels:
         is_missing = np.maximum(record["host_stale"], record["host_late"]) > 0.5
-        look.shade(axis, record.time, is_missing)
-        axis.set_title("operating state; shaded: host silent or late")
+        look.shade(axes, record.time, is_missing)
+        axes.set_title("operating state; shaded: host silent or late")
 
 
 def _leg_names(values: NDArray[np.float64]) -> list[str]:
@@ -100,27 +100,27 @@ def save_run(record: Record, scenario: Run, folder: Path) -> list[Path]:
     return look.save_files(files, folder)
 
 
-def plot_motion(axis: Axes, record: Record) -> None:
-    """Demand, grey, and response of what is moved; lengths in in, angles in deg."""
+def plot_motion(axes: Axes, record: Record) -> None:
+    """Demand, grey, and response of all that the demand moves; lengths in in, angles in deg."""
     demand, time = record["demand_pose"], record.time
-    moved = np.flatnonzero(np.ptp(demand, axis=0) > _LEAST_DEMAND)
+    driven_dofs = np.flatnonzero(np.ptp(demand, axis=0) > _LEAST_DEMAND)
     pose = record.channels.get("platform_pose")
     if pose is None:
-        axis.plot(time, record["leg_reference"] / units.INCH, color="0.7", lw=2.0)
-        axis.set_prop_cycle(color=look.COLOURS)
+        axes.plot(time, record["leg_reference"] / units.INCH, color="0.7", lw=2.0)
+        axes.set_prop_cycle(color=look.COLOURS)
         extension = record["leg_extension"] / units.INCH
-        axis.plot(time, extension, lw=0.9, label=_leg_names(extension))
-        axis.set_ylabel("legs [in]")
+        axes.plot(time, extension, lw=0.9, label=_leg_names(extension))
+        axes.set_ylabel("legs [in]")
         return
-    for dof in moved.tolist() or range(6):
+    for dof in driven_dofs.tolist() or range(6):
         unit = dof_unit(dof)
-        axis.plot(time, units.from_si(unit, demand[:, dof]), color="0.7", lw=2.0)
+        axes.plot(time, units.from_si(unit, demand[:, dof]), color="0.7", lw=2.0)
         response, label = units.from_si(unit, pose[:, dof]), f"{DOFS[dof]} [{unit}]"
-        axis.plot(time, response, color=look.COLOURS[dof], lw=0.9, label=label)
-    axis.set_ylabel("demand (grey), response")
+        axes.plot(time, response, color=look.COLOURS[dof], lw=0.9, label=label)
+    axes.set_ylabel("demand (grey), response")
 
 
-_MEANINGS = {
+_MEANING_BY_COUNT = {
     "received": "good datagrams of the host",
     "early": "before the clock started",
     "lost": "between receiver and loop",
@@ -139,28 +139,28 @@ _MEANINGS = {
 def account_table(
     operation: Operation, received: int | None = None, datagrams: Mapping[str, int] | None = None
 ) -> Table:
-    """The account as a table; of the reasons only those that occurred."""
+    """The account of host frames as a table; of the reasons of refusal those that occurred."""
     rows = []
     for name, count in account(operation, received, datagrams).items():
         if count or name in ("received", "accepted", "late", "missing"):
-            fate = "datagrams dropped" if name in (datagrams or {}) else "refused by the DCU"
-            rows.append((name, count, _MEANINGS.get(name, fate)))
+            refusal = "datagrams dropped" if name in (datagrams or {}) else "refused by the DCU"
+            rows.append((name, count, _MEANING_BY_COUNT.get(name, refusal)))
     return Table("host", ("host frames", ("count", "d"), "meaning"), rows)
 
 
-_US = 1e6  #: Microseconds in a second.
+_TO_US = 1e6  #: Microseconds in a second.
 
 
 def timing_table(timing: Timing) -> Table:
     """Computing time and lateness of the frames."""
     frames = timing.busy.size
     rows = [
-        (f"{percent:g} % of frames below", f"{_US * timing.percentile(percent):.1f} us")
+        (f"{percent:g} % of frames below", f"{_TO_US * timing.percentile(percent):.1f} us")
         for percent in (50.0, 90.0, 99.0, 99.9)
     ]
     rows += [
-        ("largest", f"{_US * timing.busy.max():.1f} us"),
-        (f"over {_US * FRAME:.0f} us of computing", f"{timing.overrun_frames} of {frames}"),
+        ("largest", f"{_TO_US * timing.busy.max():.1f} us"),
+        (f"over {_TO_US * FRAME:.0f} us of computing", f"{timing.overrun_frames} of {frames}"),
         ("largest lateness", f"{1e3 * timing.late.max():.3f} ms"),
         ("begun more than a frame late", f"{int((timing.late > FRAME).sum())} of {frames}"),
     ]
@@ -197,12 +197,12 @@ def replay_figure(replayed: Replay) -> Figure:
     figure, (*legs, difference) = look.stack(9.0, 8.0, *labels, "largest\ndifference [%]")
     if replayed.recorded is not None:
         recorded = 100.0 * replayed.recorded
-        for axis, values in zip(legs, recorded.T, strict=True):
-            axis.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
+        for leg, values in zip(legs, recorded.T, strict=True):
+            leg.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
         largest = np.abs(output - recorded).max(axis=1)
         difference.plot(replayed.time, largest, color=look.ORANGE, linewidth=0.8)
-    for axis, values in zip(legs, output.T, strict=True):
-        axis.plot(replayed.time, values, color=look.BLUE, linewidth=0.8)
+    for leg, values in zip(legs, output.T, strict=True):
+        leg.plot(replayed.time, values, color=look.BLUE, linewidth=0.8)
     legs[0].set_title(f"compensator output: recorded (grey) and {replayed.law} replayed (blue)")
     return figure
 

@@ -3,8 +3,8 @@
 The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in; `run_case` does
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 
-Beside a case's measures stand -90 deg of small motion (`small_loop`), and the verdict of a short
-simulation in which all degrees of freedom step at once (`swing_after_step`).
+Beside a case's measures stand -90 deg of small motion (`small_motion_loop`), and the verdict of a
+short simulation in which all degrees of freedom step at once (`swing_after_step`).
 """
 
 from dataclasses import KW_ONLY, dataclass, field, fields
@@ -40,14 +40,11 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
 
 AMPLITUDE = 0.33 * units.INCH  #: Translational amplitude of the report's frequency responses [m].
-
 ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
 """The report takes 0.2 deg in rotation to 0.33 in in translation (Appendix D) [rad/m]."""
-
 STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE  #: The report steps 1 in and sweeps 0.33 in.
 
 FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0  #: Durations of the chirp [s].
-
 RECORDER = 128  #: Rows of a record in a second, at least, as of the facility's recorder [Hz].
 
 _SMALL_MOTION_HZ = np.linspace(0.1, 19.9, 1999)  #: Lines of small motion; sweeps end at 10 Hz.
@@ -67,7 +64,8 @@ def frames_a_row(machine: Machine, rate: int) -> int:
 
     Or of as few more as make rows and frames a second whole numbers.
     """
-    return max((n for n in range(1, machine.rate // rate + 1) if machine.rate % n == 0), default=1)
+    candidates = range(1, machine.rate // rate + 1)
+    return max((frames for frames in candidates if machine.rate % frames == 0), default=1)
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class Case:
 
     @property
     def segment(self) -> float:
-        """Length of the segments the sweep is estimated from [s]."""
+        """Length of the segments that the response to the sweep is estimated from [s]."""
         return 10.0 if self.quick else 20.0
 
     @property
@@ -138,10 +136,10 @@ class Case:
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
         """Run the report's chirp and its step, at 128 and 256 Hz."""
-        machine = self.build() if plant is None else plant
+        plant = self.build() if plant is None else plant
         duration = QUICK_SWEEP if self.quick else FULL_SWEEP
-        sweep = self.run(signals.chirp(self.dof, self.size, duration=duration), machine)
-        return sweep, self.run(self.step(), machine, rate=2 * RECORDER)
+        sweep = self.run(signals.chirp(self.dof, self.size, duration=duration), plant)
+        return sweep, self.run(self.step(), plant, rate=2 * RECORDER)
 
     def step(self) -> Command:
         """The report's step, in proportion to the chirp."""
@@ -168,7 +166,7 @@ def make_case(
     dof_index(dof)
     check_name("plant", plant, PLANTS)
     for name in options:
-        check_name("option", name, [each.name for each in fields(Case) if each.kw_only])
+        check_name("option", name, [option.name for option in fields(Case) if option.kw_only])
     if amplitude is not None:
         check_positive(amplitude=amplitude)
     loaded_cab = load_cab(cab, machine)
@@ -187,15 +185,15 @@ class CaseResult(NamedTuple):
     step: Record  #: The step run at 256 Hz.
     gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
     small_motion_phase_hz: float
-    """First fall through -90 deg of the linearised machine [Hz]; see `small_loop`."""
-    drifts: bool = False
-    """Whether the law holds no position: the step or a pole of the linearised loop says so."""
+    """First fall through -90 deg of the linearised machine [Hz]; see `small_motion_loop`."""
+    drifts: bool = False  #: Whether the law holds no position, by the step or a pole of the loop.
 
     @property
     def verdict(self) -> str:
         """`unstable`, `drifts`, or nothing of a law that is stable."""
-        unstable = "drifts" if self.drifts else "unstable"
-        return "" if self.measures.stable else unstable
+        if self.measures.stable:
+            return ""
+        return "drifts" if self.drifts else "unstable"
 
     @property
     def published(self) -> Published | None:
@@ -218,17 +216,17 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
         step.save(plain_path(records, f"{case.label}-step.parquet"))
     response = sweep_response(sweep, segment=case.segment)
     measures = measures_from(bandwidths(response) if response else None, step_metrics(step))
-    gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
+    gimbal_error = max(float(run["gimbal_error"].max()) for run in (sweep, step))
     drifts, small_motion = ends_off_demand(step), Measures()
-    loop = small_loop(case) if measures.stable else None
+    loop = small_motion_loop(case) if measures.stable else None
     if loop is not None:
         drifts = not holds_position(loop.poles())
         small_motion = measure_loop(loop, frequencies=_SMALL_MOTION_HZ)
     measures, phase_hz = Measures() if drifts else measures, small_motion.phase_bandwidth_hz
-    return CaseResult(case, response, measures, step, gap, phase_hz, drifts=drifts)
+    return CaseResult(case, response, measures, step, gimbal_error, phase_hz, drifts=drifts)
 
 
-def small_loop(case: Case) -> control.StateSpace | None:
+def small_motion_loop(case: Case) -> control.StateSpace | None:
     """The loop of a case linearised about its pose, which a chirp tends to as it gets smaller.
 
     At the report's amplitude the valves' mean opening damps the legs and the load takes pressure
@@ -244,21 +242,21 @@ def small_loop(case: Case) -> control.StateSpace | None:
     return linear.loop(case.law, case.dof, command_delay=case.command_delay)
 
 
-SMALL = 0.15
+SMALL_STEP = 0.15
 """Step of the simulated verdict over the report's amplitudes, all degrees of freedom at once."""
 
 _STEP_TIME, _DURATION = 0.5, 12.0  #: Step and end of the run of the simulated verdict [s].
-_WINDOW, _FIRST_WINDOW = 2.0, 2.5
-"""Length of two windows and begin of the first after the step [s]; the second ends the run."""
+_WINDOW_LENGTH, _WINDOW_BEGIN = 2.0, 2.5
+"""Of two windows, and of the first after the step [s]; the second ends the run."""
 _NO_SWING, _LIMIT_CYCLE = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 
 
 def swing_after_step(plant: Hexapod, law: Law) -> dict[str, Any]:
-    """Whether a law is stable in the simulation, see `measure_swing`."""
+    """Run the step of the simulated verdict under a law; returned as by `measure_swing`."""
     rate = plant.machine.rate
     pose = np.zeros((round(_DURATION * rate), len(DOFS)))
-    pose[round(_STEP_TIME * rate) :] = SMALL * REPORT_AMPLITUDES
+    pose[round(_STEP_TIME * rate) :] = SMALL_STEP * REPORT_AMPLITUDES
     try:
         return measure_swing(simulate(plant, law, Command.from_pose(pose, rate), record_every=16))
     except FloatingPointError:  # it left the bounds of the model
@@ -273,15 +271,15 @@ def measure_swing(record: Record) -> dict[str, Any]:
     """
     legs, reference = record["leg_position"], record["leg_reference"]
     leg_step = float(np.abs(reference[-1] - reference[0]).max())
-    count = round(_WINDOW * record.rate)
-    begin = round((_STEP_TIME + _FIRST_WINDOW) * record.rate)
+    count = round(_WINDOW_LENGTH * record.rate)
+    begin = round((_STEP_TIME + _WINDOW_BEGIN) * record.rate)
     time = np.linspace(-1.0, 1.0, count)
 
-    def swing(window: NDArray[np.float64]) -> float:
+    def swing_in(window: NDArray[np.float64]) -> float:
         line = np.polynomial.polynomial.polyfit(time, window, 1)
-        swinging = window - np.polynomial.polynomial.polyval(time, line).T
-        return float(swinging.std(axis=0).max()) / leg_step
+        deviation = window - np.polynomial.polynomial.polyval(time, line).T
+        return float(deviation.std(axis=0).max()) / leg_step
 
-    first, last = swing(legs[begin : begin + count]), swing(legs[-count:])
+    first, last = swing_in(legs[begin : begin + count]), swing_in(legs[-count:])
     stable = bool(last < _NO_SWING or last < min(first, _LIMIT_CYCLE))
     return {"stable": stable, "first": first, "last": last}

@@ -36,7 +36,7 @@ from cmf_mj.machine.geometry import DOFS, by_kind, pose_text
 from cmf_mj.plant.cylinder import Contact, contact_text
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
-from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, measure_swing
+from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL_STEP, measure_swing
 from cmf_mj.studies.certificate_box import DIMENSIONS, LARGEST_SCALE, Box
 from cmf_mj.studies.certificate_family import SLOW_POLE, Family
 from cmf_mj.studies.tuning.search import save_law
@@ -52,7 +52,7 @@ BEYOND, WITHIN = 1.5, 0.5  #: Scales of the replays over that at which the machi
 
 
 class Effort(NamedTuple):
-    """How much is spent."""
+    """How many machines, attacks and poses a certificate takes."""
 
     samples: int = 100_000  #: Machines drawn from the unit box, over all poses.
     starts: int = 20  #: Attacks.
@@ -66,11 +66,11 @@ QUICK = Effort(samples=2_000, starts=4, rounds=15, poses=3, ratios=1)
 
 
 class Proof(NamedTuple):
-    """One damping ratio."""
+    """The proof of one damping ratio."""
 
     ratio: float
-    proven: float  #: Scale of the box in which all machines have at least as much.
-    attacked: float  #: The least that an attack finds in that box.
+    proven: float  #: Scale of the box in which all machines have at least this ratio.
+    attacked: float  #: The least damping ratio that an attack finds in that box.
 
 
 class Certificate(NamedTuple):
@@ -84,7 +84,7 @@ class Certificate(NamedTuple):
     breaking_scale: float
     """Least scale at which a machine was found that is unstable; NaN for none."""
     stable_share: float  #: Of machines drawn from the unit box.
-    least_damping: float  #: Damping ratio of them.
+    least_damping: float  #: Least damping ratio of these machines.
     breaking_pose: Array  #: Where the law breaks first, (6,) [m, rad].
     swing_beyond: float
     """Swing of that machine's legs 10 s after a step, over the step, in the simulation, `BEYOND`
@@ -103,17 +103,18 @@ def _two_digits_down(scale: float) -> str:
     return f"{np.floor(scale / digit) * digit:.2g}"
 
 
-def _coordinate(index: int) -> Callable[[Certificate], float]:
+def _pose_coordinate(index: int) -> Callable[[Certificate], float]:
     return lambda certificate: float(certificate.breaking_pose[index])
 
 
-_CASE_FIELDS = tuple(map(Field, ("law", "cab", "friction")))
+_CASE_NAMES = ("law", "cab", "friction")
+_CASE_FIELDS = tuple(map(Field, _CASE_NAMES))
 _CERTIFICATE_FIELDS = (
     *_CASE_FIELDS,
     Field("nominal", "zeta", ".3f", of="nominal_damping"),
     Field("proven", form=_two_digits_down, of="proven_scale"),
     Field("broken", form=".2g", of="breaking_scale"),
-    *(Field(f"pose_{dof}", of=_coordinate(i), printed=False) for i, dof in enumerate(DOFS)),
+    *(Field(f"pose_{dof}", of=_pose_coordinate(i), printed=False) for i, dof in enumerate(DOFS)),
     Field("", "breaks at", lambda pose: pose_text(pose, ".2g"), of="breaking_pose"),
     Field("share", "stable", ".1f %", "%", of="stable_share"),
     Field("least", "least zeta", ".3f", of="least_damping"),
@@ -138,15 +139,15 @@ _LEGEND = (
 def certificate_tables(certificates: Sequence[Certificate]) -> dict[str, Result[Any]]:
     """Certificates, and the damping ratios that are proven, by name."""
     proofs = [
-        {"law": each.law, "cab": each.cab, "friction": each.friction} | proof._asdict()
-        for each in certificates
-        for proof in each.proofs
+        {name: getattr(certificate, name) for name in _CASE_NAMES} | proof._asdict()
+        for certificate in certificates
+        for proof in certificate.proofs
     ]
     title = "How far machines may be off, all numbers at once; 1 is the whole unit box"
-    kept = "Scale of the box within which every machine keeps a damping ratio"
+    proof_title = "Scale of the box within which every machine keeps a damping ratio"
     return {
         "certificates": Result(certificates, _CERTIFICATE_FIELDS, title, _LEGEND),
-        "proofs": Result(proofs, _PROOF_FIELDS, kept),
+        "proofs": Result(proofs, _PROOF_FIELDS, proof_title),
     }
 
 
@@ -180,7 +181,7 @@ def certify(
     True
     """
     poses = box.poses(plant)[: effort.poses]
-    families = [_family(plant, law, box, pose, friction) for pose in poses]
+    families = [_draw_in(plant, law, box, pose, friction) for pose in poses]
     damping, weakest = _draw_machines(families, box, effort)
     nominal = [family.nominal_damping() for family in families]
     breaking = _Machine(families[int(np.argmin(nominal))], np.zeros(DIMENSIONS), min(nominal), 0.0)
@@ -196,8 +197,8 @@ def certify(
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
         scale = factor * min(breaking.scale, LARGEST_SCALE)
         changes = box.changes(scale * breaking.point[None])
-        case, pose = plain_path(folder, name), breaking.family.pose
-        swing[name] = replayed_swing(save_case(case, name, plant, law, pose, box, changes))
+        case_folder, pose = plain_path(folder, name), breaking.family.pose
+        swing[name] = replayed_swing(save_case(case_folder, name, plant, law, pose, box, changes))
     return Certificate(
         law=law.name,
         cab=plant.cab,
@@ -213,10 +214,10 @@ def certify(
     )
 
 
-def _family(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
-    """The machines in a pose, drawn in until closed valves hold all of the largest box there.
+def _draw_in(plant: Hexapod, law: Law, box: Box, pose: Array, friction: Contact | None) -> Family:
+    """Draw a pose in until closed valves hold the largest box there; the machines in that pose.
 
-    Where closed valves do not even at neutral, it is drawn in until open ones do.
+    Where closed valves do not hold it even at neutral, the pose is drawn in until open ones do.
     """
     for closed, share in product((True, False), (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)):
         family = Family(plant, law, share * pose, friction)
@@ -231,11 +232,11 @@ def _draw_machines(
     """Damping ratios of machines drawn from the unit box, and the least damped of each pose."""
     points = 2.0 * cube("latin_hypercube", effort.samples, DIMENSIONS, effort.seed) - 1.0
     dampings, weakest = [], []
-    for family, of_pose in zip(families, np.array_split(points, len(families)), strict=True):
-        chunks = np.array_split(of_pose, len(of_pose) // _CHUNK + 1)
+    for family, pose_points in zip(families, np.array_split(points, len(families)), strict=True):
+        chunks = np.array_split(pose_points, len(pose_points) // _CHUNK + 1)
         damping = np.concatenate([family.damping_in(box, chunk) for chunk in chunks])
         dampings.append(damping)
-        weakest.append(_Machine(family, of_pose[damping.argmin()], float(damping.min())))
+        weakest.append(_Machine(family, pose_points[damping.argmin()], float(damping.min())))
     return np.concatenate(dampings), weakest
 
 
@@ -247,9 +248,9 @@ def _prove(
     ratio: float,
     edge: float,
 ) -> Proof:
-    """Prove a damping ratio in all poses, within the box of a scale `edge`, and attack the proof.
+    """Prove a damping ratio in all poses, within the box of scale `edge`, and attack the proof.
 
-    The bound of the first pose narrows the box, in which slopes differ less.
+    The bound of the first pose narrows the box, so that slopes differ less in it.
     """
 
     def beta(family: Family, least: float) -> float:
@@ -261,7 +262,7 @@ def _prove(
     for family in families:
         largest_beta = beta(family, largest_beta)
     scale = 1.0 / largest_beta
-    attacks = [_attack(start, box, effort, scale, -1.0) for start in starts]
+    attacks = [_attack(start, box, effort, scale) for start in starts]
     return Proof(float(ratio), scale, min(attack.damping for attack in attacks))
 
 
@@ -279,7 +280,7 @@ def _break_law(starts: Sequence[_Machine], box: Box, effort: Effort) -> _Machine
             corner = 2.0 * cube("corners", 1, DIMENSIONS, generator)[0] - 1.0
             machine = machine._replace(point=corner)
         while True:
-            machine = _attack(machine, box, effort, scale, 0.0, number)
+            machine = _attack(machine, box, effort, scale, target=0.0, number=number)
             if machine.damping > 0.0:
                 break
             limit = optimize.bisect(damping_at, 0.0, scale, (machine.family, machine.point), 1e-4)
@@ -291,9 +292,9 @@ def _break_law(starts: Sequence[_Machine], box: Box, effort: Effort) -> _Machine
 
 
 def _attack(
-    start: _Machine, box: Box, effort: Effort, scale: float, enough: float, number: int = 0
+    start: _Machine, box: Box, effort: Effort, scale: float, target: float = -1.0, number: int = 0
 ) -> _Machine:
-    """The least damped machine found in a box; the search ends at a damping ratio of `enough`."""
+    """The least damped machine found in a box; the search ends at a damping ratio of `target`."""
 
     def damping(points: Array) -> Array:
         return start.family.damping_in(box, scale * points)
@@ -313,7 +314,7 @@ def _attack(
 
         strategy = cma.CMAEvolutionStrategy(0.95 * best.point, 0.3, options)
     for _ in range(effort.rounds):
-        if best.damping <= enough or strategy.stop():
+        if best.damping <= target or strategy.stop():
             break
         points = np.array(strategy.ask())
         dampings = damping(points)
@@ -345,12 +346,12 @@ def save_case(
     modes = bound(law, plant).bound_modes
     changed = {"name": f"{law.name}_{name}", "modes": {} if modes is None else {name: modes}}
     save_law(law.model_copy(update=changed), plain_path(folder, "law.toml"))
-    sizes = [float(SMALL * size) for size in REPORT_AMPLITUDES]
+    sizes = [float(SMALL_STEP * size) for size in REPORT_AMPLITUDES]
     steps = [
         {"kind": "step", "dof": dof, "amplitude": [size, by_kind(dof, "m", "rad")], "at": 0.5}
         for dof, size in zip(DOFS, sizes, strict=True)
     ]
-    stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
+    rest: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
     own_oil = _changed_fields(base_oil, unknowns.apply(values, oil, name))
     own_cab = _changed_fields(base_cab, unknowns.apply(values, cab, name))
     files: dict[str, dict[str, Any]] = {
@@ -364,7 +365,7 @@ def save_case(
             "law": "law.toml",
             "duration": 12.0,
             "record_every": 16,
-            "signal": [stay, *steps],
+            "signal": [rest, *steps],
         },
     }
     if own_machine:
@@ -376,8 +377,8 @@ def save_case(
 
 def _changed_fields(base: Settings, changed: Settings) -> dict[str, Any]:
     """Fields of a changed part that differ from those of its base, as TOML values."""
-    how: dict[str, Any] = {"mode": "json", "exclude_none": True, "exclude": {"nominal", "name"}}
-    before, after = base.model_dump(**how), changed.model_dump(**how)
+    options: dict[str, Any] = {"mode": "json", "exclude_none": True, "exclude": {"nominal", "name"}}
+    before, after = base.model_dump(**options), changed.model_dump(**options)
     return {field: value for field, value in after.items() if value != before.get(field)}
 
 

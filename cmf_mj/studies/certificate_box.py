@@ -1,4 +1,4 @@
-"""The unit box of a certificate: how far each number of a machine may be off, either way.
+"""The unit box of a certificate: how far each number of a machine may be off, and the poses.
 
 The box of a scale s holds the machines whose numbers are off by at most s times its values, each on
 its own. A point of the unit box has `DIMENSIONS` coordinates from -1 to 1, in the file's order.
@@ -26,11 +26,11 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 _SHIPPED = Path(__file__).with_name("certificate.toml")
 DIMENSIONS = 4 * 6 + 2 + 5  #: Numbers: four of each leg, two of the oil, five of the cab.
-WIDEST_DEVIATION = 0.6  #: Of a factor: at `LARGEST_SCALE`, numbers stay positive.
-LARGEST_SCALE = 1.3  #: Numbers stay positive, and closed valves hold every leg.
+LARGEST_SCALE = 1.3  #: Of a box that is examined: closed valves hold every leg.
+WIDEST_DEVIATION = 0.6  #: Of a factor, so that numbers stay positive at `LARGEST_SCALE`.
 LEAST_SHARE = 0.05  #: Share of a number that is left of it at least.
 
-_CABS = np.linspace(-1.0, 1.0, 17)  #: Cabs from a corner of the box to the opposite one.
+_DIAGONAL = np.linspace(-1.0, 1.0, 17)  #: Points from a corner of a box to the opposite one.
 
 
 class Box(Settings):
@@ -66,11 +66,11 @@ class Box(Settings):
 
         Their cabs lie between opposite corners; the other numbers are at their ends.
         """
-        corners = np.array(list(product((-1.0, 1.0), repeat=4)))
-        cabs = (corners[:, None] * _CABS[:, None]).reshape(-1, 4)
+        corners = np.array(list(product((-1.0, 1.0), repeat=4)))  # mass and place of the cab
+        cabs = (corners[:, None] * _DIAGONAL[:, None]).reshape(-1, 4)
         valves = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))
         points = np.ones((len(cabs) * len(valves), DIMENSIONS))
-        coordinates = Unknowns(self.unknowns).split(points)  # views of them
+        coordinates = Unknowns(self.unknowns).split(points)  # views: writing to them fills points
         mass, place = np.split(np.repeat(cabs, len(valves), axis=0), [1], axis=1)
         pressure, gain = np.split(np.tile(valves, (len(cabs), 1)), 2, axis=1)
         coordinates["cab_mass"][:], coordinates["cab_place"][:] = mass, place

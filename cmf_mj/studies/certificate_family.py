@@ -51,7 +51,7 @@ from cmf_mj.studies.certificate_box import Box
 Array = NDArray[np.float64]
 
 SLOW_POLE = 0.3  #: Re + |Im| of a pole [rad/s] that does not count; leaks take 0.4 and more.
-_ROUNDING = 1e-7  #: Rate [rad/s] of a pole that is at 0 but for rounding.
+_ROUNDING = 1e-7  #: Re of a pole [rad/s] that is at 0 but for rounding.
 _SLOPE_MARGIN = 1.01  #: Range of the slopes taken over the one found.
 
 _FINE_STEP, _COARSE_STEP = 0.005, 0.05
@@ -61,11 +61,11 @@ _LARGEST_LOAD = 0.96  #: Largest of them over the stall force.
 _ACCELERATIONS = slice(12, 18)  #: Rows of the legs' accelerations in the feedback.
 _LEG_PARAMETERS = ("drive", "spool", "cap_port", "rod_port", "leak", "cap_oil", "rod_oil")
 """Parameters that each leg has one of."""
-_OF_LEGS = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(_LEG_PARAMETERS)}
-_OF_CAB = slice(6 * len(_LEG_PARAMETERS), None)
+_ROWS_OF_LEGS = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(_LEG_PARAMETERS)}
+_ROWS_OF_CAB = slice(6 * len(_LEG_PARAMETERS), None)
 """Where parameters stand among the inputs w and outputs z of the loop."""
 _CAB_REPETITIONS = (3, 4, 4, 4, 3)
-"""How often those of the cab enter: its mass, three shifts of its centre of mass, its inertia."""
+"""How often the cab's mass, the three shifts of its centre of mass, and its inertia enter."""
 REPETITIONS = (1,) * 6 * len(_LEG_PARAMETERS) + _CAB_REPETITIONS  #: How often parameters enter.
 
 
@@ -83,10 +83,10 @@ class Family:
         self.pose, self._mechanics = pose, linear.point.mechanics
         cab = plant.cab_parameters
         assert cab is not None
-        turn = rotation(*pose[3:])
+        to_world = rotation(*pose[3:])
         motion = np.linalg.inv(leg_jacobian(pose, plant.machine))
-        self._motion = linalg.block_diag(turn.T, turn.T) @ motion  # in axes of the platform
-        self._gravity = turn.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
+        self._motion = linalg.block_diag(to_world.T, to_world.T) @ motion  # in axes of the platform
+        self._gravity = to_world.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
         self._mass, self._place = cab.mass.si, FLIP * cab.centre_of_mass.si
         self._inertia = FLIP[:, None] * cab.tensor * FLIP
         self._ports = _slopes_of_legs(plant)
@@ -107,7 +107,7 @@ class Family:
         state, command, w = np.split(np.eye(ends[-1] + sum(REPETITIONS)), ends)
         rate, z_legs = self._free_legs(a @ state + b @ command, state, w)
         speed = self._rows("leg_velocity")
-        rate[speed], z_cab = self._free_cab(rate[speed], w[_OF_CAB])
+        rate[speed], z_cab = self._free_cab(rate[speed], w[_ROWS_OF_CAB])
         feedback = c @ state
         feedback[_ACCELERATIONS] = rate[speed]
         rates = np.vstack([rate, law_b @ feedback])
@@ -127,7 +127,7 @@ class Family:
         """Rates of the states with the parameters of the legs, and what these multiply."""
         drive, spool = self._rows("drive"), self._rows("spool")
         cap, rod = self._rows("cap_pressure"), self._rows("rod_pressure")
-        a, w_of = np.asarray(self._plant.A), {name: w[rows] for name, rows in _OF_LEGS.items()}
+        a, w_of = np.asarray(self._plant.A), {name: w[rows] for name, rows in _ROWS_OF_LEGS.items()}
         z_of = {
             "drive": rate[drive],
             "spool": rate[spool],
@@ -148,24 +148,25 @@ class Family:
     def _free_cab(self, acceleration: Array, w: Array) -> tuple[Array, Array]:
         """Accelerations of the legs with the parameters of the cab, and what these multiply.
 
-        With q = H v' and B + sum of delta_j dB_j, dB_j = U_j V_j, the cab moves by y = B q + U w1,
-        is pulled by h = diag(m, m, m, I) y + w2, and the platform feels B' h + V' w3.
+        With q = H v', and B + sum of delta_j dB_j for B, dB_j = U_j V_j, the cab moves by
+        y = B q + U w1, its pull is h = diag(m, m, m, I) y + w2, the platform's load B' h + V' w3.
         """
         lever = _lever(self._place)
         body = linalg.block_diag(self._mass * np.eye(3), self._inertia)
         lever_changes = [_lever(self._place + axis) - lever for axis in np.eye(3)]
         w_mass, *w_places, w_inertia = np.split(w, np.cumsum(_CAB_REPETITIONS)[:-1])
-        moved, felt = np.zeros((6, w.shape[1])), np.zeros((6, w.shape[1]))
-        pulled = np.vstack([w_mass, w_inertia])
+        motion_change, load_change = np.zeros((6, w.shape[1])), np.zeros((6, w.shape[1]))
+        pull_change = np.vstack([w_mass, w_inertia])
         for change, w_place in zip(lever_changes, w_places, strict=True):
-            rows, (w_moved, w_felt) = change.any(axis=1), np.split(w_place, 2)
-            moved[rows] += w_moved
-            felt += change[rows].T @ w_felt
-        added = self._motion.T @ (lever.T @ (body @ moved + pulled) + felt)
-        acceleration = acceleration - np.linalg.solve(self._mechanics.mass, added)
+            rows, (w_motion, w_load) = change.any(axis=1), np.split(w_place, 2)
+            motion_change[rows] += w_motion
+            load_change += change[rows].T @ w_load
+        platform_load = lever.T @ (body @ motion_change + pull_change) + load_change
+        leg_load = self._motion.T @ platform_load
+        acceleration = acceleration - np.linalg.solve(self._mechanics.mass, leg_load)
         platform = self._motion @ acceleration
-        cab = lever @ platform + moved
-        pull = body @ cab + pulled
+        cab = lever @ platform + motion_change
+        pull = body @ cab + pull_change
         z_places = []
         for change in lever_changes:
             rows = change.any(axis=1)
@@ -194,25 +195,25 @@ class Family:
         """Delta of machines by what is off, see `Box.changes`, (N, 60)."""
         cap_port, rod_port = self._port_changes(changes)
         oil = np.repeat(changes["bulk_modulus"], 6, axis=1)
-        of_legs = {"drive": changes["drive_lag"], "spool": changes["valve_lag"]}
-        of_legs |= {"leak": changes["leak_rate"], "cap_port": cap_port, "rod_port": rod_port}
-        of_legs |= {"cap_oil": oil, "rod_oil": oil}
+        leg_deltas = {"drive": changes["drive_lag"], "spool": changes["valve_lag"]}
+        leg_deltas |= {"leak": changes["leak_rate"], "cap_port": cap_port, "rod_port": rod_port}
+        leg_deltas |= {"cap_oil": oil, "rod_oil": oil}
         mass = np.repeat(changes["cab_mass"], 3, axis=1)
         place = np.repeat(changes["cab_place"], 4, axis=1)
         inertia = np.repeat(changes["cab_inertia"], 3, axis=1)
-        return np.hstack([*(of_legs[name] for name in _LEG_PARAMETERS), mass, place, inertia])
+        return np.hstack([*(leg_deltas[name] for name in _LEG_PARAMETERS), mass, place, inertia])
 
     def widths(self, box: Box, scale: float) -> Array:
         """Largest |delta| of the box of a scale, over the scale, (60,)."""
         widths = np.abs(self.deltas(box.corner_changes(scale))).max(axis=0)
         for port in ("cap_port", "rod_port"):
-            widths[_OF_LEGS[port]] *= _SLOPE_MARGIN
+            widths[_ROWS_OF_LEGS[port]] *= _SLOPE_MARGIN
         return np.asarray(widths / scale)
 
     def holds(self, box: Box, scale: float, *, closed: bool) -> bool:
         """Whether valves at rest, all of them `closed`, hold the legs of every machine in a box."""
         shares = self._load_shares(box.corner_changes(scale))
-        low, high = np.transpose([ports.range_held(closed=closed) for ports in self._ports])
+        low, high = np.transpose([ports.held_range(closed=closed) for ports in self._ports])
         return bool((low < shares).all() and (shares < high).all())
 
     def damping(self, deltas: Array) -> Array:
@@ -240,7 +241,7 @@ class Family:
 
 
 def _lever(place: Array) -> Array:
-    """B: motion of a point and turning per motion of the platform, (6, 6)."""
+    """B, (6, 6): motion and rotation of a point per motion and rotation of the platform."""
     x, y, z = place
     lever = np.eye(6)
     lever[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -255,7 +256,7 @@ def _changed_a(loop: Uncertain, deltas: Array) -> Array:
 
 
 def _in_frames(law: control.StateSpace, frame: float) -> tuple[Array, Array, Array]:
-    """Law, a frame of delay, and the mean of two frames for the hold: A, B, C in w."""
+    """A, B, C in w of the law with a frame of delay and, for the hold, the mean of two frames."""
     a, b, c, d = (np.asarray(m) for m in (law.A, law.B, law.C, law.D))
     n, identity = len(a), np.eye(6)
     # States of the law, commands of the last frame, and those of the frame before.
@@ -278,7 +279,7 @@ class _PortSlopes(NamedTuple):
         """Slopes of cap and rod port at loads (k,), (2, k)."""
         return np.array([np.interp(shares, self.shares, slopes) for slopes in self.slopes])
 
-    def range_held(self, *, closed: bool) -> Array:
+    def held_range(self, *, closed: bool) -> Array:
         """The ends of the loads that valves hold, or `closed` ones alone, (2,); NaN for none."""
         shares = self.closed_shares if closed else self.shares
         return shares[[0, -1]] if len(shares) else np.full(2, np.nan)
@@ -295,15 +296,16 @@ def _slopes_of_legs(plant: Hexapod) -> list[_PortSlopes]:
     by_cylinder: dict[bytes, _PortSlopes] = {}
     for leg, cylinder in enumerate(plant.hydraulics.cylinder):
         if cylinder.tobytes() not in by_cylinder:
-            by_cylinder[cylinder.tobytes()] = _slopes_of(plant, leg)
+            by_cylinder[cylinder.tobytes()] = _slopes_of_leg(plant, leg)
     return [by_cylinder[cylinder.tobytes()] for cylinder in plant.hydraulics.cylinder]
 
 
-def _slopes_of(plant: Hexapod, leg: int) -> _PortSlopes:
+def _slopes_of_leg(plant: Hexapod, leg: int) -> _PortSlopes:
+    """The slopes of a leg at the loads, of a grid, that its valve can hold at rest."""
     hydraulics, supply = plant.hydraulics, plant.parameters.supply_pressure.si
     cylinder = hydraulics.cylinder[leg]
     area, bias = float(_load_areas(plant)[leg]), hydraulics.valve[leg].null_bias
-    held, slopes, held_closed = [], [], []
+    held_shares, slopes, closed_shares = [], [], []
     low, high = -_LARGEST_LOAD * cylinder.rod_area / area, _LARGEST_LOAD * cylinder.cap_area / area
     shares = _COARSE_STEP * np.arange(np.ceil(low / _COARSE_STEP), high / _COARSE_STEP)
     if cylinder.cap_area != cylinder.rod_area:
@@ -317,8 +319,8 @@ def _slopes_of(plant: Hexapod, leg: int) -> _PortSlopes:
         pressures = np.append(rest.pressure, [supply, 0.0])
         openings, outward = rest.command + bias, outward_share(rest.ratio)
         by_opening = port_slopes(hydraulics, leg, openings, pressures, outward).opening
-        held.append(share)
+        held_shares.append(share)
         slopes.append(by_opening[[CAP, ROD]].sum(axis=1))
         if not openings.any():
-            held_closed.append(share)
-    return _PortSlopes(np.array(held), np.array(slopes).T, np.array(held_closed))
+            closed_shares.append(share)
+    return _PortSlopes(np.array(held_shares), np.array(slopes).T, np.array(closed_shares))

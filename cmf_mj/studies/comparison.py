@@ -1,8 +1,7 @@
 """Comparisons: laws on both plants, degree of freedom by degree of freedom.
 
 Each case is run twice: with the report's chirp, for the frequency response, and with a step, for
-damping, steady-state error and stability. Cases share nothing, so they run on threads (the compiled
-loop releases the interpreter lock) and their results do not depend on the number of threads.
+damping, steady-state error and stability. Cases share nothing and run on threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,25 +20,25 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.studies.case import AMPLITUDE, CaseResult, dof_amplitude, make_case, run_case
 
-MEASURED = (
+MEASURE_NAMES = (
     *("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db"),
     *("damping_ratio", "overshoot", "steady_state_error", "stable"),
     *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
-"""Measures of a comparison."""
+"""Measures in the table of a comparison."""
 
-PUBLISHED = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
-"""Published values of a comparison."""
+PUBLISHED_NAMES = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
+"""Published values in the table of a comparison."""
 
-COMPARISON = (
+COMPARISON_FIELDS = (
     Field("plant", of="case.plant"),
     Field("cab", of="case.cab_name"),
     Field("hydraulics", of="case.hydraulics.name"),
     Field("law", of="case.law.name"),
     Field("dof", of="case.dof"),
-    *(Field(name, form=".3g", of=f"measures.{name}") for name in MEASURED),
+    *(Field(name, form=".3g", of=f"measures.{name}") for name in MEASURE_NAMES),
     Field("small_motion_phase_hz", form=".3g"),
-    *(Field(f"published_{name}", form=".3g", of=f"published.{name}") for name in PUBLISHED),
+    *(Field(f"published_{name}", form=".3g", of=f"published.{name}") for name in PUBLISHED_NAMES),
 )
 
 
@@ -78,11 +77,11 @@ def compare(
     """
     machine = load_cab(options.get("cab"), options.get("machine")).machine
     loaded = [load_law(law, machine) for law in laws]
-    for field, names, allowed in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
+    for argument, names, allowed in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
         for name in names:
-            check_name(field, name, allowed)
+            check_name(argument, name, allowed)
         if not names:
-            raise InputError(f"{field}: is empty; choose from {', '.join(allowed)}")
+            raise InputError(f"{argument}: is empty; choose from {', '.join(allowed)}")
     if not loaded:
         raise InputError("laws: is empty; name at least one law")
     check_distinct("laws", [law.name for law in loaded])
@@ -96,4 +95,4 @@ def compare(
     ]
     folder = Path(records) if records is not None else None
     results = on_threads(lambda case: run_case(case, folder), cases, jobs, progress)
-    return Result(results, COMPARISON, digits=6)
+    return Result(results, COMPARISON_FIELDS, digits=6)

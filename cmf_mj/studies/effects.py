@@ -1,4 +1,4 @@
-"""Shares of machines that a law leaves stable and damped, and effects of the rungs of a ladder.
+"""Shares of machines that a law leaves stable and damped, and effects of a ladder's rungs.
 
 Functions take the table of results of a study. A share of machines has Wilson's score interval.
 """
@@ -18,9 +18,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.settings import NOMINAL
 
 ENOUGH_DAMPING = 0.3  #: Damping ratio that counts as damped: an overshoot of 37 %.
-
-LEVEL = 0.95  #: Confidence of all intervals.
-
+CONFIDENCE = 0.95  #: Of all intervals.
 _LARGEST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
 
 
@@ -33,12 +31,13 @@ class Interval(NamedTuple):
     machines: int  #: Machines that it is estimated from.
 
 
-def share(outcomes: ArrayLike) -> Interval:
+def estimate_share(outcomes: ArrayLike) -> Interval:
     """Share of true outcomes, (n,), with its interval."""
     flags = np.asarray(outcomes, dtype=bool)
     if flags.size == 0:
         return Interval(float("nan"), 0.0, 1.0, 0)
-    bounds = stats.binomtest(int(flags.sum()), flags.size).proportion_ci(LEVEL, method="wilson")
+    test = stats.binomtest(int(flags.sum()), flags.size)
+    bounds = test.proportion_ci(CONFIDENCE, method="wilson")
     return Interval(float(flags.mean()), float(bounds.low), float(bounds.high), flags.size)
 
 
@@ -53,7 +52,7 @@ def are_damped(table: pa.Table) -> NDArray[np.bool_]:
 
 
 class Rate(NamedTuple):
-    """How often a law stays stable and damped over the machines drawn with a cab."""
+    """How often a law stays stable and damped over the machines drawn, with one cab."""
 
     cab: str
     law: str
@@ -78,7 +77,7 @@ def _share_fields(name: str, title: str) -> list[Field]:
     ]
 
 
-RATES = (
+RATE_FIELDS = (
     *map(Field, ("cab", "law")),
     *_share_fields("stable", "stable %"),
     *(field for dof in DOFS for field in _share_fields(dof, f"{dof} damped %")),
@@ -94,11 +93,11 @@ def rates(table: pa.Table) -> Result[Rate]:
     for (cab, law), cases in groups(draws, "cab", "law"):
         by_dof = {dof: where(cases, dof=dof) for dof in DOFS}
         machines = by_dof["surge"]  # of a machine all degrees of freedom have the same modes
-        shares = {"stable": share(machines["stable"])}
-        shares |= {dof: share(are_damped(of_dof)) for dof, of_dof in by_dof.items()}
+        shares = {"stable": estimate_share(machines["stable"])}
+        shares |= {dof: estimate_share(are_damped(of_dof)) for dof, of_dof in by_dof.items()}
         damping = _statistic_of_known(np.mean, column(machines, "mode_damping_ratio"))
         rows.append(Rate(cab, law, shares, damping))
-    return Result(rows, RATES)
+    return Result(rows, RATE_FIELDS)
 
 
 def _statistic_of_known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
@@ -111,7 +110,7 @@ _BOTH_STABLE = pc.field("stable") & pc.field("stable_before")
 _CASE = ["cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law", "dof", "method"]
 """Columns in which the rows of two rungs agree whose difference is the effect."""
 
-RUNG_EFFECTS = (
+RUNG_EFFECT_FIELDS = (
     *map(Field, ("rung", "dof")),
     Field("phase_bandwidth_hz", "-90 deg [Hz]", "+.2f"),
     Field("peak_gain_db", "peak [dB]", "+.1f"),
@@ -128,20 +127,20 @@ def rung_effects(table: pa.Table) -> Result[dict[str, Any]]:
     """
     results, rows = finished(table), []
     rungs, dofs = (results[name].unique().to_pylist() for name in ("rung", "dof"))
-    how: dict[str, Any] = {"join_type": "inner", "right_suffix": "_before", "use_threads": False}
+    join: dict[str, Any] = {"join_type": "inner", "right_suffix": "_before", "use_threads": False}
     for (rung_before, rung), dof in product(pairwise(rungs), dofs):
         with_effect, without = where(results, rung=rung, dof=dof), where(results, rung=rung_before)
-        pairs = with_effect.join(without, _CASE, **how).filter(_BOTH_STABLE)
+        pairs = with_effect.join(without, _CASE, **join).filter(_BOTH_STABLE)
         names = ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
         changes = {name: column(pairs, name) - column(pairs, f"{name}_before") for name in names}
-        mixed, mixed_before = (largest_crosstalk(pairs, dof, end) for end in ("", "_before"))
-        changes["crosstalk"] = mixed - mixed_before
+        crosstalk_before = largest_crosstalk(pairs, dof, "_before")
+        changes["crosstalk"] = largest_crosstalk(pairs, dof) - crosstalk_before
         medians = {key: _statistic_of_known(np.median, change) for key, change in changes.items()}
         rows.append({"rung": rung, "dof": dof} | medians)
-    return Result(rows, RUNG_EFFECTS)
+    return Result(rows, RUNG_EFFECT_FIELDS)
 
 
 def largest_crosstalk(table: pa.Table, dof: str, suffix: str = "") -> NDArray[np.float64]:
-    """Largest crosstalk out of a degree of freedom, row by row, of columns with a suffix."""
+    """Largest crosstalk out of a degree of freedom, row by row; columns end in `suffix`."""
     others = [column(table, f"crosstalk_{other}{suffix}") for other in DOFS if other != dof]
     return np.asarray(np.max(others, axis=0))

@@ -51,7 +51,7 @@ SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parque
 Row = dict[str, Any]  #: One result: JSON values by the name of their column.
 
 _LIBRARIES = ("mujoco", "numpy", "scipy", "numba")  #: Their versions belong to a study.
-_CHECKSUM, _ENTRY = slice(None, 9), slice(9, None)  #: Characters of a line.
+_CHECKSUM, _ENTRY = slice(None, 9), slice(9, None)  #: Bytes of a line.
 _ROOT = Path(__file__).resolve().parents[1]
 _SOURCES = (("*.py", _ROOT), ("*.toml", _ROOT), ("*.xml", models.directory()))
 
@@ -72,10 +72,8 @@ class Journal:
             "sources": _source_digest(),
             "versions": {name: version(name) for name in _LIBRARIES},
         }
-        self.identity = json.dumps(identity, sort_keys=True)
-        """What the study is, as JSON."""
-        self.results: dict[int, list[Row]] = {}
-        """Rows of the finished tasks, by number."""
+        self.identity = json.dumps(identity, sort_keys=True)  #: What the study is, as JSON.
+        self.results: dict[int, list[Row]] = {}  #: Rows of the finished tasks, by number.
         folder.mkdir(parents=True, exist_ok=True)
         self._check_study(identity)
         self._read_results()
@@ -96,8 +94,8 @@ class Journal:
             raise InputError(f"{path}: is not the specification of a study")
         written, own = _entries_by_path(content), _entries_by_path(identity)
         names = sorted((written.keys() | own.keys()) - {"settings.title"})  # changes no result
-        text = partial(json.dumps, sort_keys=True)  # where NaN is NaN
-        differing = [name for name in names if text(written.get(name)) != text(own.get(name))]
+        as_text = partial(json.dumps, sort_keys=True)  # where NaN is NaN
+        differing = [n for n in names if as_text(written.get(n)) != as_text(own.get(n))]
         if differing:
             raise InputError(
                 f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
@@ -109,16 +107,16 @@ class Journal:
         path = self.folder / JOURNAL
         content = path.read_bytes() if path.exists() else b""
         *lines, unfinished_line = content.split(b"\n")
-        sound_lines = [line for line in lines if self._keep(line)]
-        count = len(lines) - len(sound_lines)
-        if unfinished_line or count:
+        sound_lines = [line for line in lines if self._take(line)]
+        damaged_count = len(lines) - len(sound_lines)
+        if unfinished_line or damaged_count:
             write_text(path, b"".join(line + b"\n" for line in sound_lines).decode())
-        if count:
-            damaged = f"{count} of {len(lines)} lines are damaged"
-            print(f"cmf: {path}: {damaged}; their tasks run again", file=sys.stderr)
+        if damaged_count:
+            text = f"{damaged_count} of {len(lines)} lines are damaged"
+            print(f"cmf: {path}: {text}; their tasks run again", file=sys.stderr)
 
-    def _keep(self, line: bytes) -> bool:
-        """Keep the result of a line; false where it is not as it was written."""
+    def _take(self, line: bytes) -> bool:
+        """Take the result of a line; false where the line is not as it was written."""
         if line[_CHECKSUM] != _checksum(line[_ENTRY]):
             return False
         entry = json.loads(line[_ENTRY])
@@ -133,11 +131,11 @@ class Journal:
             file.write(line + b"\n")
             file.flush()  # all of it, or an error where the disk is full
             os.fsync(file.fileno())
-        self._keep(line)
+        self._take(line)
 
 
 def _checksum(entry: bytes) -> bytes:
-    """What stands before an entry in its line."""
+    """Checksum of an entry with a space, which stand before it in its line."""
     return b"%08x " % zlib.crc32(entry)
 
 
@@ -226,8 +224,7 @@ class Workers:
 
     jobs: int = 1
     backend: Backend = "loky"
-    scheduler: str | None = None
-    """Address of a running Dask scheduler; default a local cluster of `jobs`."""
+    scheduler: str | None = None  #: Address of a Dask scheduler; default a local one with `jobs`.
 
     def __post_init__(self) -> None:
         """Refuse what does not go together, or a scheduler that does not answer."""
@@ -271,14 +268,14 @@ def run_tasks(
     if not unfinished():
         return
     runs_alone = False  # the first task without a result, on a worker of its own
-    options: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
-    with one_library_thread(), _start_workers(workers) as count:
+    dispatch: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
+    with one_library_thread(), _start_workers(workers) as worker_count:
         while remaining := unfinished():
             candidates = remaining[:1] if runs_alone else remaining
-            groups = [list(group) for _, group in groupby(candidates, work.machine_of)]
-            pool = Parallel(n_jobs=count, return_as="generator_unordered", **options)
+            batches = [list(batch) for _, batch in groupby(candidates, work.machine_of)]
+            pool = Parallel(n_jobs=worker_count, return_as="generator_unordered", **dispatch)
             try:
-                results = pool(delayed(evaluate_tasks)(group, work) for group in groups)
+                results = pool(delayed(evaluate_tasks)(batch, work) for batch in batches)
                 for number, rows in chain.from_iterable(results):
                     journal.add(number, rows)
                     report()
@@ -296,14 +293,14 @@ def run_tasks(
 
 @dataclass
 class Asker:
-    """Runs one list of tasks after the other, numbered through, each with what went before."""
+    """Runs one list of tasks after the other, numbered on from list to list."""
 
     journal: Journal
     make_task: Callable[..., Any]  #: Makes a task of its number, kind and case.
     work: Work
     workers: Workers
     progress: Progress | None
-    every: int  #: Tasks in all.
+    task_count: int  #: Of all lists.
     done: int = 0  #: Tasks that are finished.
 
     def __call__(self, kind: str, cases: Sequence[tuple[Any, ...]]) -> list[list[Row]]:
@@ -314,7 +311,7 @@ class Asker:
 
         def report(done: int, _: int) -> None:
             if self.progress is not None:
-                self.progress(first + done, self.every)
+                self.progress(first + done, self.task_count)
 
         run_tasks(self.journal, tasks, self.work, self.workers, report)
         return [self.journal.results[task.number] for task in tasks]
@@ -343,7 +340,7 @@ def run_study(
 
 
 def _machine_of(case: StudyCase) -> Hashable:
-    """What cases of one machine share that is linearised once; other cases share nothing."""
+    """Key of cases whose machine is linearised once; other cases have one each."""
     if case.settings.method != "linear":
         return case.number
     return case.rung, case.case.cab, case.case.pose, case.draw
@@ -359,7 +356,7 @@ CASES = Work(
 
 @contextmanager
 def _start_workers(workers: Workers) -> Iterator[int]:
-    """Choose what runs joblib's tasks; gives their number."""
+    """Start what runs joblib's tasks; yields the number of workers."""
     if workers.backend != "dask":
         threads: dict[str, Any] = {"inner_max_num_threads": 1} if workers.backend == "loky" else {}
         with parallel_config(backend=workers.backend, n_jobs=workers.jobs, **threads):

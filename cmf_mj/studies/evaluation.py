@@ -31,7 +31,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.studies.case import REPORT_AMPLITUDES, Case
 from cmf_mj.studies.settings import NOMINAL, StudyCase, rung_named
 
-MEASURED = (
+MEASURE_NAMES = (
     *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot"),
     *("damping_ratio", "steady_state_error", "mode_damping_ratio", "mode_frequency_hz"),
     *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
@@ -40,7 +40,7 @@ MEASURED = (
 
 Gains = NDArray[np.float64]
 
-_NONE: Gains = np.full(len(DOFS), np.nan)
+_NANS: Gains = np.full(len(DOFS), np.nan)
 
 
 class StudyRow(NamedTuple):
@@ -59,11 +59,13 @@ class StudyRow(NamedTuple):
     @property
     def columns(self) -> dict[str, Any]:
         """The row in the table of results."""
+        gains = zip(DOFS, self.crosstalk, strict=True)
         return {
             "dof": self.dof,
-            **{name: getattr(self.measures, name) for name in MEASURED},
-            **{f"crosstalk_{dof}": float(g) for dof, g in zip(DOFS, self.crosstalk, strict=True)},
-            **{"error_type": self.error_type, "error_message": self.error_message},
+            **{name: getattr(self.measures, name) for name in MEASURE_NAMES},
+            **{f"crosstalk_{dof}": float(gain) for dof, gain in gains},
+            "error_type": self.error_type,
+            "error_message": self.error_message,
         }
 
 
@@ -76,16 +78,17 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
     mismatch, values = Unknowns(settings.mismatch), {}
     if study_case.draw != NOMINAL:
         values = mismatch.streams(settings.seed, study_case.draw)
-    assert case.cab is not None  # of the machine, also where single legs are made of it
+    assert case.cab is not None  # single legs take the machine of the cab
     cab = mismatch.apply(values, case.cab)
     plant = rung.build(cab, mismatch.apply(values, case.hydraulics))
     case = replace(case, law=mismatch.apply(values, case.law))
     ideal = load_sensors("ideal")
     sensors = mismatch.apply(values, ideal, "mismatched")
     if settings.method == "linear":
-        of_channels = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
-        errors = {key: np.array([e.si for e in legs]) for key, legs in of_channels.items() if legs}
-        return _linear_rows(case, plant, errors, {} if shared is None else shared)
+        stated = {channel: getattr(sensors, channel).gain_errors for channel in CHANNELS}
+        known = {channel: errors for channel, errors in stated.items() if errors}
+        gain_errors = {name: np.array([e.si for e in errors]) for name, errors in known.items()}
+        return _linear_rows(case, plant, gain_errors, {} if shared is None else shared)
     chain = ElectronicsSettings(seed=settings.seed) if "electronics" in rung.effects else None
     if sensors is not ideal:
         chain = ElectronicsSettings(sensors=sensors, converters="off")
@@ -97,21 +100,21 @@ def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> 
 
 def error_row(error: BaseException) -> StudyRow:
     """The row of a case that could not be run."""
-    return StudyRow("", Measures(), _NONE, type(error).__name__, str(error))
+    return StudyRow("", Measures(), _NANS, type(error).__name__, str(error))
 
 
 def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     """Largest gains (6,) from the demand of a chirp to the true motion."""
     begin = round(sweep.signal.lead * sweep.rate) - 1
     demand = dof_history(sweep, "leg_reference", case.dof)[begin:]
-    how: dict[str, Any] = {"segment": case.segment, "band": (0.2, BAND[1]), "pad": True}
+    options: dict[str, Any] = {"segment": case.segment, "band": (0.2, BAND[1]), "pad": True}
     responses = []
     for dof in DOFS:
         try:
             motion = dof_history(sweep, "leg_extension", dof)[begin:]
         except NoPoseError:
-            return _NONE
-        estimate = welch_response(demand - demand[0], motion - motion[0], sweep.rate, **how)
+            return _NANS
+        estimate = welch_response(demand - demand[0], motion - motion[0], sweep.rate, **options)
         responses.append(estimate.response)
     index = DOFS.index(case.dof)
     gains = np.abs(responses).max(axis=1) * REPORT_AMPLITUDES[index] / REPORT_AMPLITUDES
@@ -120,19 +123,19 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
 
 
 def _linear_rows(
-    case: Case, plant: Plant, errors: dict[str, Gains], shared: dict[str, Linear]
+    case: Case, plant: Plant, gain_errors: dict[str, Gains], shared: dict[str, Linear]
 ) -> list[StudyRow]:
     """Rows of all degrees of freedom, where sensors have gain errors by channel and leg."""
     if "linear" not in shared:
         shared["linear"] = Linear(plant, case.pose)
-    linear = shared["linear"].sensed(errors)
+    linear = shared["linear"].sensed(gain_errors)
     loop = linear.loop(case.law)
     measures, response = measure_axes(loop)
     if response is None:
-        return [StudyRow(dof, of_dof, _NONE) for dof, of_dof in zip(DOFS, measures, strict=True)]
+        return [StudyRow(dof, of_dof, _NANS) for dof, of_dof in zip(DOFS, measures, strict=True)]
     # The motion of a leg is the reading of its sensor over the sensor's gain.
-    gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
+    gains = 1.0 + gain_errors.get("leg_position", np.zeros(plant.legs))
     pose_per_reading = np.linalg.solve(linear.jacobian, linear.jacobian / gains[:, None])
     true_response = np.einsum("ij,jkf->ikf", pose_per_reading, response)
-    shares = crosstalk(true_response, REPORT_AMPLITUDES)
-    return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]
+    gains_by_dof = crosstalk(true_response, REPORT_AMPLITUDES).T
+    return [StudyRow(*row) for row in zip(DOFS, measures, gains_by_dof, strict=True)]

@@ -54,10 +54,10 @@ FALL_RATIO = 2.5
 """Least speed of a fall at the first stop, over the settle speed; assumed: 10 in/s at the CMF."""
 LARGEST_ERROR = 6.0 / 38.0
 """Of a leg that follows, over its half stroke: 6 in of the CMF, where protection finds a fault."""
-_STILL = 1e-3  #: Swing over the last second, or distance from the demand, that is none [m].
-_AT_STOP = 2e-3  #: Distance from a stop that counts as on it [m].
+_REST_SWING = 1e-3  #: Swing over the last second, or distance from the demand, that is none [m].
+_STOP_GAP = 2e-3  #: Distance from a stop that counts as on it [m].
 _RECORD_RATE = 256  #: Rows of the record that is kept, a second, at least [Hz].
-_ROW_LATE = ("stop_force", "crew_accelerometer")  #: Channels that stand a row after their frame.
+_LATE_CHANNELS = ("stop_force", "crew_accelerometer")  #: They stand a row after their frame.
 
 
 class Peak(NamedTuple):
@@ -143,7 +143,7 @@ def _crew_field(phase: str, title: str) -> Field:
     )
 
 
-FAILURES = (
+FAILURE_FIELDS = (
     Field("", "event", of=lambda row: row.label.replace("-", " ")),
     Field("event", of="event.kind", printed=False),
     Field("leg", of="event.leg", printed=False),
@@ -194,10 +194,11 @@ def measure_failure(
     free = after if contact is None else after & (time < contact.time)
 
     def phases(values: Array) -> Phases:
-        before, since, off_stops = (
-            _extreme(time, values, t, np.abs) for t in (~after, after, free)
+        return Phases(
+            before=_extreme(time, values, ~after, np.abs),
+            after=_extreme(time, values, after, np.abs),
+            free=_extreme(time, values, free, np.abs),
         )
-        return Phases(before=before, after=since, free=off_stops)
 
     chambers = np.stack([_frames(record, f"{side}_pressure") for side in ("cap", "rod")], axis=2)
     fault = record.metadata["fault"]
@@ -227,20 +228,20 @@ def measure_failure(
     )
 
 
-def _extreme(time: Array, values: Array, where: Mask, rank: np.ufunc = np.positive) -> Peak:
-    """The value of the largest rank among (N,) or (N, legs) in some rows; NaN if there are none."""
-    rows = np.flatnonzero(where)
+def _extreme(time: Array, values: Array, mask: Mask, measure: np.ufunc = np.positive) -> Peak:
+    """The value of the largest measure among the masked rows of (N,) or (N, legs); NaN for none."""
+    rows = np.flatnonzero(mask)
     if rows.size == 0:
         return Peak(float("nan"), float("nan"))
     candidates = values[rows]
-    row, *leg = np.unravel_index(int(np.argmax(rank(candidates))), candidates.shape)
+    row, *leg = np.unravel_index(int(np.argmax(measure(candidates))), candidates.shape)
     value = float(candidates[row, *leg])
     return Peak(value, float(time[rows[row]]), int(leg[0]) + 1 if leg else None)
 
 
 def _frames(record: Record, channel: str) -> Array:
     """A channel at all frames but the last, (N - 1, ...)."""
-    return record[channel][1:] if channel in _ROW_LATE else record[channel][:-1]
+    return record[channel][1:] if channel in _LATE_CHANNELS else record[channel][:-1]
 
 
 def _axial_load(record: Record) -> Array:
@@ -251,8 +252,8 @@ def _axial_load(record: Record) -> Array:
 
 def _crew_acceleration(record: Record, plant: Hexapod) -> Array:
     """Acceleration at the crew's heads in world axes, z up [m/s^2], (N - 1, 3)."""
-    start = plant.model.joint("platform").qposadr[0] + 3
-    quaternion = _frames(record, "generalised_position")[:, start : start + 4]
+    first = plant.model.joint("platform").qposadr[0] + 3  # after the three of its place
+    quaternion = _frames(record, "generalised_position")[:, first : first + 4]
     turn = Rotation.from_quat(quaternion, scalar_first=True)
     force = turn.apply(_frames(record, "crew_accelerometer").copy())
     return np.asarray(force + plant.model.opt.gravity)
@@ -260,12 +261,12 @@ def _crew_acceleration(record: Record, plant: Hexapod) -> Array:
 
 def _kept_record(record: Record, plant: Hexapod, load: Array, acceleration: Array) -> Record:
     """The record at `_RECORD_RATE`, with axial loads and acceleration of the crew."""
-    frames = frames_a_row(plant.machine, _RECORD_RATE)
-    rows = slice(0, len(load), frames)
+    row_frames = frames_a_row(plant.machine, _RECORD_RATE)
+    rows = slice(0, len(load), row_frames)
     channels = {**record.channels, "axial_load": load, "crew_acceleration": acceleration}
     channels = {name: values[rows] for name, values in channels.items()}
     own_units = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
-    metadata = {**record.metadata, "sample_rate": record.rate / frames}
+    metadata = {**record.metadata, "sample_rate": record.rate / row_frames}
     return Record(record.time[rows], channels, own_units, metadata)
 
 
@@ -273,14 +274,14 @@ def _contacts(record: Record, plant: Hexapod) -> tuple[Peak | None, Peak | None]
     """The first and the fastest contact of a leg with a stop, by its speed the frame before."""
     time, extension = record.time[:-1], _frames(record, "leg_extension")
     on_stop = np.abs(extension) >= plant.hydraulics.cylinder.half_stroke
-    meets = on_stop[2:] & ~on_stop[1:-1]
-    rows = meets.any(axis=1)
-    if not rows.any():
+    is_contact = on_stop[2:] & ~on_stop[1:-1]
+    has_contact = is_contact.any(axis=1)
+    if not has_contact.any():
         return None, None
     travel = np.abs(np.diff(extension, axis=0))[:-1]
-    speed = np.where(meets, travel / plant.machine.frame, -1.0)
-    is_first = np.arange(rows.size) == rows.argmax()
-    return _extreme(time[2:], speed, is_first), _extreme(time[2:], speed, rows)
+    speed = np.where(is_contact, travel / plant.machine.frame, -1.0)
+    is_first = np.arange(has_contact.size) == has_contact.argmax()
+    return _extreme(time[2:], speed, is_first), _extreme(time[2:], speed, has_contact)
 
 
 def _demand_error(record: Record) -> Array:
@@ -291,12 +292,12 @@ def _demand_error(record: Record) -> Array:
 def _final_state(
     record: Record, plant: Hexapod, at: float, usual_error: float, contact: Peak | None
 ) -> str:
-    """How a run with an event `at` ends that stayed in bounds."""
+    """The final state of a run that stayed in bounds, with an event `at`; see the module."""
     time, extension = record.time, record["leg_extension"]
     half_stroke = plant.hydraulics.cylinder.half_stroke
     last_second = extension[time >= time[-1] - 1.0]
-    is_still = bool((np.ptp(last_second, axis=0) < _STILL).all())
-    on_stop = np.abs(extension[-1]) > half_stroke - _AT_STOP
+    is_still = bool((np.ptp(last_second, axis=0) < _REST_SWING).all())
+    on_stop = np.abs(extension[-1]) > half_stroke - _STOP_GAP
     if is_still and (on_stop & (extension[-1] < 0.0)).all():
         fall_speed = FALL_RATIO * plant.parameters.settle_speed.si
         return "fallen" if contact is not None and contact.value > fall_speed else "settled"
@@ -304,16 +305,16 @@ def _final_state(
         return "against_stop"
     final = time >= max(time[-1] - 2.0 * REST - FADE, at)
     final_error = float(_demand_error(record)[final].max())
-    if final_error <= 2.0 * usual_error + _STILL:
+    if final_error <= 2.0 * usual_error + _REST_SWING:
         return "running"
     if final_error <= LARGEST_ERROR * half_stroke.min():
         return "degraded"
     return "holding" if is_still else "moving"
 
 
-TRANSLATION, ROTATION = 6.0 * units.INCH, 4.0 * units.DEGREE  #: Default amplitudes on the CMF.
+_TRANSLATION, _ROTATION = 6.0 * units.INCH, 4.0 * units.DEGREE  #: Default amplitudes on the CMF.
 FREQUENCY = 0.5  #: Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s.
-AFTER = 26.0  #: Default length of the run after the event [s]: a lost pump is noticed after 11 s.
+TIME_AFTER_EVENT = 26.0  #: Default length of a run after the event [s]; a lost pump shows at 11 s.
 
 
 def faded_sine(dof: str, amplitude: float, frequency: float, *, at: float, after: float) -> Command:
@@ -336,7 +337,7 @@ def run_failure(
     case: Case | None = None,
     *,
     frequency: float = FREQUENCY,
-    after: float = AFTER,
+    after: float = TIME_AFTER_EVENT,
     command: Command | ArrayLike | None = None,
     protection: str | Path | ProtectionSettings | None = "default",
 ) -> FailureResult:
@@ -375,7 +376,7 @@ def run_failure(
 
 def _case_sine(case: Case, frequency: float, at: float, after: float) -> Command:
     """The sine of a case about its pose, within the limits of the machine."""
-    default = by_kind(case.dof, TRANSLATION, ROTATION)
+    default = by_kind(case.dof, _TRANSLATION, _ROTATION)
     amplitude = case.amplitude or default * relative_travel(case.motion_base, case.dof)
     command = faded_sine(case.dof, amplitude, frequency, at=at, after=after)
     command = Command(command.pose + np.asarray(case.pose), command.signal, command.seed)
@@ -394,4 +395,4 @@ def run_failures(
     about = {name: first.record.metadata[name] for name in ("law", "cab", "hydraulics")}
     title = "{law} in {dof}, {cab} cab, {hydraulics} hydraulics, {setting}"
     title = title.format(dof=first.dof, setting=first.setting, **about)
-    return Result(results, FAILURES, title, _LEGEND, about)
+    return Result(results, FAILURE_FIELDS, title, _LEGEND, about)

@@ -6,7 +6,7 @@ from shared import cmf, rows_of
 
 from cmf_mj.machine.models import machine_names
 from cmf_mj.record.record import Record
-from cmf_mj.studies.comparison import COMPARISON
+from cmf_mj.studies.comparison import COMPARISON_FIELDS
 
 MY_LAW = """
 [soft]
@@ -34,7 +34,7 @@ def test_compare_writes_table_figures_and_records(
         *("--out", out, "--jobs", "2"),
     )
     rows = rows_of(out / "comparison.csv")
-    assert list(rows[0]) == [field.name for field in COMPARISON]
+    assert list(rows[0]) == [field.name for field in COMPARISON_FIELDS]
     keys = [(row["plant"], row["law"], row["dof"]) for row in rows]
     assert keys == [
         (plant, name, dof)

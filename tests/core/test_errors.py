@@ -19,7 +19,7 @@ from cmf_mj.environments.environment import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.comparison import step_figure
 from cmf_mj.studies import evaluation
-from cmf_mj.studies.case import CaseResult, make_case, small_loop
+from cmf_mj.studies.case import CaseResult, make_case, small_motion_loop
 
 APART = np.array([-1.014, -1.014, 1.014, -1.014, -1.014, 1.014])
 """Legs within their stops that reach no common platform [m]."""
@@ -66,7 +66,7 @@ def test_a_sweep_without_true_extensions_has_no_crosstalk_to_read() -> None:
 
 def test_small_motion_of_a_loop_without_delay_is_refused() -> None:
     with pytest.raises(InputError, match="command_delay: 0"):
-        small_loop(make_case("velocity", plant="single_legs", command_delay=0))
+        small_motion_loop(make_case("velocity", plant="single_legs", command_delay=0))
 
 
 def test_a_step_with_gaps_is_not_left_out_of_a_figure() -> None:

@@ -27,7 +27,7 @@ from cmf_mj.pilot.omct import (
 from cmf_mj.pilot.washout_settings import load_washout, save_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.cueing import _modulus_unit, _phase_deg, omct_table, share_table
+from cmf_mj.show.omct import _modulus_unit, _phase_deg, omct_table, share_table
 from scripts.flights import with_gains
 
 SIMONA = load_washout()

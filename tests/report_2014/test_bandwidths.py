@@ -10,7 +10,7 @@ from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.show.comparison import AGREEMENT
-from cmf_mj.studies.case import make_case, small_loop
+from cmf_mj.studies.case import make_case, small_motion_loop
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -
 
 def agree(law: str, dof: str, cab: str = "gfd") -> None:
     """Chirp at a fiftieth of the report's amplitude and linearised machine: 0.1 Hz in -90 deg."""
-    small = measure_loop(small_loop(make_case(law, dof, cab=cab)))
+    small = measure_loop(small_motion_loop(make_case(law, dof, cab=cab)))
     swept = chirp_bandwidths("hexapod", law, dof, cab, share=0.02)
     assert small.stable
     assert swept.phase_hz == pytest.approx(small.phase_bandwidth_hz, abs=AGREEMENT)
@@ -61,7 +61,7 @@ def test_linear_and_chirp_agree_where_the_phase_grazes() -> None:
     falls through -90 deg at the pair, comes back to it and falls again. At 0.2 deg the pair is
     damped so much that the phase only grazes there, and crosses 0.2 Hz later."""
     agree("position_error_rate", "roll")
-    small = measure_loop(small_loop(make_case("position_error_rate", "roll")))
+    small = measure_loop(small_motion_loop(make_case("position_error_rate", "roll")))
     large = chirp_bandwidths("hexapod", "position_error_rate", "roll")
     assert large.phase_hz - small.phase_bandwidth_hz > 2.0 * AGREEMENT
     for one in (small, large):

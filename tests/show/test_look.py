@@ -25,12 +25,12 @@ def figure_of(width: float, height: float, letters: float = 8.0) -> Figure:
 
 @pytest.mark.parametrize("form", look.FORMATS)
 def test_a_figure_has_the_format_it_is_asked_for(form: str, tmp_path: Path) -> None:
-    with look.printed(form):
+    with look.write_figures_as(form):
         (path,) = look.save_files({"gain.png": figure_of(4.0, 3.0)}, tmp_path)
     begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[form]
     assert path.name == f"gain.{form}" and path.read_bytes().startswith(begins)
     assert look.save_figure(figure_of(4.0, 3.0), tmp_path / "after.png").suffix == ".png"
-    with pytest.raises(InputError, match="figure_format"), look.printed("gif"):
+    with pytest.raises(InputError, match="figure_format"), look.write_figures_as("gif"):
         pass
 
 

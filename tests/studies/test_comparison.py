@@ -13,7 +13,7 @@ from cmf_mj.show.comparison import AGREEMENT, comparison_table, phase_text, step
 from cmf_mj.studies import comparison
 from cmf_mj.studies.case import AMPLITUDE, CaseResult, make_case
 
-COLUMNS = [field.name for field in comparison.COMPARISON]
+COLUMNS = [field.name for field in comparison.COMPARISON_FIELDS]
 
 
 def test_published_values_are_of_the_facility_alone() -> None:

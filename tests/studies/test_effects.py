@@ -11,12 +11,12 @@ from cmf_mj.studies import effects
 
 def test_shares_have_wilsons_interval() -> None:
     """(p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n), 8 of 10."""
-    interval = effects.share([True] * 8 + [False] * 2)
+    interval = effects.estimate_share([True] * 8 + [False] * 2)
     z, n, p = stats.norm.ppf(0.975), 10, 0.8
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
     assert interval == pytest.approx((0.8, middle - half, middle + half, 10))
-    assert effects.share([]).machines == 0
+    assert effects.estimate_share([]).machines == 0
 
 
 def test_damped_counts_the_overshoot_of_a_damping_ratio_of_three_tenths() -> None:

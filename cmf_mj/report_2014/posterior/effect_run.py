@@ -192,7 +192,7 @@ class _Population:
         machine_count = len(self.machines)
         largest = np.max([singles.weights(plant) for plant in singles.single_plants], axis=0)
         numbers = np.flatnonzero((largest > _LEAST_WEIGHT) & bool(pairs)).tolist()
-        self.ask.every += len(numbers) - machine_count
+        self.ask.task_count += len(numbers) - machine_count
         by_pair = [{row["plant"]: row for row in rows} for rows in self.ask_plants(pairs, numbers)]
         answers = dict(zip(numbers, by_pair, strict=True))
         for pair in pairs:
@@ -256,7 +256,7 @@ def _posterior_verdicts(bank: Bank, population: _Population) -> list[Row]:
         numbers, counts = np.unique(sample, return_counts=True)
         cases += [Case(population.machines[i], i, plant) for i in numbers.tolist()]
         draw_counts += counts.tolist()
-    ask.every += len(cases) - settings.kept * len(bank.single_plants)
+    ask.task_count += len(cases) - settings.kept * len(bank.single_plants)
     verdicts = list[Row]()
     for case, count, answer in zip(cases, draw_counts, ask("verdict", cases), strict=True):
         plant, number = case.subject, case.draw

@@ -32,7 +32,7 @@ from cmf_mj.report_2014.posterior import effects, evidence
 from cmf_mj.report_2014.posterior.study import PosteriorStudy
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers, row_table
-from cmf_mj.studies.evaluation import MEASURED
+from cmf_mj.studies.evaluation import MEASURE_NAMES
 from cmf_mj.studies.fit import sampling
 
 GROUPS = ("rows", "fits", "three_g", "flown")
@@ -151,7 +151,7 @@ def run_posterior(
     weights = np.array([machine["weight"] for machine in machines])
     sample = sampling.resampled(weights, settings.kept, settings.seed)
     numbers, counts = (column.tolist() for column in np.unique(sample, return_counts=True))
-    ask.every -= settings.kept - len(numbers)
+    ask.task_count -= settings.kept - len(numbers)
     unknowns = Unknowns(settings.unknowns)
     kept_cases = [Case(unknowns.of(machines[number]), number) for number in numbers]
     for case, count, rows in zip(kept_cases, counts, ask("kept", kept_cases), strict=True):
@@ -231,7 +231,7 @@ def _answer_kept(task: Task) -> list[Row]:
         for law in task.laws:
             for dof, measures in zip(DOFS, machine.measures(law), strict=True):
                 loop = {"table": "measures", "cab": cab, "law": law.name, "dof": dof}
-                rows.append(loop | {name: getattr(measures, name) for name in MEASURED})
+                rows.append(loop | {name: getattr(measures, name) for name in MEASURE_NAMES})
     settings = task.study.settings
     for corner in settings.corners:
         for gain in settings.gains:

@@ -1,4 +1,4 @@
-"""The page that plays runs: machines as geometry, their configurations as numbers, traces in step.
+"""The page that plays runs: geometry of machines, their configurations and traces over time.
 
 The page is `player.html` with three.js inlined; it moves the machine by the forward kinematics of
 its joints, so that what is played is the record's `generalised_position` itself.
@@ -23,12 +23,9 @@ from cmf_mj.show.look import Curve, Panel
 from cmf_mj.show.player.traces import Panels, limits_of, samples_within
 
 SAMPLES_A_SECOND = 128.0  #: Of time on the page at real speed, at most; it draws lines between.
-
 MOST_BYTES = 3_000_000  #: Size of a page, at most.
-
 _SAMPLE_BYTES = 2_000_000
 """Of the page, for configurations and traces; longer runs have fewer samples a second."""
-
 _SAMPLE_NUMBER_BYTES = 16 / 3  #: Of one number: four bytes, as base64.
 
 
@@ -50,8 +47,7 @@ def write_page(
     Raises `InputError` for a page that is larger.
     """
     time = _sample_times(runs, span, speed)
-    models: list[dict[str, Any]] = []
-    played = []
+    models, played_runs = list[dict[str, Any]](), list[dict[str, Any]]()
     for run in runs:
         if (geometry := _geometry(run.model)) not in models:
             models.append(geometry)
@@ -59,7 +55,7 @@ def write_page(
         qpos = run.qpos[np.maximum(rows, 0)]
         panels = _panels(run.panels, [other.panels for other in runs], span, time)
         table = {"title": run.title, "model": models.index(geometry), "panels": panels}
-        played.append({**table, "qpos": _encoded(qpos)})
+        played_runs.append({**table, "qpos": _encoded(qpos)})
     data = {
         "start": span[0],
         "rate": (time.size - 1) / (span[1] - span[0]),
@@ -70,7 +66,7 @@ def write_page(
         "models": models,
         "cameras": _cameras(runs[0].model),
         "camera": camera,
-        "runs": played,
+        "runs": played_runs,
     }
     folder = Path(__file__).parent
     parts = {
@@ -96,9 +92,10 @@ def _sample_times(
     """Times of the samples [s], as many as the page has room for."""
     curves = sum(len(panel.curves) for run in runs for panel in run.panels)
     numbers = curves + sum(run.model.nq for run in runs)
-    room = _SAMPLE_BYTES / (_SAMPLE_NUMBER_BYTES * numbers)
-    rate = min(SAMPLES_A_SECOND / min(speed, 1.0), room / (span[1] - span[0]))
-    return np.linspace(*span, max(int((span[1] - span[0]) * rate) + 1, 2))
+    start, end = span
+    largest_count = _SAMPLE_BYTES / (_SAMPLE_NUMBER_BYTES * numbers)
+    rate = min(SAMPLES_A_SECOND / min(speed, 1.0), largest_count / (end - start))
+    return np.linspace(start, end, max(int((end - start) * rate) + 1, 2))
 
 
 def _encoded(values: NDArray[np.floating]) -> str:
@@ -119,20 +116,21 @@ def _geometry(model: mujoco.MjModel) -> dict[str, Any]:
         for i in range(model.nbody)
     ]
     for i in range(model.njnt):
-        at = int(model.jnt_qposadr[i])
+        address = int(model.jnt_qposadr[i])
         kind = mujoco.mjtJoint(model.jnt_type[i]).name.removeprefix("mjJNT_").lower()
-        joint = {"type": kind, "at": at}
+        joint = {"type": kind, "at": address}
         joint |= {"axis": model.jnt_axis[i].tolist(), "pos": model.jnt_pos[i].tolist()}
-        bodies[model.jnt_bodyid[i]]["joints"].append({**joint, "zero": float(model.qpos0[at])})
+        bodies[model.jnt_bodyid[i]]["joints"].append({**joint, "zero": float(model.qpos0[address])})
     for i in np.flatnonzero(model.geom_group <= 2).tolist():
         shape = mujoco.mjtGeom(model.geom_type[i]).name.removeprefix("mjGEOM_").lower()
         material = model.geom_matid[i]
         colour = model.geom_rgba[i] if material < 0 else model.mat_rgba[material]
-        size, middle, turn = model.geom_size[i], model.geom_pos[i], model.geom_quat[i]
+        size, centre, quaternion = model.geom_size[i], model.geom_pos[i], model.geom_quat[i]
         if shape == "mesh":  # drawn as the box around it
             shape, size = "box", model.geom_aabb[i, 3:]
-        geom = {"type": shape, "size": np.round(size, 4).tolist(), "quat": turn.round(6).tolist()}
-        geom |= {"pos": np.round(middle, 4).tolist(), "rgb": colour[:3].round(3).tolist()}
+        geom = {"type": shape, "size": np.round(size, 4).tolist()}
+        geom |= {"quat": quaternion.round(6).tolist(), "pos": np.round(centre, 4).tolist()}
+        geom |= {"rgb": colour[:3].round(3).tolist()}
         bodies[model.geom_bodyid[i]]["geoms"].append(geom)
     return {"nq": model.nq, "extent": float(model.stat.extent), "bodies": bodies}
 
@@ -141,16 +139,16 @@ def _cameras(model: mujoco.MjModel) -> dict[str, Any]:
     """Fixed cameras, each with how far ahead of it the middle of the machine is [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    found = {}
+    cameras = {}
     for i in range(model.ncam):
-        ahead = -data.cam_xmat[i].reshape(3, 3)[:, 2]
-        found[model.camera(i).name] = {
+        forward = -data.cam_xmat[i].reshape(3, 3)[:, 2]
+        cameras[model.camera(i).name] = {
             "pos": data.cam_xpos[i].tolist(),
-            "forward": ahead.tolist(),
-            "distance": float(ahead @ (model.stat.center - data.cam_xpos[i])),
+            "forward": forward.tolist(),
+            "distance": float(forward @ (model.stat.center - data.cam_xpos[i])),
             "fovy": float(model.cam_fovy[i]),
         }
-    return found
+    return cameras
 
 
 def _panels(
@@ -161,8 +159,8 @@ def _panels(
 ) -> list[dict[str, Any]]:
     """Panels of a run, whose axes take in those of all runs, with all curves at the same times."""
     tables = []
-    for number, panel in enumerate(panels):
-        low, high = limits_of([other[number] for other in all_panels], span)
+    for index, panel in enumerate(panels):
+        low, high = limits_of([other[index] for other in all_panels], span)
         curves = [
             {
                 "name": curve.name,
@@ -187,18 +185,17 @@ def _step_text(panel: Panel, span: tuple[float, float]) -> str:
     demand, response, *_ = (*panel.curves, None)
     if demand is None or response is None or demand.name != "demand":
         return ""
-    _, asked = samples_within(demand, span)
-    step = asked[-1] - asked[0]
-    if np.unique(asked).size != 2 or step == 0.0:
+    _, demanded = samples_within(demand, span)
+    start, step = demanded[0], demanded[-1] - demanded[0]
+    if np.unique(demanded).size != 2 or step == 0.0:
         return ""
     time, y = samples_within(response, span)
-    y = (y - asked[0]) / step
+    y = (y - start) / step
     error = y - y[-1]
     rises, falls = y[1:-1] > y[:-2], y[1:-1] >= y[2:]
     tops = 1 + np.flatnonzero(rises & falls & (error[1:-1] > 0.02))
-    text = (
-        f"{panel.y_title}: {response.name} goes to {y.max():.2f} of the step, ends at {y[-1]:.2f}"
-    )
+    reach = f"goes to {y.max():.2f} of the step, ends at {y[-1]:.2f}"
+    text = f"{panel.y_title}: {response.name} {reach}"
     if (swings := tops.size - 1) > 0:
         first, last = tops[0], tops[-1]
         ratio = (error[last] / error[first]) ** (1 / swings)
@@ -234,7 +231,7 @@ def _summary(runs: Sequence[PlayedRun], span: tuple[float, float]) -> str:
             rows.append(_step_text(panel, span))
             rows += [_curve_row(panel, curve, span) for curve in panel.curves]
     names = ("", "first", "lowest", "highest", "last")
-    heads = "".join(f'<th scope="col">{name}</th>' for name in names)
+    header_cells = "".join(f'<th scope="col">{name}</th>' for name in names)
     count = f"{len(runs)} {'runs' if len(runs) > 1 else 'run'}"
     text = f"{count}, from {span[0]:g} to {span[1]:g} s."
-    return f"<p>{text}</p><table><tr>{heads}</tr>{''.join(rows)}</table>"
+    return f"<p>{text}</p><table><tr>{header_cells}</tr>{''.join(rows)}</table>"

@@ -1,4 +1,4 @@
-"""Traces under the picture of a run: what moves most, and the pressures of a leg."""
+"""Traces under the picture of a run: the degree of freedom that moves most, a leg's pressures."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ def traces_of(record: Record, leg: int | None = None) -> Panels:
     """
     leg = busiest_leg(record) if leg is None else leg
 
-    def line(
+    def curve(
         name: str, channel: str, column: int, unit: str, colour: str, width: float = 1.0
     ) -> Curve:
         values = record[channel].reshape(record.time.size, -1)[:, column]
@@ -40,16 +40,16 @@ def traces_of(record: Record, leg: int | None = None) -> Panels:
     if "platform_pose" in record.channels:
         demand, response = "demand_pose", "platform_pose"
         scale = np.array([units.factor(dof_unit(dof)) for dof in DOFS])
-        moved = record.channels.get(demand, record[response]) / scale
-        column = int(np.ptp(moved, axis=0).argmax())
+        pose = record.channels.get(demand, record[response]) / scale
+        column = int(np.ptp(pose, axis=0).argmax())
         title, unit = DOFS[column], dof_unit(column)
-    motion = [line("response", response, column, unit, BLUE, 1.2)]
+    motion = [curve("response", response, column, unit, BLUE, 1.2)]
     if demand in record.channels:
-        motion.insert(0, line("demand", demand, column, unit, GREY, 2.2))
+        motion.insert(0, curve("demand", demand, column, unit, GREY, 2.2))
     pressures = (
-        line("cap", "cap_pressure", leg, "psi", ORANGE),
-        line("rod", "rod_pressure", leg, "psi", GREEN),
-        line("supply", "supply_pressure", 0, "psi", DARK),
+        curve("cap", "cap_pressure", leg, "psi", ORANGE),
+        curve("rod", "rod_pressure", leg, "psi", GREEN),
+        curve("supply", "supply_pressure", 0, "psi", DARK),
     )
     pressure_panel = Panel(f"leg {leg + 1} [psi]", pressures, from_zero=True)
     return Panel(f"{title} [{unit}]", tuple(motion)), pressure_panel
