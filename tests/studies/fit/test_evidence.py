@@ -256,7 +256,9 @@ def test_fit_finds_known_numbers_through_a_biased_linear_model(
 
     def biased(self: Evidence, values: Any, plant: Any, jobs: int) -> Any:
         del jobs
-        found = self._replace(shift=np.zeros(len(self.statements))).linear(values, plant).value
+        found = (
+            self._replace(shift=np.zeros(len(self.statements))).linear_numbers(values, plant).value
+        )
         return np.where(
             [one.field == "damping_ratio" for one in self.statements], found, 1.04 * found
         )
@@ -270,7 +272,7 @@ def test_fit_finds_known_numbers_through_a_biased_linear_model(
     evidence = campaign.evidence._replace(statements=tuple(kept), shift=np.zeros(len(kept)))
     campaign = campaign._replace(evidence=evidence)
     made = biased(campaign.evidence, truth, campaign.unknowns.apply(truth, campaign.plant), 1)
-    monkeypatch.setattr(Evidence, "simulated", biased)
+    monkeypatch.setattr(Evidence, "simulated_numbers", biased)
     moved = tuple(
         one._replace(value=float(value), deviation=0.01)
         for one, value in zip(campaign.evidence.statements, made, strict=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cmf_mj.studies.fit.likelihood import coefficients, cost, information, spread
+from cmf_mj.studies.fit.likelihood import autoregression, cost, information, spread
 
 SPACING = {"a": 0.01, "b": 0.01, "c": 0.01, "d": 0.01}
 
@@ -17,7 +17,7 @@ def noise(colour: list[float], size: tuple[int, int], seed: int) -> np.ndarray:
 def test_colour_of_an_autoregression_is_found() -> None:
     """Within four standard errors, 1 / sqrt(samples) at most."""
     colour = [1.0, -1.2, 0.5]
-    found = coefficients(noise(colour, (20000, 2), 1), 2)
+    found = autoregression(noise(colour, (20000, 2), 1), 2)
     assert found == pytest.approx(colour, abs=4.0 / np.sqrt(40000))
 
 
