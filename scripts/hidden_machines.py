@@ -308,7 +308,7 @@ def _template(plant: Hexapod) -> Template:
     assert cab is not None
     template = make_template("tuned", "Tuned", [cab], "none")
     linear, modes = (linear_cab(plant, "none"),), {plant.cab: nominal_modes(plant)}
-    how: dict[str, Any] = {"cabs": linear, "frictionless": linear, "actuator": plant.parameters}
+    how: dict[str, Any] = {"cabs": linear, "frictionless": linear, "hydraulics": plant.parameters}
     return template._replace(modes=dict(template.modes) | modes, **how)
 
 

@@ -257,10 +257,9 @@ def plan_guide(bench: Bench, head: MasterSettings, folder: str | Path) -> Table:
         use, files = 100.0 * bench.used_share[name], f"{name}.1.csv to {name}.{repetitions}.csv"
         rows.append((number, name, command.duration, repetitions, use, elapsed / 60.0, files))
     head.write(target)
-    columns = [
-        *("", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f")),
-        *(("done after [min]", ".0f"), "record as"),
-    ]
+    columns: list[str | tuple[str, str]]
+    columns = ["", "test", ("length [s]", ".1f"), "repetitions", ("use [%]", ".0f")]
+    columns += [("done after [min]", ".0f"), "record as"]
     caption = ". ".join(f"{name}: {reason}" for name, reason in bench.impossible.items())
     table = Table(f"Order of the tests: {bench.guide.title}", columns, rows, caption)
     table.save(target / "plan.md")

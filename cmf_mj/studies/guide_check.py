@@ -303,9 +303,11 @@ def compare(master: Master, new: Master) -> list[Compared]:
             if np.isnan(values).all() and np.isnan(now[measure]).all():
                 continue
             limit = test.limits.get(measure, np.nan)
-            limits = (limit, test.sought.get(measure, limit), guide.power)
-            pair = (values, now[measure])
-            rows.append(_compare_measure(name, measure, *pair, level_of_measure, *limits))
+            sought = test.sought.get(measure, limit)
+            row = _compare_measure(
+                name, measure, values, now[measure], level_of_measure, limit, sought, guide.power
+            )
+            rows.append(row)
         rows.append(_compare_signature(master, new, name, level))
     return rows
 
@@ -344,7 +346,8 @@ def _compare_measure(
     old_known, now_known = old[~np.isnan(old)], now[~np.isnan(now)]
     if old_known.size > 1 and now_known.size:  # judged by the repetitions that have the measure
         old, now = old_known, now_known
-    n, m, before, after = old.size, now.size, float(old.mean()), float(now.mean())
+    n, m = old.size, now.size
+    before, after = float(old.mean()), float(now.mean())
     spread = float(np.maximum(_deviation(old), _ROUND_OFF * abs(before)))
     row = Compared(test, measure, before, spread, new=after, limit=limit)
     if measure == REPEATABLE:  # the master's own mean holds each of its repetitions

@@ -198,7 +198,8 @@ class Workspace:
     def __init__(self, plant: Hexapod, share: float) -> None:
         """Take strokes, limits, masses and forces of the data sheet's machine."""
         self.machine, self._plant, self.share = plant.machine, plant, share
-        self._mass, self._load = plant.reflected_mass(np.zeros(6)), plant.static_load()
+        self._mass = plant.reflected_mass(np.zeros(6))  # which places the plant at neutral
+        self._load = plant.static_load()
         push, pull = stall_forces(plant.hydraulics).T
         self._spare_force = np.minimum(push - self._load, self._load + pull)
         limits = load_motion_limits(None, self.machine)

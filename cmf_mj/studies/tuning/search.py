@@ -47,7 +47,9 @@ class Requirements(NamedTuple):
     damping: float = 0.02  #: Least damping ratio of any pole.
 
 
-_WEIGHTS = Requirements(0.3, 0.03, 0.06, 0.05, 1.0, 0.01)
+_WEIGHTS = Requirements(
+    peak_db=0.3, overshoot=0.03, together=0.06, tail=0.05, margin_db=1.0, damping=0.01
+)
 _EXCESS_TEXTS = {
     "peak_db": "peak by {:.2f} dB",
     "overshoot": "overshoot by {:.1%}",
