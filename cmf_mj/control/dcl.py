@@ -193,11 +193,11 @@ def make_dcl(law: Law, legs: int) -> Dcl:
             f"there are {legs}"
         )
     machine, sizes = law.machine, law.machine.leg_sizes
-    work: dict[str, Any] = {name: np.zeros(legs) for name in Workspace._fields}
-    work["inputs"] = np.zeros((legs, len(SIGNALS)))
+    arrays: dict[str, Any] = {name: np.zeros(legs) for name in Workspace._fields}
+    arrays["inputs"] = np.zeros((legs, len(SIGNALS)))
     fields = np.dtype([(name, np.float64) for name in SIGNALS])
-    work["signals"] = work["inputs"].view(fields)[:, 0].view(np.recarray)
-    work["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
+    arrays["signals"] = arrays["inputs"].view(fields)[:, 0].view(np.recarray)
+    arrays["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     return Dcl(
         is_modal=modes is not None,
         has_plan=law.plan is not None,
@@ -217,7 +217,7 @@ def make_dcl(law: Law, legs: int) -> Dcl:
         ),
         shape=make_shape(modes, legs),
         offset_decay=float(np.exp(-law.frame / OFFSET_TIME)),
-        workspace=Workspace(**work),
+        workspace=Workspace(**arrays),
     )
 
 
@@ -272,25 +272,25 @@ def _add_plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _into_modes(shape, work, integral, feedback):  # type: ignore[no-untyped-def]
+def _turn_to_modes(shape, workspace, integral, feedback):  # type: ignore[no-untyped-def]
     """Write demand, integral and feedback in modes, q = V^T l."""
-    modes = work.feedback
-    multiply(shape, work.limited_demand, work.reference)
-    multiply(shape, integral, work.integral)
-    multiply(shape, feedback.position, modes.position)
-    multiply(shape, feedback.velocity, modes.velocity)
-    multiply(shape, feedback.acceleration, modes.acceleration)
-    multiply(shape, feedback.cap_pressure, modes.cap_pressure)
-    multiply(shape, feedback.rod_pressure, modes.rod_pressure)
+    modal_feedback = workspace.feedback
+    multiply(shape, workspace.limited_demand, workspace.reference)
+    multiply(shape, integral, workspace.integral)
+    multiply(shape, feedback.position, modal_feedback.position)
+    multiply(shape, feedback.velocity, modal_feedback.velocity)
+    multiply(shape, feedback.acceleration, modal_feedback.acceleration)
+    multiply(shape, feedback.cap_pressure, modal_feedback.cap_pressure)
+    multiply(shape, feedback.rod_pressure, modal_feedback.rod_pressure)
 
 
 @compiled
-def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
+def _turn_to_legs(shape, workspace):  # type: ignore[no-untyped-def]
     """Turn outputs and targets back to legs, l = V q."""
-    multiply_transposed(shape, work.output, work.scratch)
-    assign(work.output, work.scratch)
-    multiply_transposed(shape, work.target, work.scratch)
-    assign(work.target, work.scratch)
+    multiply_transposed(shape, workspace.output, workspace.scratch)
+    assign(workspace.output, workspace.scratch)
+    multiply_transposed(shape, workspace.target, workspace.scratch)
+    assign(workspace.target, workspace.scratch)
 
 
 @inlined
@@ -303,12 +303,12 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
         workspace.demand_change[leg] = limited - workspace.limited_demand[leg]
         workspace.limited_demand[leg] = limited
     if is_modal:
-        _into_modes(dcl.shape, workspace, state.error.integral, feedback)
-    reference_of = workspace.reference if is_modal else workspace.limited_demand
+        _turn_to_modes(dcl.shape, workspace, state.error.integral, feedback)
+    references = workspace.reference if is_modal else workspace.limited_demand
     integral = workspace.integral if is_modal else state.error.integral
     measured = workspace.feedback if is_modal else feedback
     for leg in range(demand.shape[0]):
-        reference = reference_of[leg]
+        reference = references[leg]
         target = reference
         if dcl.model.is_active:
             target = state.model.position[leg]
@@ -334,9 +334,9 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
             dcl.feedback, state.acceleration[leg], measured.acceleration[leg]
         )
     if dcl.has_plan:
-        _add_plan(dcl, state.plan, reference_of, measured)
+        _add_plan(dcl, state.plan, references, measured)
     if is_modal:
-        _out_of_modes(dcl.shape, workspace)
+        _turn_to_legs(dcl.shape, workspace)
     for leg in range(demand.shape[0]):
         state.error.integral[leg] = integrate(
             dcl.error, state.error.integral[leg], workspace.target[leg], feedback.position[leg]

@@ -23,17 +23,21 @@ from cmf_mj.machine import kinematics
 
 
 @compiled
-def _angular_motion(pose, rate, acceleration):  # type: ignore[no-untyped-def]
-    """The angular velocity omega = E rates and its derivative, inertial axes."""
-    ct, st = np.cos(pose[4]), np.sin(pose[4])
-    cp, sp = np.cos(pose[5]), np.sin(pose[5])
-    roll, pitch, yaw = rate[3], rate[4], rate[5]
-    x, y, z = ct * cp * roll - sp * pitch, ct * sp * roll + cp * pitch, yaw - st * roll
-    dx = ct * cp * acceleration[3] - sp * acceleration[4]
-    dx += (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch
-    dy = ct * sp * acceleration[3] + cp * acceleration[4]
-    dy += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
-    dz = acceleration[5] - st * acceleration[3] - ct * pitch * roll
+def _angular_motion(pose, rates, accelerations):  # type: ignore[no-untyped-def]
+    """The angular velocity omega = E rates and its derivative, inertial axes, x, y, z each."""
+    cos_pitch, sin_pitch = np.cos(pose[4]), np.sin(pose[4])
+    cos_yaw, sin_yaw = np.cos(pose[5]), np.sin(pose[5])
+    roll_rate, pitch_rate, yaw_rate = rates[3], rates[4], rates[5]
+    x = cos_pitch * cos_yaw * roll_rate - sin_yaw * pitch_rate
+    y = cos_pitch * sin_yaw * roll_rate + cos_yaw * pitch_rate
+    z = yaw_rate - sin_pitch * roll_rate
+    dx = cos_pitch * cos_yaw * accelerations[3] - sin_yaw * accelerations[4]
+    slope = -sin_pitch * cos_yaw * pitch_rate - cos_pitch * sin_yaw * yaw_rate
+    dx += slope * roll_rate - cos_yaw * yaw_rate * pitch_rate
+    dy = cos_pitch * sin_yaw * accelerations[3] + cos_yaw * accelerations[4]
+    slope = -sin_pitch * sin_yaw * pitch_rate + cos_pitch * cos_yaw * yaw_rate
+    dy += slope * roll_rate - sin_yaw * yaw_rate * pitch_rate
+    dz = accelerations[5] - sin_pitch * accelerations[3] - cos_pitch * pitch_rate * roll_rate
     return x, y, z, dx, dy, dz
 
 
@@ -46,22 +50,23 @@ def step(geometry, motion, legs):  # type: ignore[no-untyped-def]
     pose, velocity, acceleration = motion[0], motion[1], motion[2]
     upper, lower, neutral = geometry
     rotation = kinematics.turn_of(pose[3], pose[4], pose[5])
-    ox, oy, oz, bx, by, bz = _angular_motion(pose, velocity, acceleration)
+    # omega and its derivative alpha.
+    ox, oy, oz, ax, ay, az = _angular_motion(pose, velocity, acceleration)
     for j in range(6):
         rx, ry, rz = kinematics.rotated_arm(rotation, upper[j])
         lx = pose[0] + rx - lower[j, 0]
         ly = pose[1] + ry - lower[j, 1]
         lz = pose[2] + rz - lower[j, 2]
         length = np.sqrt(lx * lx + ly * ly + lz * lz)
-        lx, ly, lz = lx / length, ly / length, lz / length
-        # omega x r, then omega x (omega x r) + domega/dt x r.
+        nx, ny, nz = lx / length, ly / length, lz / length
+        # s = omega x r, velocity w and acceleration q of the upper gimbal.
         sx, sy, sz = oy * rz - oz * ry, oz * rx - ox * rz, ox * ry - oy * rx
-        tx = oy * sz - oz * sy + by * rz - bz * ry + acceleration[0]
-        ty = oz * sx - ox * sz + bz * rx - bx * rz + acceleration[1]
-        tz = ox * sy - oy * sx + bx * ry - by * rx + acceleration[2]
+        qx = oy * sz - oz * sy + ay * rz - az * ry + acceleration[0]
+        qy = oz * sx - ox * sz + az * rx - ax * rz + acceleration[1]
+        qz = ox * sy - oy * sx + ax * ry - ay * rx + acceleration[2]
         wx, wy, wz = velocity[0] + sx, velocity[1] + sy, velocity[2] + sz
-        leg_rate = lx * wx + ly * wy + lz * wz
+        leg_rate = nx * wx + ny * wy + nz * wz
         legs[0, j] = length - neutral[j]
         legs[1, j] = leg_rate
         centripetal_term = wx * wx + wy * wy + wz * wz - leg_rate * leg_rate
-        legs[2, j] = lx * tx + ly * ty + lz * tz + centripetal_term / length
+        legs[2, j] = nx * qx + ny * qy + nz * qz + centripetal_term / length

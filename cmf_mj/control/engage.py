@@ -43,7 +43,7 @@ _INTEGRAL = SIGNALS.index("error_integral")
 
 _ROUND_OFF = 1e-12  #: Difference of outputs that is none, command fraction.
 
-_FASTEST = 1.0  #: Rate of the demand above which it jumps rather than moves [m/s].
+_TOP_RATE = 1.0  #: Rate of a demand that moves; one that changes faster jumps [m/s].
 
 _CHORDS = 20  #: Steps in which a plan finds the pose of its legs.
 
@@ -113,29 +113,30 @@ def handed_over_state(
     Reference (n,) [m] and feedback are those that the law before read in the last frame, `gravity`
     what the accelerometers felt of it, (n,) [m/s^2]; by default none.
     """
-    begun_state, frame, bound = copy_block(state), previous.error.frame, dcl.error.integrator_limit
-    begun_state.offset[:] = 0.0
+    next_state, frame, bound = copy_block(state), previous.error.frame, dcl.error.integrator_limit
+    next_state.offset[:] = 0.0
     if not np.array_equal(previous.shape, dcl.shape):
-        _turn_state(begun_state, dcl.shape @ previous.shape.T)
+        _turn_state(next_state, dcl.shape @ previous.shape.T)
     demand = _limit_reference(dcl, reference)
-    demand_change = np.clip(previous.workspace.demand_change, -_FASTEST * frame, _FASTEST * frame)
+    largest_change = _TOP_RATE * frame
+    demand_change = np.clip(previous.workspace.demand_change, -largest_change, largest_change)
     feedback = feedback._replace(position=feedback.position + frame * feedback.velocity)
     command = _output(previous, state, demand + demand_change, feedback)
     if gravity is not None:
         previous_gravity = dcl.shape @ previous.shape.T @ _filtered_gravity(previous, gravity)
-        begun_state.acceleration[:] += _filtered_gravity(dcl, gravity) - previous_gravity
+        next_state.acceleration[:] += _filtered_gravity(dcl, gravity) - previous_gravity
         shift = int(previous.feedback.gravity_compensation) - int(dcl.feedback.gravity_compensation)
         feedback = feedback._replace(acceleration=feedback.acceleration + shift * gravity)
-    np.clip(begun_state.error.integral, -bound, bound, out=begun_state.error.integral)
-    hand_over = _HandOver(previous, dcl, begun_state, command, demand, demand_change, feedback)
+    np.clip(next_state.error.integral, -bound, bound, out=next_state.error.integral)
+    hand_over = _HandOver(previous, dcl, next_state, command, demand, demand_change, feedback)
     hand_over.start_blocks()
     hand_over.settle_targets()
     hand_over.settle_integral()
     missing = hand_over.missing_output()
-    begun_state.offset[:] = np.where(np.abs(missing) > _ROUND_OFF, missing, 0.0)
+    next_state.offset[:] = np.where(np.abs(missing) > _ROUND_OFF, missing, 0.0)
     dcl.workspace.limited_demand[:] = demand
     dcl.workspace.demand_change[:] = demand_change
-    return begun_state
+    return next_state
 
 
 class _HandOver(NamedTuple):
@@ -164,7 +165,7 @@ class _HandOver(NamedTuple):
     def settle_compensator(self) -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
         dcl, gains = self.dcl, self.dcl.compensator
-        self.missing_output()  # writes the inputs
+        self.missing_output()  # whose frame of the law writes `workspace.inputs`, used below
         change = np.zeros(dcl.workspace.inputs.shape)
         change[:, _REFERENCE] = dcl.shape @ self.demand_change
         change[:, _POSITION] = dcl.shape @ self.feedback.velocity * self.previous.error.frame
@@ -177,7 +178,7 @@ class _HandOver(NamedTuple):
     def start_blocks(self) -> None:
         """Start the blocks that the law before does not have."""
         previous, dcl, state = self.previous, self.dcl, self.state
-        modes = LegFeedback(*(dcl.shape @ channel for channel in self.feedback))
+        feedback = LegFeedback(*(dcl.shape @ channel for channel in self.feedback))
         demand = dcl.shape @ self.demand
         plan, model = state.plan, state.model
         if not dcl.model.is_adapting:
@@ -186,28 +187,28 @@ class _HandOver(NamedTuple):
         if starts_plan:
             for values in plan:
                 values[:] = 0.0
-            plan.position[:], plan.velocity[:] = modes.position, modes.velocity
-            plan.demand[:], largest_rate = demand, dcl.plan.rate
+            plan.position[:], plan.velocity[:] = feedback.position, feedback.velocity
+            plan.demand[:] = demand
             change = dcl.shape @ self.demand_change
-            plan.demand_rate[:] = np.clip(change, -largest_rate, largest_rate)
+            plan.demand_rate[:] = np.clip(change, -dcl.plan.rate, dcl.plan.rate)
             plan.reference_rate[:] = plan.demand_rate
             plan.reference[:] = plan.position
             dcl.plan.inverse.leg_motion[0] = dcl.shape.T @ plan.position
             for _ in range(_CHORDS):
                 follow_pose(dcl.plan.inverse, plan.pose)
         if self.starts_model:
-            model.position[:], model.velocity[:] = modes.position, modes.velocity
+            model.position[:], model.velocity[:] = feedback.position, feedback.velocity
         if starts_plan or self.starts_model:
             state.error.integral[:] = 0.0
         if dcl.has_load_feedback and not previous.has_load_feedback:
             for leg in range(demand.size):
-                force = load_force(dcl.load_feedback, leg, modes, plan.acceleration[leg])
+                force = load_force(dcl.load_feedback, leg, feedback, plan.acceleration[leg])
                 state.load_filter[leg] = force
         if _has_target(dcl) != _has_target(previous):
             target = model.position if dcl.model.is_active else demand
             target = plan.position if dcl.has_plan else target
-            state.error.position_filter[:] = target - modes.position
-            lag = modes.velocity / dcl.error.derivative_pole
+            state.error.position_filter[:] = target - feedback.position
+            lag = feedback.velocity / dcl.error.derivative_pole
             state.error.reference_filter[:] = target - lag
 
     @property
@@ -262,8 +263,8 @@ def _turn_state(state: DclState, turn: NDArray[np.float64]) -> None:
 def integral_gain(dcl: Dcl) -> NDArray[np.float64]:
     """Output per error integral, with the compensator settled, (n,) [1/(m s)]."""
     gains = dcl.compensator
-    through = gains.output_gain * gains.input_gain[:, _INTEGRAL] / (1.0 - gains.state_gain)
-    return gains.direct_gain[:, _INTEGRAL] + through
+    compensator_gain = gains.output_gain * gains.input_gain[:, _INTEGRAL] / (1.0 - gains.state_gain)
+    return gains.direct_gain[:, _INTEGRAL] + compensator_gain
 
 
 def _filter_gain(dcl: Dcl) -> float:

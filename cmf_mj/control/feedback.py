@@ -104,7 +104,7 @@ def load_force(block, mode, feedback, acceleration):  # type: ignore[no-untyped-
 
 @compiled
 def damp_load(block, static_force, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
-    """Command of one mode, fraction; its low-passed force `state[mode]` moves on."""
+    """Command of one mode, fraction; its low-passed force `static_force[mode]` moves on."""
     force_change = load_force(block, mode, feedback, acceleration) - static_force[mode]
     static_force[mode] += block.filter_gain * force_change
     return -block.gain[mode] * force_change

@@ -64,10 +64,10 @@ class Inverse(NamedTuple):
 
     speed: float  #: k [m/s per full command].
     leak_rate: float  #: lambda [1/s].
-    lags: float  #: 1/a + 1/b [s].
-    lags_product: float  #: 1/(a b) [s^2].
+    lag_sum: float  #: 1/a + 1/b [s].
+    lag_product: float  #: 1/(a b) [s^2].
     stall: float  #: F_s [N].
-    compliance: NDArray[np.float64]  #: 1/w^2, (n,) [s^2].
+    mass_per_spring: NDArray[np.float64]  #: Of each mode or leg, 1/w^2, (n,) [s^2].
     spring: float  #: Oil spring of a leg at neutral [N/m]; 1 where masses are not known.
     follows_pose: bool  #: Whether masses and springs follow the pose.
     geometry: Geometry
@@ -98,10 +98,10 @@ def make_inverse(
     return Inverse(
         speed=valves.speed,
         leak_rate=valves.leak_rate,
-        lags=sum(1.0 / a for a in valves.corners),
-        lags_product=1.0 / float(np.prod(valves.corners)),
+        lag_sum=sum(1.0 / a for a in valves.corners),
+        lag_product=1.0 / float(np.prod(valves.corners)),
         stall=valves.stall if modes is not None else np.inf,
-        compliance=omega**-2.0,
+        mass_per_spring=omega**-2.0,
         spring=spring,
         follows_pose=modes is not None and modes.follow_pose,
         geometry=geometry,
@@ -121,7 +121,7 @@ def make_inverse(
 
 @compiled
 def follow_pose(inverse, pose):  # type: ignore[no-untyped-def]
-    """Write the Jacobian's inverse at a pose, which moves a chord's step towards `legs[0]`.
+    """Write the Jacobian's inverse at a pose, which moves a chord's step to `leg_motion[0]`.
 
     Where legs carry no platform the pose stays.
     """
@@ -178,7 +178,7 @@ def write_inverse(matrix, inverse):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _write_forces(inverse, pose, shape, modal):  # type: ignore[no-untyped-def]
+def _write_forces(inverse, pose, shape, is_modal):  # type: ignore[no-untyped-def]
     """Write planned forces M_leg l'' of legs at the planned pose, and three derivatives."""
     count = inverse.mean_motion.shape[1]
     follow_pose(inverse, pose)
@@ -190,10 +190,9 @@ def _write_forces(inverse, pose, shape, modal):  # type: ignore[no-untyped-def]
             multiply_transposed(inverse.inverse_jacobian, scratch, force)
         else:
             for mode in range(count):
-                scratch[mode] = (
-                    inverse.spring * inverse.compliance[mode] * inverse.mean_motion[row + 2, mode]
-                )
-            if modal:
+                mass = inverse.spring * inverse.mass_per_spring[mode]
+                scratch[mode] = mass * inverse.mean_motion[row + 2, mode]
+            if is_modal:
                 multiply_transposed(shape, scratch, force)
             else:
                 assign(force, scratch)
@@ -207,27 +206,27 @@ def load_opening(inverse, flow, flow_rate, load, load_rate):  # type: ignore[no-
     load_share_rate = bending * np.sqrt(bending) * load_rate / inverse.stall
     load_share *= np.sqrt(bending)
     outward, inward = 1.0 / np.sqrt(1.0 - load_share), 1.0 / np.sqrt(1.0 + load_share)
-    mean, half = 0.5 * (outward + inward) - 1.0, 0.5 * (outward - inward)
+    mean, half_gap = 0.5 * (outward + inward) - 1.0, 0.5 * (outward - inward)
     root = np.sqrt(flow * flow + SMALL_FLOW * SMALL_FLOW)
     size = flow * flow / root
     size_slope = flow * (flow * flow + 2.0 * SMALL_FLOW * SMALL_FLOW) / (root * root * root)
     outward_slope, inward_slope = 0.5 * outward * outward * outward, 0.5 * inward * inward * inward
     slope = (outward_slope - inward_slope) * flow + (outward_slope + inward_slope) * size
-    rate = (mean + half * size_slope) * flow_rate
+    rate = (mean + half_gap * size_slope) * flow_rate
     rate += 0.5 * slope * load_share_rate
-    return mean * flow + half * size, rate
+    return mean * flow + half_gap * size, rate
 
 
 @compiled
-def write_commands(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-def]
+def write_commands(inverse, pose, shape, is_modal, commands):  # type: ignore[no-untyped-def]
     """Write the commands of the planned motion (n,), in coordinates of the law, fractions."""
     count, leg_motion = commands.shape[0], inverse.leg_motion
     for row in range(6):
-        if modal:
+        if is_modal:
             multiply_transposed(shape, inverse.mean_motion[row], leg_motion[row])
         else:
             assign(leg_motion[row], inverse.mean_motion[row])
-    _write_forces(inverse, pose, shape, modal)
+    _write_forces(inverse, pose, shape, is_modal)
     leg_commands = inverse.scratch
     for leg in range(count):
         spring, leak = inverse.spring, inverse.leak_rate
@@ -243,9 +242,9 @@ def write_commands(inverse, pose, shape, modal, commands):  # type: ignore[no-un
         flow_rate = leg_motion[2, leg] + deflection_acceleration + leak * deflection_rate
         flow_acceleration = leg_motion[3, leg] + deflection_jerk + leak * deflection_acceleration
         opening, opening_rate = load_opening(inverse, flow, flow_rate, force[0, leg], force[1, leg])
-        speed = flow + opening + inverse.lags * (flow_rate + opening_rate)
-        leg_commands[leg] = (speed + inverse.lags_product * flow_acceleration) / inverse.speed
-    if modal:
+        speed = flow + opening + inverse.lag_sum * (flow_rate + opening_rate)
+        leg_commands[leg] = (speed + inverse.lag_product * flow_acceleration) / inverse.speed
+    if is_modal:
         multiply(shape, leg_commands, commands)
     else:
         assign(commands, leg_commands)

@@ -271,8 +271,8 @@ def _make_law(name: str, table: object, tables: dict[str, Any], where: str) -> L
         raise InputError(f"{where}: {table!r} is refused: a law is a table [name]")
     if "based_on" in table:
         bases: dict[str, Any] = {}
-        for file in (*(_shipped_tables(family) for family in _FILES), tables):
-            bases |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
+        for laws in (*(_shipped_tables(family) for family in _FILES), tables):
+            bases |= {k: v for k, v in laws.items() if isinstance(v, dict) and "based_on" not in v}
         base = table["based_on"]
         if not isinstance(base, str) or base not in bases:
             raise InputError(
@@ -355,14 +355,15 @@ def load_law(source: str | Path | Mapping[str, Any] | Law, machine: Machine | No
     text = str(source) if machine is None else law_source(machine, str(source))
     if text in law_names("all"):
         return _shipped_laws()[text]
-    stem, suffix, name = text.rpartition(".toml")
-    if not suffix or (name and not name.startswith(":")):
+    stem, suffix, selector = text.rpartition(".toml")
+    name = selector.removeprefix(":")
+    if not suffix or (selector and name == selector):
         raise unknown_name("law", text, law_names("all"), " nor a .toml file")
     laws = _read_laws(Path(stem + ".toml"))
-    if name:
-        if name[1:] not in laws:
-            raise InputError(f"law: {name[1:]!r} is not in {stem}.toml; it has {', '.join(laws)}")
-        return laws[name[1:]]
+    if selector:
+        if name not in laws:
+            raise InputError(f"law: {name!r} is not in {stem}.toml; it has {', '.join(laws)}")
+        return laws[name]
     if len(laws) > 1:
         raise InputError(
             f"law: {text} holds {', '.join(laws)}; choose one with {text}:{next(iter(laws))}"

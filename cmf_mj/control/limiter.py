@@ -125,7 +125,7 @@ def _clip_demand(limiter, i, lag, position, demand):  # type: ignore[no-untyped-
 
 @compiled
 def _closed_lag(lag, deceleration, frame):  # type: ignore[no-untyped-def]
-    """e': the lag after one frame on the parabola of deceleration `closing`."""
+    """e': the lag after one frame on the parabola of a deceleration."""
     size = abs(lag)
     if size <= deceleration * frame * frame:
         return 0.0
@@ -136,7 +136,8 @@ def _closed_lag(lag, deceleration, frame):  # type: ignore[no-untyped-def]
 @compiled
 def _put_out(limiter, state, i, demand, position, motion):  # type: ignore[no-untyped-def]
     """Put a position out and renew the state; demanded rates pass only with their position."""
-    frame, speed, limit = limiter.frame, limiter.velocity[i], limiter.acceleration[i]
+    frame = limiter.frame
+    largest_velocity, largest_acceleration = limiter.velocity[i], limiter.acceleration[i]
     velocity = (position - state.position[i]) / frame
     acceleration = (velocity - state.velocity[i]) / frame
     state.position[i] = position
@@ -146,8 +147,8 @@ def _put_out(limiter, state, i, demand, position, motion):  # type: ignore[no-un
     if state.lag[i] != 0.0 or not np.isfinite(motion[1, i] + motion[2, i]):
         motion[1, i] = velocity + 0.5 * frame * acceleration
         motion[2, i] = acceleration
-    motion[1, i] = min(max(motion[1, i], -speed), speed)
-    motion[2, i] = min(max(motion[2, i], -limit), limit)
+    motion[1, i] = min(max(motion[1, i], -largest_velocity), largest_velocity)
+    motion[2, i] = min(max(motion[2, i], -largest_acceleration), largest_acceleration)
 
 
 @compiled
@@ -266,11 +267,11 @@ class LimitedMotion(NamedTuple):
 @allocating
 def _write_history(limiter, state, motions, share, together):  # type: ignore[no-untyped-def]
     base, wish = np.zeros(motions.shape[2]), np.zeros(motions.shape[2])
-    for frame in range(motions.shape[0]):
+    for k in range(motions.shape[0]):
         if together:
-            share[frame] = step_together(limiter, state, motions[frame], base, wish)
+            share[k] = step_together(limiter, state, motions[k], base, wish)
         else:
-            step(limiter, state, motions[frame])
+            step(limiter, state, motions[k])
 
 
 def limit_history(
@@ -303,5 +304,5 @@ def limit_history(
     share = np.ones(position.shape[0])
     if position.shape[0]:
         _write_history(limiter, start(limiter, position[0]), motions, share, together)
-    rows = np.ascontiguousarray(motions.transpose(1, 0, 2))
-    return LimitedMotion(position=rows[0], velocity=rows[1], acceleration=rows[2], share=share)
+    parts = np.ascontiguousarray(motions.transpose(1, 0, 2))  # position, velocity, acceleration
+    return LimitedMotion(parts[0], parts[1], parts[2], share)

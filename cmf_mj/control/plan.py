@@ -102,11 +102,11 @@ class CompiledPlan(NamedTuple):
     input: NDArray[np.float64]  #: B, (5,).
     rate: NDArray[np.float64]  #: Fastest reference, (n,) [m per frame].
     acceleration: NDArray[np.float64]  #: Its largest change in a frame, (n,) [m per frame].
-    smooth: float  #: Largest change of that in a frame, as a share of it.
-    pull: float  #: p, per frame.
+    bend_share: float  #: Largest change of that in a frame, as a share of it.
+    approach: float  #: p, per frame.
     position_gain: NDArray[np.float64]  #: K_p, (n,) [1/m].
     velocity_gain: NDArray[np.float64]  #: K_r, (n,) [s/m].
-    ahead: NDArray[np.float64]  #: Workspace: position and four derivatives a frame ahead, (5, n).
+    next_motion: NDArray[np.float64]  #: Position to snap a frame ahead, (5, n), workspace.
     inverse: Inverse  #: From motion to command.
 
 
@@ -145,11 +145,11 @@ def make_plan(
         input=np.ascontiguousarray(transition[:, ORDER]),
         rate=per_coordinate(plan.rate, legs) * rate_unit,
         acceleration=per_coordinate(plan.acceleration, legs) * rate_unit * frame,
-        smooth=2.0 * np.pi * plan.smooth * frame,
-        pull=2.0 * np.pi * plan.approach * frame,
+        bend_share=2.0 * np.pi * plan.smooth * frame,
+        approach=2.0 * np.pi * plan.approach * frame,
         position_gain=per_coordinate(plan.position, legs) * gain_unit,
         velocity_gain=per_coordinate(plan.velocity, legs) * gain_unit,
-        ahead=np.zeros((ORDER, legs)),
+        next_motion=np.zeros((ORDER, legs)),
         inverse=make_inverse(valves, 2.0 * np.pi * frequency, modes, machine),
     )
 
@@ -168,7 +168,7 @@ def approach_rate(error, pull, deceleration):  # type: ignore[no-untyped-def]
 @compiled
 def advance_reference(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Move the reference of one mode on by a frame."""
-    largest_rate, largest_change, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
+    largest_rate, largest_change, pull = plan.rate[mode], plan.acceleration[mode], plan.approach
     previous_demand, previous_demand_rate = state.demand[mode], state.demand_rate[mode]
     demand_rate = min(max(demand - previous_demand, -largest_rate), largest_rate)
     rate = state.reference_rate[mode]
@@ -176,7 +176,7 @@ def advance_reference(plan, state, mode, demand):  # type: ignore[no-untyped-def
     rate_error = rate - previous_demand_rate + closing_rate
     change = demand_rate - previous_demand_rate - 2.0 * pull * rate_error
     change = min(max(change, -largest_change), largest_change)
-    previous_change, largest_bend = state.reference_change[mode], plan.smooth * largest_change
+    previous_change, largest_bend = state.reference_change[mode], plan.bend_share * largest_change
     change = min(max(change, previous_change - largest_bend), previous_change + largest_bend)
     following_rate = min(max(rate + change, -largest_rate), largest_rate)
     state.reference_change[mode] = following_rate - rate
@@ -188,10 +188,11 @@ def advance_reference(plan, state, mode, demand):  # type: ignore[no-untyped-def
 @compiled
 def look_ahead(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Write the motion of a mode a frame ahead and its means over the next; move its reference."""
-    ahead, mean_motion, reference = plan.ahead, plan.inverse.mean_motion, state.reference[mode]
+    next_motion, mean_motion = plan.next_motion, plan.inverse.mean_motion
+    reference = state.reference[mode]
     for row in range(ORDER):
         weights = plan.transition[row]
-        ahead[row, mode] = (
+        next_motion[row, mode] = (
             weights[0] * state.position[mode]
             + weights[1] * state.velocity[mode]
             + weights[2] * state.acceleration[mode]
@@ -203,9 +204,9 @@ def look_ahead(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     for row in range(ORDER):
         following = plan.input[row] * state.reference[mode]
         for j in range(ORDER):
-            following += plan.transition[row, j] * ahead[j, mode]
-        mean_motion[row + 1, mode] = (following - ahead[row, mode]) / plan.frame
-    mean_motion[0, mode] = ahead[0, mode] + 0.5 * plan.frame * mean_motion[1, mode]
+            following += plan.transition[row, j] * next_motion[j, mode]
+        mean_motion[row + 1, mode] = (following - next_motion[row, mode]) / plan.frame
+    mean_motion[0, mode] = next_motion[0, mode] + 0.5 * plan.frame * mean_motion[1, mode]
 
 
 @compiled
@@ -219,7 +220,7 @@ def correction(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
 @compiled
 def advance(plan, state, mode):  # type: ignore[no-untyped-def]
     """Move the plan of one mode on by a frame."""
-    ahead = plan.ahead
-    state.position[mode], state.velocity[mode] = ahead[0, mode], ahead[1, mode]
-    state.acceleration[mode], state.jerk[mode] = ahead[2, mode], ahead[3, mode]
-    state.snap[mode] = ahead[4, mode]
+    next_motion = plan.next_motion
+    state.position[mode], state.velocity[mode] = next_motion[0, mode], next_motion[1, mode]
+    state.acceleration[mode], state.jerk[mode] = next_motion[2, mode], next_motion[3, mode]
+    state.snap[mode] = next_motion[4, mode]

@@ -58,14 +58,14 @@ FAULTS = tuple(code.name.lower() for code in FaultCode)  #: Names of the faults,
 
 NO_LEG = -1  #: Leg of a fault of the whole machine.
 
-Threshold = TypeVar("Threshold")
+QuantityT = TypeVar("QuantityT")
 
 
-class Check(Settings, Generic[Threshold]):
+class Check(Settings, Generic[QuantityT]):
     """One condition."""
 
     enabled: bool = True
-    threshold: Threshold
+    threshold: QuantityT
     persistence: Count  #: Frames of 1/2048 s in a row that make a fault.
 
 
@@ -182,7 +182,7 @@ def latch_outside_fault(state, code, frame):  # type: ignore[no-untyped-def]
 @compiled
 def _check(protection, state, code, leg, value, frame):  # type: ignore[no-untyped-def]
     """Count a condition value > threshold of a leg, or `NO_LEG`, and latch its fault."""
-    column = max(leg, 0)
+    column = 0 if leg == NO_LEG else leg
     if not protection.enabled[code]:
         return
     if value <= protection.threshold[code]:  # false for NaN
@@ -210,7 +210,7 @@ def check_frame(protection, state, frame, reference, feedback, supply_pressure, 
         state.estimate[leg] += protection.frame * velocity + protection.washout * disagreement
         disagreement = abs(disagreement)
         cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
-        pressure = cap if cap > rod or cap != cap else rod
+        pressure = cap if cap > rod or np.isnan(cap) else rod
         error = abs(reference[leg] - position)
         acceleration = abs(feedback.acceleration[leg])
         _check(protection, state, FaultCode.TRACKING_ERROR.value, leg, error, frame)

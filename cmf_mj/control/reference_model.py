@@ -38,10 +38,6 @@ for H = 1, there are P, Q > 0 such that x = (e, e') and
 have V' = -x' Q x for a constant N without leak and dead zone: the error goes to zero, and D with it
 where f does not. Leak and dead zone leave an offset and prevent a drift.
 
-A sine of frequency w in f moves a slow D at -rate K_v k D |H|^2 Re W(jw) |f|^2 / 2 N on average,
-by the W of the whole plant: D drifts to a bound where a leg lags by more than 90 deg, which H keeps
-small. An error integral of gain K_i needs K_i < c K_p besides.
-
 Source: K. S. Narendra and A. M. Annaswamy, Stable Adaptive Systems (1989), for the Lyapunov rule;
 P. A. Ioannou and J. Sun, Robust Adaptive Control (1996), for leak, dead zone, projection and
 normalisation. The report plans a model reference law (chapter 4 and section 5.2) and gives none.
@@ -141,20 +137,20 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
 
 def moves_alike(first: CompiledModel, second: CompiledModel) -> bool:
     """Whether two laws have a model of the same motion, whatever their gains."""
-    gains = CompiledModel._fields.index("position_gain")
-    return first[:gains] == second[:gains]
+    gains_begin = CompiledModel._fields.index("position_gain")  # before it stands the motion
+    return first[:gains_begin] == second[:gains_begin]
 
 
 @compiled
-def adapt(model, state, leg, feed_forward, error, rate):  # type: ignore[no-untyped-def]
+def adapt(model, state, leg, feed_forward, error, velocity_error):  # type: ignore[no-untyped-def]
     """Adapt the factor of one leg, one frame.
 
-    `feed_forward` is f, fraction; `error` e [m]; `rate` v_m - v [m/s].
+    `feed_forward` is f, fraction; `error` e [m]; `velocity_error` v_m - v [m/s].
     """
-    pole, passes = model.filter_pole, 1.0 - model.filter_pole
-    filtered_error = pole * state.error[leg] + passes * (rate + model.slope * error)
-    regressor = pole * state.feed_forward[leg] + passes * feed_forward
-    power = pole * state.power[leg] + passes * feed_forward * feed_forward
+    pole, input_gain = model.filter_pole, 1.0 - model.filter_pole
+    filtered_error = pole * state.error[leg] + input_gain * (velocity_error + model.slope * error)
+    regressor = pole * state.feed_forward[leg] + input_gain * feed_forward
+    power = pole * state.power[leg] + input_gain * feed_forward * feed_forward
     learned_error = filtered_error - min(max(filtered_error, -model.dead_zone), model.dead_zone)
     factor = (1.0 - model.leak) * state.factor[leg]
     normalisation = model.level * model.level + power
@@ -177,11 +173,11 @@ def follow_model(model, state, leg, reference, feedback, output):  # type: ignor
     acceleration = (next_velocity - velocity) / model.frame
     feed_forward = model.velocity_gain * velocity + model.acceleration_gain * acceleration
     error = position - feedback.position[leg]
-    rate = velocity - feedback.velocity[leg]
+    velocity_error = velocity - feedback.velocity[leg]
     total = output + (1.0 + state.adaptation.factor[leg]) * feed_forward
-    total += model.position_gain * error + model.rate_gain * rate
+    total += model.position_gain * error + model.rate_gain * velocity_error
     if model.is_adapting and abs(total) < 1.0:
-        adapt(model, state.adaptation, leg, feed_forward, error, rate)
+        adapt(model, state.adaptation, leg, feed_forward, error, velocity_error)
     state.position[leg] = (
         model.position_of_position * position
         + model.position_of_velocity * velocity

@@ -107,7 +107,7 @@ def _template_values(law: Law, dcl: Dcl, features: Mapping[str, bool]) -> dict[s
         "near_stall": inverse.NEAR_STALL,
         "small_flow": inverse.SMALL_FLOW,
         "farthest": 0.5 * np.pi,
-        "plan_mass": inverse_plant.spring * inverse_plant.compliance,
+        "plan_mass": inverse_plant.spring * inverse_plant.mass_per_spring,
         "followed": reference_model,
         "feedback": "&modes" if modal else "&input->feedback",
         "reference": leg_reference,

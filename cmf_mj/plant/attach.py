@@ -63,28 +63,28 @@ def attach_hydraulics(
     spec, parameters = load_spec(model), load_hydraulics(hydraulics)
     if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
-    retracted = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
+    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
     set_timestep(spec.option, timestep)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError(
             "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
         )
-    neutral = [_add_motor(spec, name, length, parameters) for name, length in retracted.items()]
+    neutral = [_add_motor(spec, name, length, parameters) for name, length in lengths.items()]
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
     plant = Plant(
-        spec.compile(), parameters, motors=list(retracted), payload=payload, neutral=neutral
+        spec.compile(), parameters, motors=list(lengths), payload=payload, neutral=neutral
     )
     plant.name = checked_name(spec.modelname, "model: name")
-    stroke = plant.hydraulics.cylinder.half_stroke
+    half = plant.hydraulics.cylinder.half_stroke
     extensions = plant.extensions()
-    for leg in np.flatnonzero(np.abs(extensions) > stroke + _TOLERANCE):
-        middle = plant.neutral[leg]
+    for leg in np.flatnonzero(np.abs(extensions) > half + _TOLERANCE):
+        neutral_length = plant.neutral[leg]
         raise InputError(
             f"cylinders: {plant.actuators[leg]!r} starts at a length of "
-            f"{middle + extensions[leg]:.4f} m; allowed: {middle - stroke[leg]:.4f} to "
-            f"{middle + stroke[leg]:.4f} m"
+            f"{neutral_length + extensions[leg]:.4f} m; allowed: "
+            f"{neutral_length - half[leg]:.4f} to {neutral_length + half[leg]:.4f} m"
         )
     return plant
 
@@ -102,7 +102,7 @@ def load_spec(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
 def _add_motor(
     spec: mujoco.MjSpec, name: str, retracted: float | None, parameters: HydraulicParameters
 ) -> float:
-    """Give one joint or tendon its motor, 0 in key frames, and stops; its length at half stroke."""
+    """Add a motor, 0 in key frames, and stops to a joint or tendon; its length at half stroke."""
     joint, tendon = spec.joint(name), spec.tendon(name)
     if joint is not None and tendon is not None:
         raise InputError(f"cylinders: {name!r} is a joint and a tendon; rename one")
@@ -152,12 +152,12 @@ def _set_stops(
                 f"cylinders: {name!r} has no range; give the cylinder's retracted length, "
                 f"{{{name!r}: length in m}}"
             )
-        middle = 0.5 * (low + high)
+        neutral = 0.5 * (low + high)
     else:
-        middle = retracted + half
-    if not np.isfinite(middle):
+        neutral = retracted + half
+    if not np.isfinite(neutral):
         raise InputError(f"cylinders: {name!r}: {retracted} m must be a finite retracted length")
-    shortest, longest = middle - half, middle + half
+    shortest, longest = neutral - half, neutral + half
     if not has_range:
         element.range = np.array([shortest, longest])
         element.limited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -167,7 +167,7 @@ def _set_stops(
             f"cylinders: {name!r} ranges from {low:.4f} to {high:.4f} m, its cylinder with half a "
             f"stroke of {half:.4f} m from {shortest:.4f} to {longest:.4f} m only"
         )
-    return middle
+    return neutral
 
 
 def _names(elements: Sequence[object]) -> str:

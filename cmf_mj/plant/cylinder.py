@@ -99,7 +99,7 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
     def cylinder_of(numbers: dict[str, Quantity]) -> Cylinder:
         cap, rod = cap_area(numbers), rod_area(numbers)
         load = numbers["settle_load"].si
-        settle = numbers["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
+        gain = numbers["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
         return compiled_params(
             Cylinder,
             numbers,
@@ -108,8 +108,8 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
             leakage=piston_leakage(numbers) * mid_density,
             supply_hose=numbers["supply_hose"].si * is_network,
             return_hose=numbers["return_hose"].si * is_network,
-            settle_gain=settle,
-            settle_rod_gain=_SETTLE_RATIO * settle * rod / cap,
+            settle_gain=gain,
+            settle_rod_gain=_SETTLE_RATIO * gain * rod / cap,
         )
 
     return record_array(Cylinder, [cylinder_of(parameters.actuator(name)) for name in actuators])
@@ -161,14 +161,14 @@ def throttled_gain(cylinder, travel, gain, valve_gain):  # type: ignore[no-untyp
     return gain / np.sqrt(1.0 + ratio * ratio)
 
 
-def _for_each(
+def _broadcast_to_cylinders(
     name: str, values: ArrayLike, cylinder: Cylinder | np.recarray
 ) -> NDArray[np.float64]:
-    """Real numbers, of several cylinders one for each or one for all."""
-    array, count = real(name, values), np.shape(cylinder.cap_area)
-    if count and array.shape not in ((), count):
-        raise InputError(f"{name}: shape is {array.shape}; allowed: {count}, one a cylinder")
-    return np.broadcast_to(array, count) if count else array
+    """Real numbers, for several cylinders in one number each."""
+    array, shape = real(name, values), np.shape(cylinder.cap_area)
+    if shape and array.shape not in ((), shape):
+        raise InputError(f"{name}: shape is {array.shape}; allowed: {shape}, one a cylinder")
+    return np.broadcast_to(array, shape) if shape else array
 
 
 def stiffness(
@@ -178,7 +178,7 @@ def stiffness(
 
     Those of one cylinder have any shape; of cylinders (n,) there is one for each, (n,), or for all.
     """
-    x = _for_each("extension", extension, cylinder)
+    x = _broadcast_to_cylinders("extension", extension, cylinder)
     gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
     approach = _APPROACH * gap
 
@@ -210,7 +210,7 @@ def holding_pressures(
     where it is 0 the valve's own null p_cap + p_rod = Ps + Pt. The pair is kept between return and
     supply pressure as far as the load allows; loads beyond the stall forces are refused.
     """
-    loads = np.atleast_1d(_for_each("load", load, cylinder))
+    loads = np.atleast_1d(_broadcast_to_cylinders("load", load, cylinder))
     if loads.ndim != 1:
         raise InputError(f"load: shape is {loads.shape}; allowed: (n,)")
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
@@ -260,10 +260,10 @@ def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) ->
 @compiled
 def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
     """Bristle deflection z [m] after sliding at a constant speed, and the force F [N] there."""
-    viscous = friction.viscous_friction * speed
+    viscous_force = friction.viscous_friction * speed
     coulomb = friction.coulomb_friction
     if coulomb == 0.0:
-        return 0.0, viscous
+        return 0.0, viscous_force
     ratio = speed / friction.stribeck_speed
     fade = np.exp(-min(ratio * ratio, 700.0))
     largest = friction.presliding * (1.0 + friction.excess * fade)
@@ -271,13 +271,15 @@ def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
         limit = largest if speed > 0.0 else -largest
         bristle = limit + (bristle - limit) * np.exp(-abs(speed) * step / largest)
     rate = speed - abs(speed) * bristle / largest
-    stiffness = coulomb / friction.presliding
-    return bristle, stiffness * (bristle + _DAMPING_TIME * fade * rate) + viscous
+    bristle_stiffness = coulomb / friction.presliding
+    return bristle, bristle_stiffness * (bristle + _DAMPING_TIME * fade * rate) + viscous_force
 
 
 def contact_text(contact: Contact | None) -> str:
     """How dry friction entered, in a word or as a speed."""
-    return contact or "none" if isinstance(contact, str | None) else f"{contact:g} m/s"
+    if contact is None:
+        return "none"
+    return contact if isinstance(contact, str) else f"{contact:g} m/s"
 
 
 class FrictionSlope(NamedTuple):
@@ -288,19 +290,19 @@ class FrictionSlope(NamedTuple):
 
 
 def friction_slope(friction: np.recarray, contact: Contact) -> FrictionSlope:
-    """Slope of the dry friction of contacts (n,) of `Friction` that are in a state.
+    """Slope of the dry friction of `friction`, (n,) of `Friction`, left out, stuck or sliding.
 
     Raises `InputError` for a contact that is none of `CONTACTS`.
     """
     zeros = np.zeros(len(friction))
-    force = friction.coulomb_friction
+    coulomb = friction.coulomb_friction
     if contact == "none":
         return FrictionSlope(zeros, zeros)
     if contact == "stuck":
-        stiffness = np.divide(force, friction.presliding, out=zeros, where=force > 0.0)
+        stiffness = np.divide(coulomb, friction.presliding, out=zeros, where=coulomb > 0.0)
         return FrictionSlope(stiffness, _DAMPING_TIME * stiffness)
     if isinstance(contact, str) or not 0.0 < contact < np.inf:
         raise InputError(f"friction: {contact!r} is refused; allowed: {CONTACTS}")
-    ratio = np.divide(contact, friction.stribeck_speed, out=zeros + 1.0, where=force > 0.0)
+    ratio = np.divide(contact, friction.stribeck_speed, out=zeros + 1.0, where=coulomb > 0.0)
     stribeck_factor = 1.0 + friction.excess * dawsn(ratio) / ratio
-    return FrictionSlope(zeros, 4.0 * force / (np.pi * contact) * stribeck_factor)
+    return FrictionSlope(zeros, 4.0 * coulomb / (np.pi * contact) * stribeck_factor)

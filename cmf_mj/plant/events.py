@@ -1,4 +1,4 @@
-"""Failure events as data on a time line, and what is broken at the moment.
+"""Failure events as data on a time line, and the faults that they leave in the plant.
 
 An `Event` says when what fails, where and how much; a run takes any number of them. `KINDS` has
 what can fail.
@@ -27,7 +27,7 @@ class _Kind(NamedTuple):
     """Where something fails, and what its size means."""
 
     part: Literal["", "valve", "sensor"] = ""  #: Part of a leg that fails, if it is one's.
-    size: float = 0.0  #: Default in SI; NaN for the lower end of the leg's stroke.
+    default_size: float = 0.0  #: In SI; NaN for the lower end of the leg's stroke.
     units: tuple[str, ...] = ()  #: Units of a size; none for a kind that has no size.
     largest_size: float = 0.0  #: Largest size in SI.
     is_whole: bool = False  #: Whether the size is a whole number.
@@ -95,8 +95,8 @@ class Failure(Settings):
         """The size in SI, on a leg of that half stroke [m]; 0 for kinds without one."""
         if self.size is not None:
             return to_si(self.size[1], self.size[0])
-        usual_size = _KINDS[self.kind].size
-        return -half_stroke if np.isnan(usual_size) else usual_size
+        default_size = _KINDS[self.kind].default_size
+        return -half_stroke if np.isnan(default_size) else default_size
 
 
 class Event(Failure):
@@ -161,19 +161,19 @@ def make_timeline(
 ) -> Timeline:
     """Put events in order, at a control rate [Hz], for legs of half strokes (n,) [m].
 
-    A leg that is not there is refused.
+    An event of a leg beyond these is refused.
     """
     legs = half_stroke.size
     for event in events:
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
-    ordered = sorted(events, key=lambda event: event.at)
-    sizes = [event.magnitude(half_stroke[(event.leg or 1) - 1]) for event in ordered]
+    sorted_events = sorted(events, key=lambda event: event.at)
+    sizes = [event.magnitude(half_stroke[(event.leg or 1) - 1]) for event in sorted_events]
     return Timeline(
-        frame=np.array([round(event.at * rate) for event in ordered], dtype=np.int64),
-        kind=np.array([KINDS.index(event.kind) for event in ordered], dtype=np.int64),
-        leg=np.array([(event.leg or 0) - 1 for event in ordered], dtype=np.int64),
-        valve=np.array([(event.valve or 0) - 1 for event in ordered], dtype=np.int64),
+        frame=np.array([round(event.at * rate) for event in sorted_events], dtype=np.int64),
+        kind=np.array([KINDS.index(event.kind) for event in sorted_events], dtype=np.int64),
+        leg=np.array([(event.leg or 0) - 1 for event in sorted_events], dtype=np.int64),
+        valve=np.array([(event.valve or 0) - 1 for event in sorted_events], dtype=np.int64),
         size=np.array(sizes, dtype=float),
     )
 

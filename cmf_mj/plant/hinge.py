@@ -13,7 +13,7 @@ At the angle q from the middle the length l and the lever arm r are, with p = m 
 
 and r is least at both ends, b cos h. There the weaker side, the rod's, gives the torque T at a
 standstill: Ar = T / (b cos h (Ps - Pt Ac / Ar)). The bore goes with 1/sqrt(b) and the stroke with
-b; b is chosen so that a stroke has `SLENDER` bores.
+b; b is chosen so that a stroke has `SLENDERNESS` bores.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,16 +31,16 @@ from cmf_mj.plant.attach import attach_hydraulics, load_spec
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.plant import Plant
 
-SLENDER = 5.0  #: Bores in a stroke, by default.
+SLENDERNESS = 5.0  #: Bores in a stroke, by default.
 
 _LEAST_SLENDER, _MOST_SLENDER = 2.0, 12.0
 """Bores in a stroke: below there is no room for piston and glands, above the rod buckles."""
 
-_WIDEST = np.deg2rad(150.0)  #: Widest range [rad]; the lever arm is a quarter of its largest there.
+_LARGEST_RANGE = np.deg2rad(150.0)  #: [rad]; the lever arm is a quarter of its largest there.
 
-_CLOSED = 1.5  #: L, strokes from A to B at the near end: one of oil, half of one of metal.
+_RETRACTED_LENGTH = 1.5  #: L, in strokes, at the near end: one of oil, half of one of metal.
 
-_SPARE = 0.05
+_END_MARGIN = 0.05
 """Of the stroke beyond either end of the range, which the hinge's own stops keep free."""
 
 _AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
@@ -66,7 +66,7 @@ class HingeCylinder(NamedTuple):
     @property
     def base(self) -> float:
         """From the axis to the point on the parent [m]."""
-        opposite = (1.0 + 2.0 * _CLOSED) * np.sin(self.half_range)
+        opposite = (1.0 + 2.0 * _RETRACTED_LENGTH) * np.sin(self.half_range)
         return float(self.arm * np.hypot(np.cos(self.half_range), opposite))
 
     @property
@@ -139,11 +139,11 @@ def attach_to_hinges(
         lengths = {
             "bore_diameter": bore,
             "rod_diameter": bore / parameters.bore_diameter.si * parameters.rod_diameter.si,
-            "half_stroke": (0.5 + _SPARE) * cylinder.stroke,
+            "half_stroke": (0.5 + _END_MARGIN) * cylinder.stroke,
         }
         origin = {"unit": "m", "status": "derived", "source": f"{torque:g} N m about {hinge}"}
         changes[name] = {field: {"value": length} | origin for field, length in lengths.items()}
-        retracted_lengths[name] = (_CLOSED - _SPARE) * cylinder.stroke
+        retracted_lengths[name] = (_RETRACTED_LENGTH - _END_MARGIN) * cylinder.stroke
     table = parameters.model_dump(exclude_none=True)
     table["actuators"] = merged(table["actuators"], changes, 1)
     changed = validated(HydraulicParameters, table, f"{parameters.name} on hinges")
@@ -158,10 +158,10 @@ def _half_range(model: mujoco.MjModel, hinge: str) -> float:
         raise InputError(f"hinges: {hinge!r} is not one of the hinges {', '.join(names) or 'none'}")
     joint = model.joint(hinge)
     width = float(np.ptp(joint.range)) if model.jnt_limited[joint.id] else np.inf
-    if not 0.0 < width <= _WIDEST:
+    if not 0.0 < width <= _LARGEST_RANGE:
         raise InputError(
             f"{hinge}: a range of {np.rad2deg(width):.4g} deg is refused; allowed: above 0, up to "
-            f"{np.rad2deg(_WIDEST):.0f} deg"
+            f"{np.rad2deg(_LARGEST_RANGE):.0f} deg"
         )
     if model.body_jntnum[joint.bodyid[0]] != 1:
         raise InputError(
@@ -190,26 +190,27 @@ def _motor_torque(model: mujoco.MjModel, hinge: str) -> float:
 
 
 def _size_cylinder(
-    hinge: str, half: float, torque: float, oil: HydraulicParameters, arm: float | None
+    hinge: str, half_range: float, torque: float, base: HydraulicParameters, arm: float | None
 ) -> tuple[HingeCylinder, float]:
     """A cylinder for a torque [N m] over a range, and its bore [m]."""
     if not 0.0 < torque < np.inf:
         raise InputError(f"{hinge}: a torque of {torque} N m is refused; allowed: above 0")
-    pressure = oil.supply_pressure.si - oil.return_pressure.si * oil.cap_area / oil.rod_area
+    pressure = base.supply_pressure.si - base.return_pressure.si * base.cap_area / base.rod_area
     if pressure <= 0.0:
-        raise InputError(f"return_pressure: {oil.return_pressure} leaves the rod's side no force")
+        raise InputError(f"return_pressure: {base.return_pressure} leaves the rod's side no force")
     # The bore with an arm of 1 m; at another its square goes with 1 / arm.
-    area = torque / (np.cos(half) * pressure)
-    bore = oil.bore_diameter.si * float(np.sqrt(area / oil.rod_area))
-    slenderness = np.array([_LEAST_SLENDER, SLENDER, _MOST_SLENDER])
-    shortest, default, longest = map(float, (slenderness * bore / (2.0 * np.sin(half))) ** (2 / 3))
+    unit_area = torque / (np.cos(half_range) * pressure)
+    unit_bore = base.bore_diameter.si * float(np.sqrt(unit_area / base.rod_area))
+    slenderness = np.array([_LEAST_SLENDER, SLENDERNESS, _MOST_SLENDER])
+    arms = (slenderness * unit_bore / (2.0 * np.sin(half_range))) ** (2 / 3)
+    shortest, default, longest = arms.tolist()
     arm = default if arm is None else arm
     if not shortest <= arm <= longest:
         raise InputError(
             f"arms: {hinge} {arm} m is refused: its cylinder would not have {_LEAST_SLENDER:g} to "
             f"{_MOST_SLENDER:g} bores in a stroke; allowed: {shortest:.4g} to {longest:.4g} m"
         )
-    return HingeCylinder(half, arm), bore / float(np.sqrt(arm))
+    return HingeCylinder(half_range, arm), unit_bore / float(np.sqrt(arm))
 
 
 def _remove_motors(spec: mujoco.MjSpec, hinge: str) -> None:
@@ -229,11 +230,11 @@ def _add_tendon(
     """Add the points of a cylinder, where they belong at `qpos0`, and the tendon between them."""
     joint, child = data.model.joint(hinge), spec.joint(hinge).parent
     axis, anchor, body = data.xaxis[joint.id], data.xanchor[joint.id], int(joint.bodyid[0])
-    limb = data.xipos[body] - anchor
-    limb = limb - axis * (axis @ limb)
-    if np.linalg.norm(limb) < 1e-9:
-        limb = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    limb = limb / np.linalg.norm(limb)
+    direction = data.xipos[body] - anchor
+    direction = direction - axis * (axis @ direction)
+    if np.linalg.norm(direction) < 1e-9:
+        direction = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    direction = direction / np.linalg.norm(direction)
     to_middle = float(np.mean(joint.range)) - float(data.qpos[joint.qposadr[0]])
     turn = Rotation.from_rotvec(axis * (to_middle - sense * cylinder.middle))
     tendon_name, parent_name, child_name = f"{hinge}_cylinder", f"{hinge}_parent", f"{hinge}_child"
@@ -242,11 +243,11 @@ def _add_tendon(
             raise InputError(f"{hinge}: the name {element.name!r} is taken already; rename it")
     tendon = spec.add_tendon(name=tendon_name)
 
-    def add_point(name: str, owner: mujoco.MjsBody, number: int, arm: NDArray[np.float64]) -> None:
-        axes = data.xmat[number].reshape(3, 3)
-        place = axes.T @ (anchor + arm - data.xpos[number])
-        tendon.wrap_site(owner.add_site(name=name, pos=place).name)
+    def add_site(name: str, owner: mujoco.MjsBody, owner_id: int, arm: NDArray[np.float64]) -> None:
+        axes = data.xmat[owner_id].reshape(3, 3)
+        position = axes.T @ (anchor + arm - data.xpos[owner_id])
+        tendon.wrap_site(owner.add_site(name=name, pos=position).name)
 
     parent = int(data.model.body_parentid[body])
-    add_point(parent_name, child.parent, parent, cylinder.base * turn.apply(limb))
-    add_point(child_name, child, body, cylinder.arm * limb)
+    add_site(parent_name, child.parent, parent, cylinder.base * turn.apply(direction))
+    add_site(child_name, child, body, cylinder.arm * direction)

@@ -39,8 +39,8 @@ from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.plant.solver import POWERS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
-    CONTENTS,
     GAS,
+    INTEGRATED,
     ISOLATION,
     RETURN_PRESSURE,
     SUPPLY_PRESSURE,
@@ -53,7 +53,7 @@ from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, open
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 
-_TORN = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn to vacuum [Pa].
+_VACUUM = -0.5 * ATMOSPHERE  #: Gauge pressure below which a chamber counts as torn [Pa].
 
 ENERGIES = (*POWERS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
@@ -202,7 +202,7 @@ def _set_ports(hydraulics, state, faults, is_last, command, start_extension, end
 
 
 @inlined
-def _guess_stage(state, is_last, weight_ratio, least_pressure):  # type: ignore[no-untyped-def]
+def _guess_stage(state, is_last, weight_ratio, lowest_pressure):  # type: ignore[no-untyped-def]
     """Write known contents of a stage, and guesses: pressures go on as in the last one."""
     stage, network = state.stage, state.supply
     for leg in range(state.pressure.shape[0]):
@@ -211,13 +211,13 @@ def _guess_stage(state, is_last, weight_ratio, least_pressure):  # type: ignore[
         if is_last:
             pair.cap_known += weight_ratio * (pair.cap_content - pair.cap_known)
             pair.rod_known += weight_ratio * (pair.rod_content - pair.rod_known)
-            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least_pressure)
-            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least_pressure)
+            pair.cap = max(cap + (pair.cap - cap) / _GAMMA, lowest_pressure)
+            pair.rod = max(rod + (pair.rod - rod) / _GAMMA, lowest_pressure)
         else:
             pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-            pair.cap = max(cap + _GAMMA * pair.cap_change, least_pressure)
-            pair.rod = max(rod + _GAMMA * pair.rod_change, least_pressure)
-    for node in range(CONTENTS + 1):
+            pair.cap = max(cap + _GAMMA * pair.cap_change, lowest_pressure)
+            pair.rod = max(rod + _GAMMA * pair.rod_change, lowest_pressure)
+    for node in range(INTEGRATED):
         if is_last:
             stage.known[node] += weight_ratio * (stage.node[node] - stage.known[node])
         else:
@@ -245,7 +245,7 @@ def _solve_in_one_stage(hydraulics, state, start_extension, end_extension):  # t
     for leg in range(start_extension.shape[0]):
         pair = stage.chambers[leg]
         pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-    for node in range(CONTENTS + 1):
+    for node in range(INTEGRATED):
         stage.known[node] = state.supply[node]
     cylinders, laminar = hydraulics.cylinder, hydraulics.laminar
     iterations = solve(cylinders, hydraulics.oil, hydraulics.supply, laminar, stage, step)
@@ -259,8 +259,8 @@ def _solve_in_one_stage(hydraulics, state, start_extension, end_extension):  # t
 
 
 @inlined
-def _keep_step(hydraulics, state, start_extension, end_extension):  # type: ignore[no-untyped-def]
-    """Make the results of the last stage the state, and slide the friction contacts."""
+def _accept_step(hydraulics, state, start_extension, end_extension):  # type: ignore[no-untyped-def]
+    """Write the results of the last stage to the state, and slide the friction contacts."""
     step, stage, network, energy = hydraulics.step, state.stage, state.supply, state.energy
     for leg in range(start_extension.shape[0]):
         pair = stage.chambers[leg]
@@ -273,7 +273,7 @@ def _keep_step(hydraulics, state, start_extension, end_extension):  # type: igno
             hydraulics.friction[leg], state.bristle[leg], travel / step, step
         )
         energy[_FRICTION] += state.friction[leg] * travel
-    for node in range(CONTENTS + 1):
+    for node in range(INTEGRATED):
         network[node] = stage.node[node]
     manifolds = stage.manifolds[0]
     network[SUPPLY_PRESSURE], network[RETURN_PRESSURE] = manifolds.high, manifolds.low
@@ -290,13 +290,13 @@ def advance(hydraulics, state, faults, command, start_extension, end_extension, 
     step, stage, energy = hydraulics.step, state.stage, state.energy
     cylinders, oil = hydraulics.cylinder, hydraulics.oil
     weight, lowest_pressure = _GAMMA * step, least_pressure(oil)
-    supply, network, failed = hydraulics.supply, state.supply, faults.plant[0]
+    supply, network, plant_faults = hydraulics.supply, state.supply, faults.plant[0]
     manifolds = stage.manifolds[0]
     manifolds.gas, manifolds.gas_rise = gas_pressure(supply, network[ACCUMULATOR])
     manifolds.gas_oil = network[ACCUMULATOR]
-    manifolds.running = 0.0 if failed.pump_lost > 0.0 else 1.0
-    manifolds.bank = max(supply.accumulators - failed.accumulators_lost, 0.0)
-    manifolds.burst = supply.jet * failed.burst_area
+    manifolds.running = 0.0 if plant_faults.pump_lost > 0.0 else 1.0
+    manifolds.bank = max(supply.accumulators - plant_faults.accumulators_lost, 0.0)
+    manifolds.burst = supply.jet * plant_faults.burst_area
     manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
     travel = supply.isolation_rate * (step if is_stopped else -step)
     network[ISOLATION] = min(max(network[ISOLATION] + travel, 0.0), 1.0)
@@ -304,7 +304,7 @@ def advance(hydraulics, state, faults, command, start_extension, end_extension, 
         stage.energy[i] = energy[i]
     is_torn, has_converged = False, True
     for leg in range(start_extension.shape[0]):
-        is_torn |= state.pressure[leg, CAP] < _TORN or state.pressure[leg, ROD] < _TORN
+        is_torn |= state.pressure[leg, CAP] < _VACUUM or state.pressure[leg, ROD] < _VACUUM
     for is_last in (False, True):
         _set_ports(hydraulics, state, faults, is_last, command, start_extension, end_extension)
         _guess_stage(state, is_last, (step - weight) / weight, lowest_pressure)
@@ -313,10 +313,10 @@ def advance(hydraulics, state, faults, command, start_extension, end_extension, 
         time = weight if is_last else step - weight
         _add_energies(hydraulics, energy, stage, time, time / step, start_extension, end_extension)
         for leg in range(start_extension.shape[0]):
-            is_torn |= stage.chambers[leg].cap < _TORN or stage.chambers[leg].rod < _TORN
+            is_torn |= stage.chambers[leg].cap < _VACUUM or stage.chambers[leg].rod < _VACUUM
     if is_torn:
         has_converged = _solve_in_one_stage(hydraulics, state, start_extension, end_extension)
-    _keep_step(hydraulics, state, start_extension, end_extension)
+    _accept_step(hydraulics, state, start_extension, end_extension)
     return has_converged
 
 

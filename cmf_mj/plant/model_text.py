@@ -22,7 +22,7 @@ Element = ElementTree.Element
 
 MACHINE_FILE, _CAB_FILE, _NO_CAB = "cmf_hexapod.xml", "cabs/gfd.xml", "cabs/none.xml"
 """Files that the scene includes."""
-_DRAWN = ("geom", "frame", "replicate")  #: What only draws.
+_DRAWING_TAGS = ("geom", "frame", "replicate")  #: What only draws.
 
 _CAB = """
 <mujoco model="cab">
@@ -42,10 +42,10 @@ _CAB = """
 
 def model_texts(cab: Cab) -> tuple[str, dict[str, bytes]]:
     """The scene of a machine with one of its own cabs, z up, and the files that it includes."""
-    machine, drawn = cab.machine, cab.machine.cabs[cab.name].mjcf
+    machine, cab_file = cab.machine, cab.machine.cabs[cab.name].mjcf
     files = {
         MACHINE_FILE: Path(machine.mjcf).read_bytes() if machine.mjcf else _write_machine(cab),
-        _CAB_FILE: Path(drawn).read_bytes() if drawn else _write_cab(cab),
+        _CAB_FILE: Path(cab_file).read_bytes() if cab_file else _write_cab(cab),
         _NO_CAB: models.model_path(_NO_CAB).read_bytes(),
     }
     return _write_scene(machine), files
@@ -56,8 +56,8 @@ def with_floor(text: bytes) -> bytes:
     root = ElementTree.fromstring(text)
     world = next(root.iter("worldbody"))
     floor = Element("body", name="floor")
-    for axis, line in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
-        ElementTree.SubElement(floor, "joint", name=f"floor_{axis}", type="slide", axis=line)
+    for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1")):
+        ElementTree.SubElement(floor, "joint", name=f"floor_{name}", type="slide", axis=axis)
     for leg in range(1, 7):
         cylinder = element_of(root, "body", f"cylinder_{leg}")
         world.remove(cylinder)
@@ -100,7 +100,7 @@ def _write_machine(cab: Cab) -> bytes:
     root.set("model", machine.name)
     for parent in list(root.iter()):
         for child in list(parent):
-            if parent.tag in ("worldbody", "body") and child.tag in _DRAWN:
+            if parent.tag in ("worldbody", "body") and child.tag in _DRAWING_TAGS:
                 parent.remove(child)
     half = machine.half_stroke
     for joint in root.iter("joint"):
@@ -127,34 +127,34 @@ def _write_machine(cab: Cab) -> bytes:
 
 def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
     """Place, weigh and draw a cylinder and its rod."""
-    geometry, design, tube = machine.geometry, machine.legs, machine.retracted
-    length = float(geometry.neutral[leg])
+    geometry, design, retracted = machine.geometry, machine.legs, machine.retracted
+    neutral = float(geometry.neutral[leg])
     lower, axis = geometry.lower[leg] * FLIP, (geometry.upper - geometry.lower)[leg] * FLIP
     cylinder = element_of(root, "body", f"cylinder_{leg + 1}")
     rod = element_of(root, "body", f"rod_{leg + 1}")
     _set(cylinder, pos=lower, zaxis=axis)
     centres = [
-        0.5 * tube if design.cylinder_centre is None else design.cylinder_centre.si,
-        length - (0.5 * tube if design.rod_centre is None else design.rod_centre.si),
+        0.5 * retracted if design.cylinder_centre is None else design.cylinder_centre.si,
+        neutral - (0.5 * retracted if design.rod_centre is None else design.rod_centre.si),
     ]
-    radius = tube / 40.0
+    radius = retracted / 40.0
     for body, centre, mass in zip(
         (cylinder, rod), centres, (design.cylinder_mass.si, design.rod_mass.si), strict=True
     ):
-        across = mass * (3.0 * radius**2 + tube**2) / 12.0
+        transverse = mass * (3.0 * radius**2 + retracted**2) / 12.0
         inertial = body.find("inertial")
         assert inertial is not None
-        moments = [across, across, 0.5 * mass * radius**2]
+        moments = [transverse, transverse, 0.5 * mass * radius**2]
         _set(inertial, pos=[0.0, 0.0, centre], mass=[mass], diaginertia=moments)
-    _set(element_of(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
-    accelerometer = length - machine.accelerometer_distance
+    _set(element_of(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, neutral])
+    accelerometer = neutral - machine.accelerometer_distance
     _set(element_of(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, accelerometer])
     barrel, bar_radius = 0.105 * scale, 0.05 * scale
-    top = length - machine.half_stroke - 0.1 * scale
+    top = neutral - machine.half_stroke - 0.1 * scale
     _add_geom(cylinder, "barrel", size=[barrel], fromto=[0, 0, 0, 0, 0, top])
     _add_geom(cylinder, "barrel", size=[1.3 * barrel], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
-    _add_geom(rod, "rod", size=[bar_radius], fromto=[0, 0, 0.4 * length, 0, 0, length])
-    _add_geom(rod, "visual", type="sphere", size=[2.0 * bar_radius], pos=[0, 0, length])
+    _add_geom(rod, "rod", size=[bar_radius], fromto=[0, 0, 0.4 * neutral, 0, 0, neutral])
+    _add_geom(rod, "visual", type="sphere", size=[2.0 * bar_radius], pos=[0, 0, neutral])
 
 
 def _write_cab(cab: Cab) -> bytes:

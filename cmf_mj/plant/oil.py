@@ -52,18 +52,18 @@ def density(oil, pressure):  # type: ignore[no-untyped-def]
     slope = (1.0 + z) * oil.compliance
     if oil.entrained_gas == 0.0 and (pressure >= 0.0 or oil.released == 0.0):
         return ratio, slope
-    specific = 1.0 / ratio
-    specific_slope = -slope * specific * specific
+    volume = 1.0 / ratio
+    volume_slope = -slope * volume * volume
     absolute = pressure + ATMOSPHERE
     if oil.entrained_gas > 0.0:
         gas = oil.entrained_gas * (ATMOSPHERE / absolute) ** (1.0 / oil.gas_exponent)
-        specific += gas
-        specific_slope -= gas / (oil.gas_exponent * absolute)
+        volume += gas
+        volume_slope -= gas / (oil.gas_exponent * absolute)
     if pressure < 0.0:
-        specific += oil.released * (1.0 / absolute - 1.0 / ATMOSPHERE)
-        specific_slope -= oil.released / (absolute * absolute)
-    ratio = 1.0 / specific
-    return ratio, -specific_slope * ratio * ratio
+        volume += oil.released * (1.0 / absolute - 1.0 / ATMOSPHERE)
+        volume_slope -= oil.released / (absolute * absolute)
+    ratio = 1.0 / volume
+    return ratio, -volume_slope * ratio * ratio
 
 
 @compiled
@@ -84,10 +84,10 @@ def enthalpy(oil, pressure):  # type: ignore[no-untyped-def]
     z = pressure * oil.compliance
     value = pressure * (1.0 - z * (0.5 - z * (1.0 / 6.0)))
     if oil.entrained_gas > 0.0:
-        share = 1.0 - 1.0 / oil.gas_exponent
+        exponent = 1.0 - 1.0 / oil.gas_exponent
         ratio = (pressure + ATMOSPHERE) / ATMOSPHERE
-        if share < 1e-9:
+        if exponent < 1e-9:
             value += oil.entrained_gas * ATMOSPHERE * np.log(ratio)
         else:
-            value += oil.entrained_gas * ATMOSPHERE * (ratio**share - 1.0) / share
+            value += oil.entrained_gas * ATMOSPHERE * (ratio**exponent - 1.0) / exponent
     return value

@@ -129,7 +129,7 @@ class HydraulicParameters(_Actuator):
     """Time in which an emergency stop shuts the valves off and opens the settle valves."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> "HydraulicParameters":
+    def _check_consistency(self) -> "HydraulicParameters":
         for name in ("", *self.actuators):
             numbers = self.actuator(name)
             where = f"actuators.{name}." if name else ""
@@ -172,9 +172,9 @@ class HydraulicParameters(_Actuator):
     def actuator(self, name: str = "", valve: int | None = None) -> dict[str, Quantity]:
         """All numbers of an actuator, or of its valve 0 or 1; by default those of the set."""
         numbers = self.quantities()
-        actuator = self.actuators.get(name)
-        changes = (actuator, valve if valve is None else getattr(actuator, VALVES[valve], None))
-        for table in changes:
+        changes = self.actuators.get(name)
+        valve_changes = None if valve is None else getattr(changes, VALVES[valve], None)
+        for table in (changes, valve_changes):
             numbers |= {field: value for field, value in table or () if isinstance(value, Quantity)}
         return numbers
 
@@ -190,8 +190,8 @@ def _check_order(
 
 def cap_area(values: Mapping[str, Quantity]) -> float:
     """Ac [m^2] of an actuator's quantities."""
-    through = (values["rods"].si - 1.0) * values["rod_diameter"].si ** 2
-    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - through)
+    second_rod = (values["rods"].si - 1.0) * values["rod_diameter"].si ** 2
+    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - second_rod)
 
 
 def rod_area(values: Mapping[str, Quantity]) -> float:

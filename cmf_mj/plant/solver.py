@@ -122,7 +122,7 @@ def make_stage(actuators: int) -> Stage:
 
 
 @compiled
-def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
+def _flow(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
     """Flow through an orifice behind a hose, and its slope."""
     if gain == 0.0:
         return 0.0, 0.0
@@ -131,14 +131,14 @@ def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _bounded(pressure, change, inward, high, outward, low, lowest, narrow):  # type: ignore[no-untyped-def]
+def _bounded(pressure, change, inward, high, outward, low, lowest, linear_drop):  # type: ignore[no-untyped-def]
     """A pressure after a Newton change, cut short where a drop would change sign, or at vacuum.
 
     Flow gains `inward` from the supply and `outward` to the return are 0 if shut; below the drop
-    `narrow` an orifice is as good as linear. All pressures in Pa, `least` the lower bound.
+    `linear_drop` an orifice is as good as linear. All pressures in Pa, `lowest` the lower bound.
     """
     following = pressure + change
-    if abs(change) > narrow:
+    if abs(change) > linear_drop:
         if outward > 0.0 and (pressure - low) * (following - low) < 0.0:
             following = low
         if inward > 0.0 and (pressure - high) * (following - high) < 0.0:
@@ -155,12 +155,13 @@ def _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight):  # typ
         # In a loop of its own, the roots of all actuators are taken side by side.
         pair, cylinder = stage.chambers[leg], cylinders[leg]
         cap, rod = pair.cap, pair.rod
-        inward, outward = cylinder.supply_hose, cylinder.return_hose
-        into, out = inward + cylinder.cap_throttle, outward + cylinder.cap_throttle
-        pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, into, laminar, high - cap)
-        pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, out, laminar, cap - low)
-        pair.rod_enters, pair.rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
-        pair.rod_leaves, pair.rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
+        rod_supply, rod_return = cylinder.supply_hose, cylinder.return_hose
+        cap_supply = rod_supply + cylinder.cap_throttle
+        cap_return = rod_return + cylinder.cap_throttle
+        pair.cap_enters, pair.cap_in_slope = _flow(pair.cap_in, cap_supply, laminar, high - cap)
+        pair.cap_leaves, pair.cap_out_slope = _flow(pair.cap_out, cap_return, laminar, cap - low)
+        pair.rod_enters, pair.rod_in_slope = _flow(pair.rod_in, rod_supply, laminar, high - rod)
+        pair.rod_leaves, pair.rod_out_slope = _flow(pair.rod_out, rod_return, laminar, rod - low)
     h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
     inflow, outflow, high_shift, low_shift = 0.0, 0.0, 0.0, 0.0
     high_high, low_low, high_low = 0.0, 0.0, 0.0
@@ -171,45 +172,46 @@ def _eliminate_actuators(cylinders, oil, supply, laminar, stage, weight):  # typ
         leak, bearing = cylinder.leakage, cylinder.bearing_leakage
         cap_in, cap_out = pair.cap_enters, pair.cap_leaves
         rod_in, rod_out = pair.rod_enters, pair.rod_leaves
-        piston = leak * (cap - rod)
-        seep = bearing * (rod - low)
+        piston_flow = leak * (cap - rod)
+        bearing_flow = bearing * (rod - low)
         cap_density, cap_slope = density(oil, cap)
         rod_density, rod_slope = density(oil, rod)
         pair.cap_content = pair.cap_volume * cap_density
         pair.cap_yield = pair.cap_volume * cap_slope
         pair.rod_content = pair.rod_volume * rod_density
         pair.rod_yield = pair.rod_volume * rod_slope
-        cap_flow, rod_flow = cap_in - cap_out - piston, rod_in - rod_out - seep + piston
+        cap_flow = cap_in - cap_out - piston_flow
+        rod_flow = rod_in - rod_out - bearing_flow + piston_flow
         cap_residual = pair.cap_content - pair.cap_known - weight * cap_flow
         rod_residual = pair.rod_content - pair.rod_known - weight * rod_flow
         # The actuator's block and what ties it to the manifolds.
         high_cap, high_rod = weight * pair.cap_in_slope, weight * pair.rod_in_slope
         low_cap, low_rod = weight * pair.cap_out_slope, weight * (pair.rod_out_slope + bearing)
-        tie = weight * leak
-        a = pair.cap_yield + high_cap + low_cap + tie
-        d = pair.rod_yield + high_rod + low_rod + tie
-        inverse = 1.0 / (a * d - tie * tie)
-        pair.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
-        pair.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
+        coupling = weight * leak
+        cap_diagonal = pair.cap_yield + high_cap + low_cap + coupling
+        rod_diagonal = pair.rod_yield + high_rod + low_rod + coupling
+        inverse = 1.0 / (cap_diagonal * rod_diagonal - coupling * coupling)
+        pair.cap_alone = -inverse * (rod_diagonal * cap_residual + coupling * rod_residual)
+        pair.rod_alone = -inverse * (coupling * cap_residual + cap_diagonal * rod_residual)
         if not supply.constant:
-            pair.cap_high = inverse * (d * high_cap + tie * high_rod)
-            pair.rod_high = inverse * (tie * high_cap + a * high_rod)
-            pair.cap_low = inverse * (d * low_cap + tie * low_rod)
-            pair.rod_low = inverse * (tie * low_cap + a * low_rod)
+            pair.cap_high = inverse * (rod_diagonal * high_cap + coupling * high_rod)
+            pair.rod_high = inverse * (coupling * high_cap + cap_diagonal * high_rod)
+            pair.cap_low = inverse * (rod_diagonal * low_cap + coupling * low_rod)
+            pair.rod_low = inverse * (coupling * low_cap + cap_diagonal * low_rod)
             high_high += high_cap * (1.0 - pair.cap_high) + high_rod * (1.0 - pair.rod_high)
             low_low += low_cap * (1.0 - pair.cap_low) + low_rod * (1.0 - pair.rod_low)
             high_low += high_cap * pair.cap_low + high_rod * pair.rod_low
         high_shift += high_cap * pair.cap_alone + high_rod * pair.rod_alone
         low_shift += low_cap * pair.cap_alone + low_rod * pair.rod_alone
         inflow += cap_in + rod_in
-        outflow += cap_out + rod_out + seep
+        outflow += cap_out + rod_out + bearing_flow
         h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
-        into = cap_in * (h_high - h_cap) + rod_in * (h_high - h_rod)
-        flow_loss += into + cap_out * (h_cap - h_low) + rod_out * (h_rod - h_low)
+        inflow_loss = cap_in * (h_high - h_cap) + rod_in * (h_high - h_rod)
+        flow_loss += inflow_loss + cap_out * (h_cap - h_low) + rod_out * (h_rod - h_low)
         hose_loss += cylinder.supply_hose * (cap_in * cap_in + rod_in * rod_in)
         hose_loss += cylinder.return_hose * (cap_out * cap_out + rod_out * rod_out)
         hose_loss += cylinder.cap_throttle * (cap_in * cap_in + cap_out * cap_out)
-        leak_loss += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
+        leak_loss += piston_flow * (h_cap - h_rod) + bearing_flow * (h_rod - h_low)
     manifolds.inflow, manifolds.outflow = inflow, outflow
     manifolds.high_high, manifolds.low_low, manifolds.high_low = high_high, low_low, high_low
     manifolds.high_shift, manifolds.low_shift = high_shift, low_shift
@@ -224,20 +226,22 @@ def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-un
     high, low, tank = manifolds.high, manifolds.low, supply.return_pressure
     lowest = least_pressure(oil)
     pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
-    flow, flow_slope = accumulator_flow(supply, manifolds, known[ACCUMULATOR], high, weight)
+    discharge, discharge_slope = accumulator_flow(
+        supply, manifolds, known[ACCUMULATOR], high, weight
+    )
     bank = manifolds.bank
     excess = high - supply.relief_pressure
     relief = supply.relief_conductance * max(excess, 0.0)
     relief_slope = supply.relief_conductance if excess > 0.0 else 0.0
-    burst, burst_slope = _path(manifolds.burst, 0.0, laminar, high - tank)
+    burst, burst_slope = _flow(manifolds.burst, 0.0, laminar, high - tank)
     drain = (low - tank) / supply.tank_line
     high_density, high_slope = density(oil, high)
     low_density, low_slope = density(oil, low)
-    net_flow = pump + bank * flow - relief - burst - manifolds.inflow
-    high_residual = supply.supply_volume * high_density - known[SUPPLY] - weight * net_flow
-    net_flow = manifolds.outflow - drain
-    low_residual = supply.return_volume * low_density - known[RETURN] - weight * net_flow
-    slopes = relief_slope + burst_slope - pump_slope - bank * flow_slope
+    high_flow = pump + bank * discharge - relief - burst - manifolds.inflow
+    high_residual = supply.supply_volume * high_density - known[SUPPLY] - weight * high_flow
+    low_flow = manifolds.outflow - drain
+    low_residual = supply.return_volume * low_density - known[RETURN] - weight * low_flow
+    slopes = relief_slope + burst_slope - pump_slope - bank * discharge_slope
     high_high = manifolds.high_high + (supply.supply_volume * high_slope + weight * slopes)
     low_slope_sum = supply.return_volume * low_slope + weight / supply.tank_line
     low_low, high_low = manifolds.low_low + low_slope_sum, manifolds.high_low
@@ -248,12 +252,12 @@ def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-un
     fall = -inverse * (high_low * high_residual + high_high * low_residual)
     node[SUPPLY] = supply.supply_volume * (high_density + high_slope * rise)
     node[RETURN] = supply.return_volume * (low_density + low_slope * fall)
-    flow += flow_slope * rise
+    discharge += discharge_slope * rise
     pump += pump_slope * rise
     relief += relief_slope * rise
     burst += burst_slope * rise
     drain += fall / supply.tank_line
-    node[ACCUMULATOR] = known[ACCUMULATOR] - weight * flow
+    node[ACCUMULATOR] = known[ACCUMULATOR] - weight * discharge
     node[PUMP] = pump
     node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
     manifolds.rise, manifolds.fall = rise, fall
@@ -261,10 +265,10 @@ def _solve_manifolds(oil, supply, laminar, stage, weight):  # type: ignore[no-un
     manifolds.low = max(low + fall, lowest)
     h_high, h_low, h_tank = enthalpy(oil, high), enthalpy(oil, low), enthalpy(oil, tank)
     h_pump = enthalpy(oil, high + supply.pump_line * pump)
-    h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
+    h_gas = enthalpy(oil, high + supply.accumulator_line * discharge)
     power[_POWER.pump] = pump * (h_pump - h_tank)
-    power[_POWER.accumulators] = bank * flow * h_gas
-    power[_POWER.lines] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
+    power[_POWER.accumulators] = bank * discharge * h_gas
+    power[_POWER.lines] += pump * (h_pump - h_high) + bank * discharge * (h_gas - h_high)
     power[_POWER.lines] += drain * (h_low - h_tank)
     power[_POWER.relief] = relief * (h_high - h_tank)
     power[_POWER.burst] = burst * (h_high - h_tank)
@@ -278,7 +282,7 @@ def _change_chambers(oil, laminar, stage, high, low):  # type: ignore[no-untyped
 
     `high` and `low` are the pressures of the manifolds before their change.
     """
-    lowest, narrow, largest = least_pressure(oil), laminar * laminar, 0.0
+    lowest, linear_drop, largest = least_pressure(oil), laminar * laminar, 0.0
     rise, fall = stage.manifolds[0].rise, stage.manifolds[0].fall
     for leg in range(stage.chambers.shape[0]):
         pair = stage.chambers[leg]
@@ -290,10 +294,10 @@ def _change_chambers(oil, laminar, stage, high, low):  # type: ignore[no-untyped
         rod_stretch = max(1.0, pair.rod_yield * oil.bulk_modulus / pair.rod_volume)
         largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
         pair.cap = _bounded(
-            pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, lowest, narrow
+            pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, lowest, linear_drop
         )
         pair.rod = _bounded(
-            pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, lowest, narrow
+            pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, lowest, linear_drop
         )
     return largest
 
@@ -315,8 +319,8 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
         if supply.constant:
             drop = enthalpy(oil, high) - enthalpy(oil, low)
             stage.power[_POWER.pump] = manifolds.inflow * drop
-            tank = stage.known[TANK] + weight * (manifolds.outflow - manifolds.inflow)
-            stage.node[TANK] = tank + manifolds.low_shift + manifolds.high_shift
+            tank_content = stage.known[TANK] + weight * (manifolds.outflow - manifolds.inflow)
+            stage.node[TANK] = tank_content + manifolds.low_shift + manifolds.high_shift
             manifolds.rise, manifolds.fall = 0.0, 0.0
         else:
             manifold_change = _solve_manifolds(oil, supply, laminar, stage, weight)

@@ -34,7 +34,7 @@ SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRES
 [m^3/s], what the tank has received [m^3], how far an emergency stop has closed the actuators off
 (0 to 1), pressures of both manifolds and of the accumulators' gas [Pa]."""
 
-CONTENTS = 4  #: The first four are integrated with the chambers.
+INTEGRATED = 5  #: Length of the part, the first, that is integrated with the chambers.
 
 
 class Supply(NamedTuple):
@@ -79,7 +79,7 @@ def make_supply(parameters: HydraulicParameters) -> Supply:
 
 def charge_supply(supply: Supply, oil: Oil) -> NDArray[np.float64]:
     """State (9,) at rest: accumulators charged to the set pressure, no flow."""
-    state = np.zeros(9)
+    state = np.zeros(GAS + 1)
     ratio = (supply.precharge + ATMOSPHERE) / (supply.pressure + ATMOSPHERE)
     state[ACCUMULATOR] = supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent))
     state[GAS] = supply.pressure

@@ -89,7 +89,7 @@ def make_valves(
 
 
 def laminar_root(parameters: HydraulicParameters) -> float:
-    """S [sqrt(Pa)] of a parameter set's transition pressure."""
+    """The s [sqrt(Pa)] of all orifices, of a parameter set's transition pressure."""
     return float(np.sqrt(0.5 * parameters.transition_pressure.si))
 
 
@@ -124,8 +124,8 @@ def spool(valve, is_last, command, drive, play, position):  # type: ignore[no-un
 @compiled
 def opening(valve, position):  # type: ignore[no-untyped-def]
     """e, what a spool position opens, -1 to 1."""
-    size = min(max(abs(position) - valve.overlap, 0.0), 1.0)
-    return size if position >= 0.0 else -size
+    magnitude = min(max(abs(position) - valve.overlap, 0.0), 1.0)
+    return magnitude if position >= 0.0 else -magnitude
 
 
 @compiled

@@ -8,7 +8,7 @@ import numpy as np
 from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
 from cmf_mj.plant.plant import Plant
 
-_SOFT, _PIN_LOSS = 1e-3, 1e-4  #: Impedance of pins that yield, and damping over stiffness [s].
+_PIN_IMPEDANCE, _PIN_DAMPING_TIME = 1e-3, 1e-4  #: d of soft pins; damping over stiffness [s].
 
 
 class Floor(NamedTuple):
@@ -26,13 +26,13 @@ def on_floor(plant: Plant, floor: Floor) -> Hexapod:
     """
     cab = plant.cab_parameters
     spec = hexapod_spec(cab, sliding=True)
-    whole, body = sum(body.mass for body in spec.bodies) + floor.mass, spec.body("floor")
+    total_mass, body = sum(body.mass for body in spec.bodies) + floor.mass, spec.body("floor")
     body.mass, body.inertia, body.explicitinertial = floor.mass, [floor.mass] * 3, True
     for axis in "xyz":
         joint = spec.joint(f"floor_{axis}")
         joint.stiffness[0] = floor.stiffness
-        joint.damping[0] = 2.0 * floor.damping_ratio * np.sqrt(floor.stiffness * whole)
-    joint.springref = whole * -spec.option.gravity[2] / floor.stiffness
+        joint.damping[0] = 2.0 * floor.damping_ratio * np.sqrt(floor.stiffness * total_mass)
+    spec.joint("floor_z").springref = total_mass * -spec.option.gravity[2] / floor.stiffness
     return Hexapod(cab, plant.parameters, spec=spec, timestep=plant.model.opt.timestep)
 
 
@@ -47,9 +47,9 @@ def on_mounts(plant: Plant, stiffness: float) -> Plant:
     def soften(model: mujoco.MjModel) -> None:
         for leg in range(1, 7):
             pin, ends = model.equality(f"gimbal_{leg}"), (f"rod_{leg}", "platform")
-            light = sum(model.body_invweight0[model.body(end).id, 0] for end in ends)
-            size = stiffness * (1.0 - _SOFT) * light
-            pin.solref[:] = -size, -_PIN_LOSS * size
-            pin.solimp[:2] = _SOFT
+            inverse_mass = sum(model.body_invweight0[model.body(end).id, 0] for end in ends)
+            direct_stiffness = stiffness * (1.0 - _PIN_IMPEDANCE) * inverse_mass
+            pin.solref[:] = -direct_stiffness, -_PIN_DAMPING_TIME * direct_stiffness
+            pin.solimp[:2] = _PIN_IMPEDANCE
 
     return plant.changed(plant.parameters, soften)

@@ -38,7 +38,7 @@ from cmf_mj.core.compiled import compiled
 
 SEQUENCE_GAP = 4096  #: Most by which a sequence number may run ahead.
 
-STAMP = 1e-6  #: Resolution granted to host times [s]; a double counts seconds since 1970 to 0.2 us.
+STAMP_RESOLUTION = 1e-6  #: Granted to host times [s]; a double counts from 1970 to 0.2 us.
 
 MEAN_TIME, LATENESS_TIME = 1.0, 0.1
 """Time constants of the means of interval and share of late frames, and of lateness [s]."""
@@ -105,7 +105,7 @@ def _judge_order(dcu, sequence_step, interval):  # type: ignore[no-untyped-def]
         return Verdict.SEQUENCE_JUMP
     if interval <= 0.0:
         return Verdict.TIME_REVERSED
-    if interval < dcu.minimum_interval - STAMP:
+    if interval < dcu.minimum_interval - STAMP_RESOLUTION:
         return Verdict.TOO_SOON
     if interval > dcu.timeout:
         return Verdict.TIME_JUMP
