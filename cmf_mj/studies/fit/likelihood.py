@@ -82,37 +82,47 @@ class _WhiteHistory(NamedTuple):
     slopes: Array  #: -J by the numbers, then by the constant errors, (samples, legs, all).
 
 
-def information(
-    residuals: Residuals, derivatives: Sequence[Residuals], order: int, spacing: Mapping[str, float]
-) -> Information:
-    """From residuals and their derivatives by each number; `spacing` of the samples [s]."""
-    recorded = {key: residual for key, residual in residuals.items() if key != STATED}
+def _whiten_histories(
+    recorded: Residuals, derivatives: Sequence[Residuals], order: int
+) -> list[_WhiteHistory]:
+    """Whiten the residuals of each channel in each recording, and their slopes."""
     legs = max((residual.shape[1] for residual in recorded.values()), default=0)
     channels = sorted({channel for _, channel in recorded})
-    n, error_count = len(derivatives), len(channels) * legs
-    bordered, score = np.zeros((n + error_count, n + error_count)), np.zeros(n + error_count)
-    whitened = []
+    n, histories = len(derivatives), []
     for (name, channel), residual in recorded.items():
         colour = autoregression(residual, order)
         about_mean = _whitened(residual - residual.mean(axis=0), colour)
         weight = 1.0 / max(float(np.mean(about_mean**2)), 1e-300)
         e = _whitened(residual, colour)
-        slopes = np.zeros((*e.shape, n + error_count))
+        slopes = np.zeros((*e.shape, n + len(channels) * legs))
         slopes[..., :n] = np.stack(
             [-_whitened(derivative[name, channel], colour) for derivative in derivatives], axis=-1
         )
         first_error = n + channels.index(channel) * legs
         for leg in range(legs):
             slopes[:, leg, first_error + leg] = colour.sum()
-        whitened.append(_WhiteHistory(name, weight, e, slopes))
+        histories.append(_WhiteHistory(name, weight, e, slopes))
+    return histories
+
+
+def information(
+    residuals: Residuals, derivatives: Sequence[Residuals], order: int, spacing: Mapping[str, float]
+) -> Information:
+    """Information of residuals with derivatives by each number; `spacing` of the samples [s]."""
+    recorded = {key: residual for key, residual in residuals.items() if key != STATED}
+    histories, n = _whiten_histories(recorded, derivatives, order), len(derivatives)
+    size = histories[0].slopes.shape[-1] if histories else n  # with the constant errors
+    bordered, score = np.zeros((size, size)), np.zeros(size)
+    for history in histories:
+        slopes, weight = history.slopes, history.weight
         bordered += weight * np.einsum("tlp,tlq->pq", slopes, slopes, optimize=True)
-        score += weight * np.einsum("tlp,tl->p", slopes, e)
+        score += weight * np.einsum("tlp,tl->p", slopes, history.residual)
     nuisance, cross = bordered[n:, n:], bordered[:n, n:]
     nuisance = nuisance + 1e-9 * np.diag(np.diag(nuisance))
     shift, projection = np.linalg.solve(nuisance, score[n:]), np.linalg.solve(nuisance, cross.T)
     block_scores: list[Array] = []
     by_recording: dict[str, tuple[Array, Array]] = {}
-    for history in whitened:
+    for history in histories:
         by_numbers, by_errors = history.slopes[..., :n], history.slopes[..., n:]
         free_slopes = by_numbers - by_errors @ projection
         e = history.residual - by_errors @ shift
@@ -125,15 +135,16 @@ def information(
         square = np.einsum("tlp,tlq->pq", free_slopes, free_slopes, optimize=True)
         matrix = matrix + history.weight * square
         by_recording[history.recording] = matrix, gradient + scores.sum(axis=0)
-    whole, gradient = np.zeros((n, n)), np.zeros(n)
-    for matrix, gradient_of_recording in by_recording.values():
-        whole, gradient = whole + matrix, gradient + gradient_of_recording
+    whole_matrix, whole_gradient = np.zeros((n, n)), np.zeros(n)
+    for matrix, gradient in by_recording.values():
+        whole_matrix, whole_gradient = whole_matrix + matrix, whole_gradient + gradient
     if STATED in residuals:
         stated_slopes = np.stack([-derivative[STATED][:, 0] for derivative in derivatives], axis=-1)
-        whole = whole + stated_slopes.T @ stated_slopes
-        gradient = gradient + stated_slopes.T @ residuals[STATED][:, 0]
+        whole_matrix = whole_matrix + stated_slopes.T @ stated_slopes
+        whole_gradient = whole_gradient + stated_slopes.T @ residuals[STATED][:, 0]
         block_scores += list(stated_slopes)
-    return Information(whole, gradient, np.reshape(block_scores, (-1, n)), by_recording)
+    blocks = np.reshape(block_scores, (-1, n))
+    return Information(whole_matrix, whole_gradient, blocks, by_recording)
 
 
 def spread(information: Information, z: Array) -> Array:
