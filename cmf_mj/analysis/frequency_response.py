@@ -1,4 +1,4 @@
-"""Frequency responses from records, and the bandwidths read off them.
+"""Frequency responses from records, and the bandwidths and crosstalk read off them.
 
 A response goes from the DCL's leg demand to the leg feedback, both transformed to the degree of
 freedom by `legs_to_pose`, as the report does, or of a single leg; host delay and DCU are outside.
@@ -82,10 +82,10 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         """Complex response, (K,)."""
         return np.asarray(self.frdata[0, 0])
 
-    def at(self, lines: NDArray[np.bool_]) -> "FrequencyResponse":
+    def at(self, is_chosen: NDArray[np.bool_]) -> "FrequencyResponse":
         """The response at some of its lines, chosen by a mask (K,)."""
         arrays = (self.response, np.asarray(self.omega), self.coherence, self.bound)
-        return FrequencyResponse(*(np.asarray(array)[lines] for array in arrays))
+        return FrequencyResponse(*(np.asarray(array)[is_chosen] for array in arrays))
 
     @property
     def gain_db(self) -> Real:
@@ -144,15 +144,15 @@ def frequency_response(
         raise InputError(f"dof: the record holds no demand in {axis}; it moved {moved}")
     if isinstance(command, Multisine):
         h1 = excited_response(demand, feedback, record.rate, command)
-        return _wrapped(mean_of_h1_and_h2(h1) if estimator == "report" else h1)
+        return _as_response(mean_of_h1_and_h2(h1) if estimator == "report" else h1)
     # The rest before the excitation is the base line; it also lets the start-up settle.
     begin = max(round(command.lead * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
     y = feedback[begin:] - feedback[begin]
     if estimator == "report":
         band = _band(command, record.rate, segment)
-        return _wrapped(report_response(x, y, record.rate, band=band))
-    return _wrapped(excited_response(x, y, record.rate, command, segment))
+        return _as_response(report_response(x, y, record.rate, band=band))
+    return _as_response(excited_response(x, y, record.rate, command, segment))
 
 
 def excited_response(
@@ -171,10 +171,10 @@ def excited_response(
         raise InputError(f"record_every: a period is not a whole number of samples at {rate}")
     frequency = np.fft.rfftfreq(samples, 1.0 / rate)
     orders = np.arange(frequency.size)
-    lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
-    lines &= frequency <= command.stop + 1e-9
+    is_excited = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
+    is_excited &= frequency <= command.stop + 1e-9
     periods = slice(command.periods * samples)
-    return periodic_response(x[periods], y[periods], rate, command.period, orders[lines])
+    return periodic_response(x[periods], y[periods], rate, command.period, orders[is_excited])
 
 
 def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:
@@ -210,16 +210,16 @@ def rounds_response(
         raise InputError(f"dof: the records hold no demand in {axis}")
     if estimator == "report":
         x, y = np.concatenate(demands), np.concatenate(motions)
-        return _wrapped(report_response(x, y, rate, band=_ROUNDS_BAND))
+        return _as_response(report_response(x, y, rate, band=_ROUNDS_BAND))
     if all(record.signal.dwells for record in records):
         rounds = zip(records, demands, motions, strict=True)
         fits = [fit for record, x, y in rounds for fit in _dwell_fits(record, x, y)]
-        return _wrapped(stitch(fits))
+        return _as_response(stitch(fits))
     x = np.concatenate([demand - demand[0] for demand in demands])
     y = np.concatenate([motion - motion[0] for motion in motions])
     estimate = welch_response(x, y, rate, band=_ROUNDS_BAND, pad=True)
     is_driven = demand_share(x, rate, estimate.frequency) > DRIVEN_SHARE
-    return _wrapped(estimate).at(is_driven)
+    return _as_response(estimate).at(is_driven)
 
 
 def _dwell_fits(record: Record, x: Real, y: Real) -> Iterator[Estimate]:
@@ -263,7 +263,7 @@ def crosstalk(response: Complex, unit: ArrayLike) -> Real:
     return np.asarray(gains)
 
 
-def _wrapped(estimate: Estimate) -> FrequencyResponse:
+def _as_response(estimate: Estimate) -> FrequencyResponse:
     omega = 2.0 * np.pi * estimate.frequency
     return FrequencyResponse(estimate.response, omega, estimate.coherence, estimate.radius)
 
@@ -289,13 +289,13 @@ def line_bandwidths(frequency: ArrayLike, response: Complex) -> Bandwidths:
         raise InputError("response: has no lines; allowed: at least 1")
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
-    phase_falls = falls(lines, phase, 0.0)
+    phase_falls = find_falls(lines, phase, 0.0)
     returns = lines[(phase > _PHASE_NOISE) & (lines > phase_falls[0])]
     falls_again = returns.size and phase_falls[-1] > returns[-1]
     graze_from, graze_to = _graze(lines, phase)
     return Bandwidths(
         phase_hz=float(phase_falls[0]),
-        gain_hz=float(falls(lines, gain, -3.0)[0]),
+        gain_hz=float(find_falls(lines, gain, -3.0)[0]),
         peak_db=float(gain.max()),
         later_phase_hz=float(phase_falls[-1]) if falls_again else float("nan"),
         graze_from_hz=graze_from,
@@ -303,7 +303,7 @@ def line_bandwidths(frequency: ArrayLike, response: Complex) -> Bandwidths:
     )
 
 
-def falls(frequency: Real, values: Real, level: float) -> Real:
+def find_falls(frequency: Real, values: Real, level: float) -> Real:
     """Frequencies at which values fall through a level, NaN alone where they do not."""
     rows = np.flatnonzero((values[1:] < level) & (values[:-1] >= level))
     if rows.size == 0:
@@ -314,7 +314,8 @@ def falls(frequency: Real, values: Real, level: float) -> Real:
 
 def _graze(frequency: Real, phase: Real) -> tuple[float, float]:
     """Both ends of the band in which the phase over -90 deg grazes 0; NaN where it does not."""
-    before, above, below = (falls(frequency, phase, level * _GRAZE) for level in (2, 1, -1))
+    far_above, above, below = (find_falls(frequency, phase, n * _GRAZE) for n in (2, 1, -1))
+    first, last = above[0], below[-1]
     comes_back = max(above.size, below.size) > 1
-    lingers = np.log(below[-1] / above[0]) > _LINGER * np.log(above[0] / before[0])
-    return (float(above[0]), float(below[-1])) if comes_back or lingers else (np.nan, np.nan)
+    lingers = np.log(last / first) > _LINGER * np.log(first / far_above[0])
+    return (float(first), float(last)) if comes_back or lingers else (np.nan, np.nan)

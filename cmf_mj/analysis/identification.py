@@ -38,7 +38,7 @@ RECORDER = 128.0  #: Least rate of measured responses [Hz], the facility recorde
 BAND = (0.1, 10.0)  #: Where a box is believed [Hz]: the report's band of interest (section 4.2).
 
 _LEAST_SAMPLES = 32  #: Behind a decimation.
-_SWEEPS = 30  #: Rounds of the fit of a response.
+_ITERATIONS = 30  #: Rounds of the fit of a response.
 _FITTED_SHARE = 0.6  #: Of a single run; the rest validates.
 _BROAD_SIGNALS = ("multisine", "chirp", "noise")
 
@@ -213,8 +213,8 @@ class BlackBox:
         g = delays[:, : nk + nb] @ self.numerator / denominator
         slope = np.hstack([-delays[:, 1 : na + 1] * g[:, None], delays[:, nk : nk + nb]])
         slope = slope / denominator[:, None]
-        plane = np.stack([slope.real, slope.imag], axis=1)
-        variances = np.linalg.eigvalsh(plane @ self.covariance @ plane.transpose(0, 2, 1))
+        components = np.stack([slope.real, slope.imag], axis=1)
+        variances = np.linalg.eigvalsh(components @ self.covariance @ components.transpose(0, 2, 1))
         bound = np.sqrt(stats.chi2.ppf(0.95, 2) * variances[:, -1])
         return FrequencyResponse(g, 2.0 * np.pi * f, np.ones(f.size), bound)
 
@@ -301,20 +301,21 @@ def to_continuous(box: BlackBox) -> Continuous:
     f, na = np.geomspace(*BAND, 200), box.orders.na
     h, scale = box.response(f).response, 2.0 * np.pi * float(np.sqrt(lowest * highest))
     powers = np.vander(2j * np.pi * f / scale, na + 1)
-    table = np.hstack([powers[:, 1:], -h[:, None] * powers[:, 1:]])
+    regressors = np.hstack([powers[:, 1:], -h[:, None] * powers[:, 1:]])
     numerator, denominator = np.zeros(na), np.eye(1, na + 1)[0]
-    for _ in range(_SWEEPS):
+    for _ in range(_ITERATIONS):
         weight = 1.0 / np.abs(h * (powers @ denominator))
-        rows, values = table * weight[:, None], h * powers[:, 0] * weight
+        rows, values = regressors * weight[:, None], h * powers[:, 0] * weight
         system, target = (np.concatenate([part.real, part.imag]) for part in (rows, values))
-        size = np.linalg.norm(system, axis=0)
-        solution = np.linalg.lstsq(system / size, target)[0] / size
+        norms = np.linalg.norm(system, axis=0)
+        solution = np.linalg.lstsq(system / norms, target)[0] / norms
         numerator, denominator[1:] = np.split(solution, 2)
     deviation = (powers[:, 1:] @ numerator) / (powers @ denominator) / h - 1.0
     scales = scale ** np.arange(na + 1.0)
-    above, below = units.from_si("in/s/%", numerator * scales[1:]), denominator * scales
+    numerator = units.from_si("in/s/%", numerator * scales[1:])
+    denominator = denominator * scales
     names: dict[str, Any] = {"input_unit": "%", "output_unit": "in/s", "outputs": ["leg_velocity"]}
-    velocity = UnitTransferFunction(above.tolist(), below.tolist(), **names)
+    velocity = UnitTransferFunction(numerator.tolist(), denominator.tolist(), **names)
     return Continuous(velocity, float(np.sqrt(np.mean(np.abs(deviation) ** 2))))
 
 

@@ -18,7 +18,7 @@ DRIVEN_SHARE = 1e-2  #: Demand power over its largest line from which a line of 
 EXCITED_SHARE = 1e-5  #: Likewise of any excitation; a multisine has 1e-4 at ten times its corner.
 _STOP_TRAVEL = 0.05  #: How far legs may be beyond their stops, which give way [m].
 NO_DEMAND = 1e-9  #: Demand [m or rad] that is round-off of the transformation from the legs.
-CLEAR = 0.8  #: Coherence below which a line is not read: the report's estimator is 1 dB high.
+LEAST_COHERENCE = 0.8  #: Of a line that is read; at this one the report's estimator is 1 dB high.
 _SESSION_FIELDS = (
     *("machine", "machine_parameters", "plant", "cab", "cab_parameters", "hydraulics"),
     *("hydraulic_parameters", "law", "law_parameters", "command_delay", "events"),
@@ -74,11 +74,11 @@ def check_one_session(records: Sequence[Record]) -> None:
             if value != values[0]:
                 pair = f"{values[0]!r} and {value!r} " if isinstance(value, str) else ""
                 raise InputError(f"records: {field}: {pair}differ; rounds are of one session")
-    number_of_samples = dict[bytes, int]()
+    round_by_samples = dict[bytes, int]()
     for number, record in enumerate(records, start=1):
-        earlier = number_of_samples.setdefault(record["leg_position"].tobytes(), number)
-        if earlier != number:
-            pair = f"{earlier} and {number}"
+        first_number = round_by_samples.setdefault(record["leg_position"].tobytes(), number)
+        if first_number != number:
+            pair = f"{first_number} and {number}"
             raise InputError(f"records: {pair} hold the same samples; a round counts once")
 
 

@@ -26,7 +26,7 @@ from cmf_mj.analysis.frequency_response import (
     bandwidths,
     frequency_response,
 )
-from cmf_mj.analysis.linear.loop import STEP_DURATION, loop_response, loop_step
+from cmf_mj.analysis.linear.loop import STEP_DURATION, loop_response, loop_step, loop_steps
 from cmf_mj.analysis.linear.poles import (
     PoleDamping,
     are_stable,
@@ -46,9 +46,8 @@ from cmf_mj.record.record import Record
 
 FREQUENCIES = np.linspace(0.02, 20.0, 4000)  #: Lines of the bandwidths of a linear loop [Hz].
 BAND = (0.1, 10.0)  #: Frequencies of the responses of several axes [Hz].
-_AXIS_FREQUENCIES = np.geomspace(*BAND, 120)
+_AXIS_LINES = np.geomspace(*BAND, 120)
 """Lines of the responses of several axes [Hz], next to those of their poles."""
-_BLOCK = 64  #: Frames between the states that a step response goes through.
 
 _NAN = float("nan")
 
@@ -103,7 +102,7 @@ class Measures(NamedTuple):
 
 
 def measures_from(
-    widths: Bandwidths | None = None,
+    bandwidth: Bandwidths | None = None,
     step: StepMetrics | None = None,
     pair: PoleDamping | None = None,
 ) -> Measures:
@@ -112,14 +111,14 @@ def measures_from(
     measures = Measures(mode_damping_ratio=pair.damping_ratio, mode_frequency_hz=pair.frequency_hz)
     if step is not None and not step.stable:
         return measures
-    if widths is not None:
+    if bandwidth is not None:
         measures = measures._replace(
-            phase_bandwidth_hz=widths.phase_hz,
-            gain_bandwidth_hz=widths.gain_hz,
-            peak_gain_db=widths.peak_db,
-            later_phase_hz=widths.later_phase_hz,
-            graze_from_hz=widths.graze_from_hz,
-            graze_to_hz=widths.graze_to_hz,
+            phase_bandwidth_hz=bandwidth.phase_hz,
+            gain_bandwidth_hz=bandwidth.gain_hz,
+            peak_gain_db=bandwidth.peak_db,
+            later_phase_hz=bandwidth.later_phase_hz,
+            graze_from_hz=bandwidth.graze_from_hz,
+            graze_to_hz=bandwidth.graze_to_hz,
         )
     if step is not None:
         measures = measures._replace(
@@ -148,8 +147,8 @@ def measure_records(
 ) -> Measures:
     """Measure a law on records of a sweep and of a step of at least five seconds."""
     response = sweep_response(sweep, dof, segment=segment)
-    widths = bandwidths(response) if response is not None else None
-    return measures_from(widths, step_metrics(step, dof))
+    bandwidth = bandwidths(response) if response is not None else None
+    return measures_from(bandwidth, step_metrics(step, dof))
 
 
 def measure_loop(
@@ -189,42 +188,20 @@ def measure_axes(loop: control.StateSpace) -> AxisMeasures:
     """
     poles = np.linalg.eigvals(np.asarray(loop.A))
     pair = least_damped_mode(poles, frame=loop.dt)
-    axes = int(loop.noutputs)
+    axis_count = int(loop.noutputs)
     if not are_stable(poles):
-        return AxisMeasures((measures_from(pair=pair),) * axes, None)
-    peaks = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
+        return AxisMeasures((measures_from(pair=pair),) * axis_count, None)
+    pole_hz = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
     lowest, highest = BAND
-    lines = np.union1d(_AXIS_FREQUENCIES, peaks[(peaks > lowest) & (peaks < highest)])
+    lines = np.union1d(_AXIS_LINES, pole_hz[(pole_hz > lowest) & (pole_hz < highest)])
     omega = 2.0 * np.pi * lines
     response = np.asarray(control.frequency_response(loop, omega).frdata)
-    steps = _step_responses(loop)
-    final = np.real(np.asarray(np.atleast_2d(control.dcgain(loop))))
+    steps = loop_steps(loop)
+    static_gains = np.real(np.asarray(np.atleast_2d(control.dcgain(loop))))
     measures = []
-    for axis in range(axes):
-        widths = bandwidths(control.FrequencyResponseData(response[axis, axis], omega))
-        reached = steps[:, axis, axis]
-        step = measure_step(reached, 1.0 / loop.dt, final=float(final[axis, axis]))
-        measures.append(measures_from(widths, step, pair))
+    for axis in range(axis_count):
+        axis_response = control.FrequencyResponseData(response[axis, axis], omega)
+        final, reached = float(static_gains[axis, axis]), steps[:, axis, axis]
+        step = measure_step(reached, 1.0 / loop.dt, final=final)
+        measures.append(measures_from(bandwidths(axis_response), step, pair))
     return AxisMeasures(tuple(measures), response)
-
-
-def _step_responses(loop: control.StateSpace) -> NDArray[np.float64]:
-    """Responses to unit steps of a discrete loop, (N, outputs, inputs), from the step on.
-
-    Blocks of outputs from states a block apart: [C; CA; ...] x_k, x_(k+1) = A^n x_k + b.
-    """
-    a, b, c = (np.asarray(m) for m in (loop.A, loop.B, loop.C))
-    order, inputs = b.shape
-    # The demands are further states, which stand still.
-    extended = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
-    rows = [np.hstack([c, np.asarray(loop.D)])]
-    for _ in range(_BLOCK - 1):
-        rows.append(rows[-1] @ extended)
-    block_outputs = np.vstack(rows)
-    block_step = np.linalg.matrix_power(extended, _BLOCK)
-    state = np.vstack([np.zeros((order, inputs)), np.eye(inputs)])
-    blocks = []
-    for _ in range(round(STEP_DURATION / loop.dt / _BLOCK)):
-        blocks.append((block_outputs @ state).reshape(_BLOCK, c.shape[0], inputs))
-        state = block_step @ state
-    return np.concatenate(blocks)

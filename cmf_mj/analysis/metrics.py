@@ -13,16 +13,16 @@ from scipy import interpolate, optimize
 from cmf_mj.analysis.periodic import fit_sines
 from cmf_mj.core.errors import InputError
 
-Signal = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 class Harmonics(NamedTuple):
     """Least-squares fit of a sine and its harmonics."""
 
-    amplitude: Signal  #: Peak of each harmonic, the fundamental first, (n,).
-    phase: Signal  #: Phase of each harmonic at the first sample [rad], sine convention, (n,).
+    amplitude: Array  #: Peak of each harmonic, the fundamental first, (n,).
+    phase: Array  #: Phase of each harmonic at the first sample [rad], sine convention, (n,).
     offset: float  #: Mean.
-    remainder: Signal  #: What no harmonic explains, (N,).
+    remainder: Array  #: What no harmonic explains, (N,).
 
 
 class MotionNoise(NamedTuple):
@@ -40,7 +40,7 @@ class MotionNoise(NamedTuple):
     peak: float  #: Largest deviation from the fundamental over A1.
 
 
-def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Harmonics:
+def harmonics(samples: Array, rate: float, frequency: float, count: int) -> Harmonics:
     """Fit offset + sum a_k sin(2 pi k f t + phi_k), k = 1..count, by least squares.
 
     The samples (N,) at `rate` [Hz] hold at least one cycle of `frequency` [Hz].
@@ -61,7 +61,7 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
     return Harmonics(np.abs(fit.amplitude), phase, float(fit.offset), fit.remainder)
 
 
-def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> MotionNoise:
+def acceleration_noise(acceleration: Array, rate: float, frequency: float) -> MotionNoise:
     """Split the acceleration of a sinusoidal motion into fundamental, harmonics and noise.
 
     Cut to whole cycles of `frequency` [Hz] from the end. Half-hertz noise is this at 0.5 Hz over
@@ -88,14 +88,14 @@ def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> M
     return MotionNoise(fundamental, low, high, stochastic, total, peak)
 
 
-def describing_function(demand: Signal, response: Signal, rate: float, frequency: float) -> complex:
+def describing_function(demand: Array, response: Array, rate: float, frequency: float) -> complex:
     """Fundamental of a sinusoidal response over that of its demand, complex."""
-    demand_fit, response_fit = (harmonics(s, rate, frequency, 1) for s in (demand, response))
-    turn = np.exp(1j * (response_fit.phase[0] - demand_fit.phase[0]))
-    return response_fit.amplitude[0] / demand_fit.amplitude[0] * turn
+    demand_fit, response_fit = (harmonics(x, rate, frequency, 1) for x in (demand, response))
+    phase_factor = np.exp(1j * (response_fit.phase[0] - demand_fit.phase[0]))
+    return response_fit.amplitude[0] / demand_fit.amplitude[0] * phase_factor
 
 
-def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) -> float:
+def hysteresis(demand: Array, response: Array, rate: float, frequency: float) -> float:
     """Width of the response-over-demand loop of a very slow sine, over the demand's peak-to-peak.
 
     The response is folded on one cycle by its harmonics and the widest gap between the rising and
@@ -110,14 +110,14 @@ def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) 
     orders = np.arange(1, count + 1)
     phase = response_fit.phase - orders * demand_fit.phase[0]
 
-    def branch(angles: Signal) -> Signal:
+    def branch(angles: Array) -> Array:
         return np.asarray(np.sin(np.outer(angles, orders) + phase) @ response_fit.amplitude)
 
     gap = np.abs(branch(angle) - branch(np.pi - angle)).max()
     return float(gap / (2.0 * demand_fit.amplitude[0]))
 
 
-def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float) -> float:
+def dynamic_threshold(acceleration: Array, rate: float, size: float, at: float) -> float:
     """Time from an acceleration step of `size` at the time `at` to 63 % of it [s]; NaN if never."""
     start = round(at * rate)
     share = (acceleration[start:] - acceleration[max(start - 1, 0)]) / size
@@ -131,7 +131,7 @@ def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float)
     return float((row - 1 + fraction) / rate)
 
 
-def transient_delay(demand: Signal, response: Signal, rate: float) -> float:
+def transient_delay(demand: Array, response: Array, rate: float) -> float:
     """Delay up to 0.5 s of the largest correlation coefficient of a demand with its response [s].
 
     The demand is at rest at the start. (A slow transient pulls the peak of a cross-correlation

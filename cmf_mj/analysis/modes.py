@@ -18,9 +18,9 @@ cabs, and of any other cab or plant that its table names. For any other cab they
 the cab on its machine's hydraulic set, of the CMF `hardware`, at neutral.
 """
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -165,7 +165,7 @@ def over_envelope(
     poses = envelope_poses(plant, samples, seed=seed)
     sampled_modes = tuple(plant.hydraulic_modes(pose) for pose in poses)
     sampled_hz = np.array([modes.frequency_hz[0] for modes in sampled_modes])
-    report, generations = progress or (lambda done, total: None), count(2)
+    report, generations = progress or (lambda done, total: None), itertools.count(2)
     report(1, rounds + 1)
 
     def lowest_hz(pose: NDArray[np.float64]) -> float:

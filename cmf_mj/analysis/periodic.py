@@ -10,7 +10,7 @@ from cmf_mj.analysis import spectra
 from cmf_mj.analysis.spectra import Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
-_DRIVEN_SHARE = 1e-6  #: Amplitude over the largest from which a line of a periodic input counts.
+_DRIVEN_AMPLITUDE = 1e-6  #: Over the largest, from which a line of a periodic input counts.
 _NEIGHBOURS = 16  #: Lines about a sine from which its noise is taken.
 
 
@@ -52,16 +52,17 @@ def periodic_response(
     channels = spectra.as_pair(x, y)
     spectra_x, spectra_y = (spectra.period_spectra(values, rate, period) for values in channels)
     power = np.mean(np.abs(spectra_x) ** 2, axis=0)
-    xs, ys = spectra_x[:, lines], spectra_y[:, lines]
+    x_lines, y_lines = spectra_x[:, lines], spectra_y[:, lines]
     if not np.all(power[lines] > 0.0):
         raise InputError(f"lines: {lines[power[lines] == 0.0][0]} holds no input")
-    periods = xs.shape[0]
-    power_x = np.mean(np.abs(xs) ** 2, axis=0)
-    response = np.mean(np.conj(xs) * ys, axis=0) / power_x
-    squares = np.sum(np.abs(ys - response * xs) ** 2, axis=0) / power_x
+    periods = x_lines.shape[0]
+    power_x = np.mean(np.abs(x_lines) ** 2, axis=0)
+    cross = np.mean(np.conj(x_lines) * y_lines, axis=0)
+    response = cross / power_x
+    squares = np.sum(np.abs(y_lines - response * x_lines) ** 2, axis=0) / power_x
     noise = squares / (periods * (periods - 1)) if periods > 1 else np.full_like(squares, np.nan)
-    cross = np.abs(np.mean(np.conj(xs) * ys, axis=0)) ** 2
-    coherence = spectra.share_of(cross, power[lines] * np.mean(np.abs(ys) ** 2, axis=0))
+    power_y = np.mean(np.abs(y_lines) ** 2, axis=0)
+    coherence = spectra.share_of(np.abs(cross) ** 2, power[lines] * power_y)
     radius = spectra.confidence_radius(noise, periods - 1.0)
     averages = np.full(lines.size, float(periods))
     return Estimate(lines / period, response, coherence, radius, averages)
@@ -110,7 +111,7 @@ def _noise_power(power: Real, sines: Real, fitted: Real) -> tuple[Real, Real]:
     order = np.arange(power.size)
     free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
     nearest = [np.argsort(np.abs(free - sine), kind="stable")[:_NEIGHBOURS] for sine in sines]
-    neighbours = [free[order] for order in nearest]
+    neighbours = [free[rows] for rows in nearest]
     means = [float(power[lines].mean()) if lines.size else np.nan for lines in neighbours]
     return np.array(means), np.array([float(lines.size) for lines in neighbours])
 
@@ -144,7 +145,7 @@ def matrix_response(
     power[0] = 0.0
     share = power / power.max(axis=0)
     frequency = np.arange(share.shape[0]) / period
-    is_driven = (share > _DRIVEN_SHARE**2).any(axis=1)
+    is_driven = (share > _DRIVEN_AMPLITUDE**2).any(axis=1)
     lines = np.flatnonzero(spectra.lines_within(frequency, band, 0.5 / period) & is_driven)
     owner = np.argmax(share, axis=1)
     if lines.size == 0:

@@ -20,6 +20,7 @@ noise has. Without overlap R = I, n = S - 1, and this is the bound of Bendat and
 Data. It covers random error only, neither leakage nor the bias of the report's estimator.
 """
 
+import math
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -47,13 +48,13 @@ class Estimate(NamedTuple):
     averages: Real  #: Effective number of averages behind the noise estimate, n + 1, (K,).
 
 
-def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
+def segment_spectra(x: Real, window: Real, hop: int, size: int) -> Complex:
     """Spectra (F, channels, S) of the segments of x (channels, N), phases from the first sample."""
     stft = signal.ShortTimeFFT(window, hop, 1.0, fft_mode="onesided", mfft=size, phase_shift=None)
     count = (x.shape[-1] - window.size) // hop + 1
     spectra = stft.stft(x, p0=0, p1=count, k_offset=stft.m_num_mid)
-    turn = np.exp(-2j * np.pi * np.outer(stft.f, hop * np.arange(count)))
-    return np.asarray(np.swapaxes(spectra, 0, 1) * turn[:, None, :])
+    segment_phase = np.exp(-2j * np.pi * np.outer(stft.f, hop * np.arange(count)))
+    return np.asarray(np.swapaxes(spectra, 0, 1) * segment_phase[:, None, :])
 
 
 def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> Real:
@@ -61,7 +62,7 @@ def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> 
     segments = np.lib.stride_tricks.sliding_window_view(measured, window.size)[::hop]
     count = segments.shape[0]
     correlation = np.zeros((count, count))
-    for distance in range(min(count, -(-window.size // hop))):
+    for distance in range(min(count, math.ceil(window.size / hop))):
         shift = distance * hop
         product = np.zeros(window.size)
         product[shift:] = window[shift:] * window[: window.size - shift]
@@ -85,12 +86,12 @@ def period_spectra(x: Real, rate: float, period: float) -> Complex:
 
 
 def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -> Estimate:
-    """Y = H X on each line; x and y (K, S), correlation of the segments (S, S)."""
-    size = np.linalg.norm(x, axis=1)
-    if not np.all(size > 0.0):
-        raise InputError(f"x: is zero at {frequency[np.argmin(size)]} Hz")
-    e = np.conj(x) / size[:, None]
-    response = np.sum(e * y, axis=1) / size
+    """Y = H X on each line; spectra x and y (K, S), correlation of segments (S, S)."""
+    norm = np.linalg.norm(x, axis=1)
+    if not np.all(norm > 0.0):
+        raise InputError(f"x: is zero at {frequency[np.argmin(norm)]} Hz")
+    e = np.conj(x) / norm[:, None]
+    response = np.sum(e * y, axis=1) / norm
     unexplained = np.sum(np.abs(y - response[:, None] * x) ** 2, axis=1)
     r_e = e @ correlation
     e_r_e = np.sum(np.conj(e) * r_e, axis=1).real
@@ -98,7 +99,7 @@ def _least_squares(frequency: Real, x: Complex, y: Complex, correlation: Real) -
     square = np.sum(correlation**2) - 2.0 * np.sum(np.abs(r_e) ** 2, axis=1) + e_r_e**2
     has_noise = freedom > 1e-9 * e.shape[1]
     n = np.where(has_noise, freedom**2 / np.where(has_noise, square, 1.0), 0.0)
-    variance = unexplained / np.where(has_noise, freedom, 1.0) * e_r_e / size**2
+    variance = unexplained / np.where(has_noise, freedom, 1.0) * e_r_e / norm**2
     coherence = 1.0 - share_of(unexplained, np.sum(np.abs(y) ** 2, axis=1), 1.0)
     return Estimate(frequency, response, coherence, confidence_radius(variance, n), n + 1.0)
 
@@ -173,7 +174,7 @@ def welch_response(
     taper = signal.get_window("hann", length)
     frequency = line_frequencies(length, rate)
     in_band = lines_within(frequency, band, 1.5 / segment)
-    lines = transform(channels, taper, hop, length)[in_band]
+    lines = segment_spectra(channels, taper, hop, length)[in_band]
     correlation = segment_correlation(taper, hop, measured)
     return _least_squares(frequency[in_band], lines[:, 0], lines[:, 1], correlation)
 
@@ -188,8 +189,7 @@ def report_response(
     zeros to N, the length of the record, less a straight line. Lines are therefore interpolated 1/N
     apart: they resolve no more than a segment does, and the errors of neighbours are alike. With
     noise on the output the gain is high by 20 log10((1 + 1/c) / 2): 0.23, 0.47, 1.02 dB at a
-    coherence c of 0.95, 0.9, 0.8. Without the minus sign that Appendix A gives H and takes back
-    when plotting, and without its periodic option, which divides one pair of spectra.
+    coherence c of 0.95, 0.9, 0.8.
 
     x and y are (N,), `band` the lowest and highest line [Hz]; default all above zero. Raises
     `InputError` for lengths that differ, and a record shorter than the segments.
@@ -200,13 +200,13 @@ def report_response(
     if length < 4:
         raise InputError(f"segments: {size} samples are too few; allowed: 17 or more")
     hop = length - length // 2
-    count = -(-max(size - (length + 1), 0) // hop) + 1
+    count = math.ceil(max(size - (length + 1), 0) / hop) + 1
     tail = (count - 1) * hop + length + 1 - size
     taper = signal.get_window("hann", length + 1, fftbins=False)
     channels = np.pad(np.stack([signal.detrend(xs), signal.detrend(ys)]), ((0, 0), (0, tail)))
     frequency = line_frequencies(size, rate)
     in_band = lines_within(frequency, band, 0.5 * rate / size)
-    lines = transform(channels, taper, hop, size)[in_band]
+    lines = segment_spectra(channels, taper, hop, size)[in_band]
     correlation = segment_correlation(taper, hop, np.arange(size + tail) < size)
     h1 = _least_squares(frequency[in_band], lines[:, 0], lines[:, 1], correlation)
     return mean_of_h1_and_h2(h1)

@@ -25,7 +25,7 @@ from cmf_mj.signals.single import Step
 
 TAIL = 1.0  #: Length of the window that gives the final value and the verdict [s].
 NO_OVERSHOOT = 1e-3  #: Overshoot below which a response counts as having none (damping 0.91).
-_SETTLED = 0.02  #: Swing over the last window, relative to the leg step, that counts as settled.
+_SETTLED = 0.02  #: Distance from the final value, or swing of the legs, over the step, at rest.
 _DECAY = 0.75  #: Swing of the last window over that of the earlier one that counts as ending.
 _DECAY_TIME = 3.0  #: Distance of the two windows of the verdict [s].
 _REST_MOTION = 0.1  #: Motion before the step, over the step, up to which it starts from rest.
@@ -66,11 +66,11 @@ def measure_step(
 
     `reached` is the motion from rest, sampled from the step on, (N,); `demanded` is the step.
     """
-    shape = reached / final
-    overshoot = float(shape.max() - 1.0)
-    row_of_10_percent = int(np.argmax(shape >= 0.1))
-    row_of_90_percent = int(np.argmax(shape >= 0.9))
-    unsettled_rows = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
+    share = reached / final
+    overshoot = float(share.max() - 1.0)
+    row_of_10_percent = int(np.argmax(share >= 0.1))
+    row_of_90_percent = int(np.argmax(share >= 0.9))
+    unsettled_rows = np.flatnonzero(np.abs(share - 1.0) > _SETTLED)
     settled_row = int(unsettled_rows[-1]) + 1 if unsettled_rows.size else 0
     return StepMetrics(
         overshoot=overshoot,
@@ -117,14 +117,14 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
             f"of {abs(demanded):.3g}; allowed: {_REST_MOTION:g} of it, so a larger step or a later "
             "one"
         )
-    shape = measure_step(feedback[step_row:] - rest, rate, final=final, demanded=demanded)
-    if ringing_ends and not shape.rise_time > 0.0:
+    metrics = measure_step(feedback[step_row:] - rest, rate, final=final, demanded=demanded)
+    if ringing_ends and not metrics.rise_time > 0.0:
         raise InputError(
             f"record: goes from 10 to 90 % of the step within a sample of {1.0 / rate:.4g} s; "
             "allowed: a motion, in a record that shows it"
         )
     stable = ringing_ends and not ends_off_demand(record)
-    return shape._replace(residual=residual, stable=stable)
+    return metrics._replace(residual=residual, stable=stable)
 
 
 def _check_sampling(record: Record, step_time: float) -> None:

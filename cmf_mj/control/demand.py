@@ -49,7 +49,7 @@ def step(geometry, motion, legs):  # type: ignore[no-untyped-def]
     """
     pose, velocity, acceleration = motion[0], motion[1], motion[2]
     upper, lower, neutral = geometry
-    rotation = kinematics.turn_of(pose[3], pose[4], pose[5])
+    rotation = kinematics.rotation_entries(pose[3], pose[4], pose[5])
     # omega and its derivative alpha.
     ox, oy, oz, ax, ay, az = _angular_motion(pose, velocity, acceleration)
     for j in range(6):

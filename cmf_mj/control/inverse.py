@@ -39,8 +39,8 @@ from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.kinematics import (
     leg_jacobian,
     pose_jacobian,
-    rotate,
     write_legs,
+    write_rotation,
     write_twist_jacobian,
 )
 from cmf_mj.machine.machine import Machine
@@ -130,7 +130,7 @@ def follow_pose(inverse, pose):  # type: ignore[no-untyped-def]
     legs, jacobian, rotation = inverse.scratch, inverse.jacobian, inverse.rotation
     write_legs(inverse.geometry, pose, legs)
     write_twist_jacobian(inverse.geometry, pose, jacobian)
-    rotate(pose[3], pose[4], pose[5], rotation)
+    write_rotation(pose[3], pose[4], pose[5], rotation)
     for j in range(6):
         for column in range(0, 6, 3):  # of translation, then of rotation, to axes of the platform
             x, y, z = jacobian[j, column], jacobian[j, column + 1], jacobian[j, column + 2]

@@ -41,7 +41,7 @@ from cmf_mj.control.coordinates import Modes, PerMode, Positive, per_coordinate
 from cmf_mj.control.inverse import Inverse, Valves, make_inverse
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.filters import chain
+from cmf_mj.core.filters import step_matrix
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.machine.machine import Machine
 
@@ -138,7 +138,7 @@ def make_plan(
         stall,
     )
     response = response_polynomial(plan)
-    transition = chain(response[:ORDER] / response[ORDER], 1.0 / response[ORDER], frame)
+    transition = step_matrix(response[:ORDER] / response[ORDER], 1.0 / response[ORDER], frame)
     return CompiledPlan(
         frame=frame,
         transition=np.ascontiguousarray(transition[:, :ORDER]),

@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import ReferenceModel
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.filters import chain
+from cmf_mj.core.filters import step_matrix
 
 
 class AdaptationState(NamedTuple):
@@ -103,7 +103,7 @@ def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
         return CompiledModel()
     omega = 2.0 * np.pi * settings.natural_frequency
     damping = 2.0 * settings.damping_ratio * omega
-    next_position, next_velocity = chain([omega**2, damping], omega**2, frame).tolist()
+    next_position, next_velocity = step_matrix([omega**2, damping], omega**2, frame).tolist()
     scale = units.PERCENT / units.INCH
     model = CompiledModel(
         is_active=True,

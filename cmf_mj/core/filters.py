@@ -1,4 +1,4 @@
-"""Linear systems on samples: analogue low-pass filters, and systems with a first-order hold.
+"""Linear systems on samples: analogue low-pass filters, first-order and zero-order holds.
 
 An analogue low-pass H(s) of corner c becomes H(s(z)), bilinear with pre-warping, with
 s = c / tan(pi c / r) * (z - 1) / (z + 1), r the sampling rate. Gain and phase at f are those of the
@@ -6,22 +6,22 @@ analogue filter at the warped frequency
 
     f' = c tan(pi f / r) / tan(pi c / r),
 
-exact at 0 and at the corner. A zero-order hold would add half a sample of delay that an analogue
-filter does not have, and is not used. The price is a zero at r / 2: contents above the corner are
-damped more than by the analogue filter.
+exact at 0 and at the corner. A zero at r / 2 damps contents above the corner more than the analogue
+filter does.
 
 A system dx/dt = A x + B u, y = C x + D u with u(t) a straight line from u[k] to u[k+1] over T gives
 
-    x[k+1] = transition x[k] + earlier u[k] + later u[k+1],    y[k] = C x[k] + D u[k]
+    x[k+1] = transition x[k] + previous_gain u[k] + next_gain u[k+1],    y[k] = C x[k] + D u[k]
 
 without error, and so do its derivatives at the samples. The matrices come from one exponential
 (Franklin, Powell and Workman, Digital Control of Dynamic Systems, section 6.3.2):
 
-    exp(T [[A, B, 0], [0, 0, I / T], [0, 0, 0]]) = [[transition, P, later], ...],
-    earlier = P - later
+    exp(T [[A, B, 0], [0, 0, I / T], [0, 0, 0]]) = [[transition, constant_gain, next_gain], ...],
+    previous_gain = constant_gain - next_gain
 
-The hold has no delay: its response to a sine is that of the system times sinc^2(f T), 1 within
-5.2e-4 at 1 Hz and within 1.4e-5 at 1 rad/s for T = 1/80 s.
+This first-order hold has no delay: its response to a sine is that of the system times sinc^2(f T),
+1 within 5.2e-4 at 1 Hz and within 1.4e-5 at 1 rad/s for T = 1/80 s. `step_matrix` is of a
+zero-order hold, u constant over T.
 """
 
 from typing import NamedTuple
@@ -35,7 +35,7 @@ from cmf_mj.core.errors import InputError
 
 
 def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
-    """Second-order sections (s, 6) of a low-pass, -3 dB at the corner [Hz]; (0, 6) for order 0."""
+    """Sections b0, b1, b2, 1, a1, a2 (s, 6) of a low-pass, -3 dB at `corner` [Hz]; 0: none."""
     if order < 0:
         raise InputError(f"order: {order} must be at least 0")
     if order == 0:
@@ -81,37 +81,40 @@ class SampledSystem(NamedTuple):
     """A system of n states, m inputs and p outputs, discretised with a first-order hold."""
 
     transition: NDArray[np.float64]  #: (n, n).
-    earlier: NDArray[np.float64]  #: Of the input at the sample before, (n, m).
-    later: NDArray[np.float64]  #: Of the input at the new sample, (n, m).
+    previous_gain: NDArray[np.float64]  #: Of the input at the sample before, (n, m).
+    next_gain: NDArray[np.float64]  #: Of the input at the new sample, (n, m).
     output: NDArray[np.float64]  #: C, (p, n).
     direct: NDArray[np.float64]  #: D, (p, m).
 
 
-def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float) -> SampledSystem:
+def discretise(
+    a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
+) -> SampledSystem:
     """Discretise A (n, n), B (n, m), C (p, n) and D (p, m) to samples of T = `interval` [s]."""
     dynamics, drive, output, direct = (
         np.atleast_2d(np.array(matrix, dtype=float, order="C")) for matrix in (a, b, c, d)
     )
-    (states, inputs), outputs = drive.shape, len(output)
+    (order, input_count), output_count = drive.shape, len(output)
     for name, matrix, shape in (
-        ("a", dynamics, (states, states)),
-        ("c", output, (outputs, states)),
-        ("d", direct, (outputs, inputs)),
+        ("a", dynamics, (order, order)),
+        ("c", output, (output_count, order)),
+        ("d", direct, (output_count, input_count)),
     ):
         if matrix.shape != shape:
             raise InputError(f"{name}: shape is {matrix.shape}; allowed: {shape}")
     if not (np.isfinite(interval) and interval > 0.0):
         raise InputError(f"interval: {interval} s must be greater than 0")
-    joined = np.zeros((states + 2 * inputs, states + 2 * inputs))
-    joined[:states, :states] = interval * dynamics
-    joined[:states, states : states + inputs] = interval * drive
-    joined[states : states + inputs, states + inputs :] = np.eye(inputs)
-    exponential = linalg.expm(joined)
-    constant, later = np.split(exponential[:states, states:], 2, axis=1)
+    x, u = slice(order), slice(order, order + input_count)
+    du = slice(order + input_count, order + 2 * input_count)
+    generator = np.zeros((du.stop, du.stop))
+    generator[x, x], generator[x, u] = interval * dynamics, interval * drive
+    generator[u, du] = np.eye(input_count)
+    exponential = linalg.expm(generator)
+    constant_gain, next_gain = exponential[x, u], exponential[x, du]
     return SampledSystem(
-        transition=np.ascontiguousarray(exponential[:states, :states]),
-        earlier=np.ascontiguousarray(constant - later),
-        later=np.ascontiguousarray(later),
+        transition=np.ascontiguousarray(exponential[x, x]),
+        previous_gain=np.ascontiguousarray(constant_gain - next_gain),
+        next_gain=np.ascontiguousarray(next_gain),
         output=output,
         direct=direct,
     )
@@ -119,23 +122,24 @@ def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
 
 def settled_state(system: SampledSystem, inputs: ArrayLike) -> NDArray[np.float64]:
     """State (n,) of a stable system that has had the inputs (m,) for a long time."""
-    change = (system.earlier + system.later) @ np.asarray(inputs, dtype=float)
+    change = (system.previous_gain + system.next_gain) @ np.asarray(inputs, dtype=float)
     return np.asarray(linalg.solve(np.eye(change.size) - system.transition, change))
 
 
 @compiled
-def advance(system, state, before, now, work):  # type: ignore[no-untyped-def]
-    """Move the state (n,) in place from the sample `before` (m,) to `now` (m,); work is (n,)."""
-    states, inputs = system.earlier.shape
-    for i in range(states):
+def advance(system, state, previous_input, next_input, next_state):  # type: ignore[no-untyped-def]
+    """Move the state (n,) in place by a sample, inputs (m,); `next_state` (n,) is work space."""
+    previous_gain, next_gain = system.previous_gain, system.next_gain
+    order, input_count = previous_gain.shape
+    for i in range(order):
         total = 0.0
-        for j in range(states):
+        for j in range(order):
             total += system.transition[i, j] * state[j]
-        for j in range(inputs):
-            total += system.earlier[i, j] * before[j] + system.later[i, j] * now[j]
-        work[i] = total
-    for i in range(states):
-        state[i] = work[i]
+        for j in range(input_count):
+            total += previous_gain[i, j] * previous_input[j] + next_gain[i, j] * next_input[j]
+        next_state[i] = total
+    for i in range(order):
+        state[i] = next_state[i]
 
 
 @compiled
@@ -153,15 +157,15 @@ def write_outputs(system, state, inputs, outputs):  # type: ignore[no-untyped-de
 @allocating
 def write_history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
     """Write outputs (N, p) of inputs (N, m); the state (n,) moves from first to last row."""
-    work = np.empty(state.shape[0])
+    next_state = np.empty(state.shape[0])
     for row in range(inputs.shape[0]):
         if row > 0:
-            advance(system, state, inputs[row - 1], inputs[row], work)
+            advance(system, state, inputs[row - 1], inputs[row], next_state)
         write_outputs(system, state, inputs[row], outputs[row])
 
 
-def chain(coefficients: ArrayLike, gain: float, interval: float) -> NDArray[np.float64]:
-    """Step matrix (n, n+1) of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, u constant.
+def step_matrix(coefficients: ArrayLike, gain: float, interval: float) -> NDArray[np.float64]:
+    """Matrix (n, n+1) of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, u held constant.
 
     Times y, its derivatives below the n-th and u, it gives the former after one interval [s].
     """

@@ -45,7 +45,7 @@ from cmf_mj.electronics.sensors import (
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import MachineOrGimbals
-from cmf_mj.machine.leg_motion import LegAxesState, leg_axes_state, make_leg_axes, track
+from cmf_mj.machine.leg_motion import TrackedPose, make_pose_tracker, track, tracked_pose
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
 from cmf_mj.plant.parameters import fitting
@@ -121,7 +121,7 @@ class Electronics(NamedTuple):
     sensor_state: SensorState
     converters: LegFeedback  #: `Converter` of each channel.
     converter_state: LegFeedback  #: Filter states (n, s, 2).
-    measured_legs: LegAxesState  #: The legs as tracked from measured positions.
+    measured_legs: TrackedPose  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]
     """Gravity that the accelerometers feel, (n,) [m/s^2]; 0 where they feel none."""
     inertial_acceleration: NDArray[np.float64]  #: As measured, without gravity, (n,) [m/s^2].
@@ -161,7 +161,7 @@ def make_electronics(
         sensor_state=state,
         converters=converters,
         converter_state=converter_state(converters, reading),
-        measured_legs=leg_axes_state(sensors.axes, extension),
+        measured_legs=tracked_pose(sensors.axes, extension),
         gravity=np.zeros(legs),
         inertial_acceleration=np.zeros(legs),
         servo=servo.make_servo_electronics(parts.servo, frame),
@@ -190,9 +190,9 @@ def gravity_history(
     """Gravity along six legs at measured extensions (N, 6) [m], as the electronics find it."""
     if (shape := position.shape[1:]) != (6,):
         raise InputError(f"position: shape is {shape}; gravity along the legs needs (6,)")
-    axes, gravity = make_leg_axes(machine), np.empty(position.shape)
+    axes, gravity = make_pose_tracker(machine), np.empty(position.shape)
     position = np.ascontiguousarray(position)
-    _write_gravity_history(axes, leg_axes_state(axes, position[0]), position, gravity)
+    _write_gravity_history(axes, tracked_pose(axes, position[0]), position, gravity)
     return gravity
 
 

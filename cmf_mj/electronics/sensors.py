@@ -39,12 +39,12 @@ from cmf_mj.electronics.converter import in_steps
 from cmf_mj.electronics.noise import four_normals, key_schedule, stream_key
 from cmf_mj.machine import models
 from cmf_mj.machine.leg_motion import (
-    LegAxes,
-    LegAxesState,
-    leg_axes_state,
-    make_leg_axes,
+    PoseTracker,
+    TrackedPose,
+    cosine_to_vertical,
+    make_pose_tracker,
     track,
-    upward,
+    tracked_pose,
 )
 from cmf_mj.machine.machine import Machine, load_machine
 
@@ -195,7 +195,7 @@ class Sensors(NamedTuple):
 
     channels: Any  #: `LegFeedback` of a `SensorChannel` each.
     gravity: bool  #: Whether the leg accelerometers feel gravity and swing.
-    axes: LegAxes
+    axes: PoseTracker
     distance: float  #: d, from an upper gimbal down to the accelerometer [m].
     rate: float  #: Frames a second [Hz].
 
@@ -204,7 +204,7 @@ class SensorState(NamedTuple):
     """States of the channels' filters, and directions of the legs."""
 
     filters: LegFeedback  #: (n, s, 2) each.
-    legs: LegAxesState  #: The legs as tracked from true positions.
+    legs: TrackedPose  #: The legs as tracked from true positions.
     direction_before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
 
 
@@ -220,7 +220,7 @@ def make_sensors(
     return Sensors(
         LegFeedback(*cast("Any", channels)),
         settings.gravity,
-        make_leg_axes(carrier),
+        make_pose_tracker(carrier),
         carrier.accelerometer_distance,
         rate,
     )
@@ -240,7 +240,7 @@ def sensor_state(sensors: Sensors, truth: LegFeedback) -> SensorState:
         text = f"shape is {truth.position.shape}; gravity along the legs needs (6,)"
         allowed = "electronics 'inertial', which feel none"
         raise InputError(f"position: {text}; allowed: {allowed}")
-    legs = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
+    legs = tracked_pose(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
     gravity = [gravity_along(legs, leg) for leg in range(6)] if sensors.gravity else 0.0
     inputs = truth._replace(acceleration=truth.acceleration + gravity)
     pairs = zip(sensors.channels, inputs, strict=True)
@@ -263,7 +263,7 @@ def true_acceleration(mean, mean_before, step):  # type: ignore[no-untyped-def]
 @compiled
 def gravity_along(legs, leg):  # type: ignore[no-untyped-def]
     """Gravity g n . up [m/s^2] along a leg, which its accelerometer feels at rest."""
-    return STANDARD_GRAVITY * upward(legs, leg)
+    return STANDARD_GRAVITY * cosine_to_vertical(legs, leg)
 
 
 @compiled

@@ -51,55 +51,55 @@ def geometry_about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> 
 
 
 @compiled
-def turn_of(roll, pitch, yaw):  # type: ignore[no-untyped-def]
-    """T of Eq 2.2, row by row: platform axes to inertial axes, Euler order yaw, pitch, roll."""
-    cf, sf = np.cos(roll), np.sin(roll)
-    ct, st = np.cos(pitch), np.sin(pitch)
-    cp, sp = np.cos(yaw), np.sin(yaw)
-    forward = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
-    right = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
-    return *forward, *right, -st, sf * ct, cf * ct
+def rotation_entries(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """Nine entries of T, Eq 2.2, by rows: platform to inertial axes, turned by yaw, pitch, roll."""
+    cr, sr = np.cos(roll), np.sin(roll)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    forward = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    right = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    return *forward, *right, -sp, sr * cp, cr * cp
 
 
 @compiled
-def rotated_arm(turn, arm):  # type: ignore[no-untyped-def]
-    """T times an arm (3,), three numbers."""
+def rotated_arm(entries, arm):  # type: ignore[no-untyped-def]
+    """T, by its nine entries, times an arm (3,): three numbers."""
     x, y, z = arm[0], arm[1], arm[2]
     return (
-        turn[0] * x + turn[1] * y + turn[2] * z,
-        turn[3] * x + turn[4] * y + turn[5] * z,
-        turn[6] * x + turn[7] * y + turn[8] * z,
+        entries[0] * x + entries[1] * y + entries[2] * z,
+        entries[3] * x + entries[4] * y + entries[5] * z,
+        entries[6] * x + entries[7] * y + entries[8] * z,
     )
 
 
 @compiled
-def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
+def write_rotation(roll, pitch, yaw, matrix):  # type: ignore[no-untyped-def]
     """Write T of Eq 2.2, (3, 3)."""
-    rows = turn_of(roll, pitch, yaw)
+    entries = rotation_entries(roll, pitch, yaw)
     for i in range(9):
-        turn[i // 3, i % 3] = rows[i]
+        matrix[i // 3, i % 3] = entries[i]
 
 
 @allocating
 def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     """T of Eq 2.2, (3, 3), as a new array."""
-    turn = np.empty((3, 3))
-    rotate(roll, pitch, yaw, turn)
-    return turn
+    matrix = np.empty((3, 3))
+    write_rotation(roll, pitch, yaw, matrix)
+    return matrix
 
 
 @allocating
 def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     """E, (3, 3): inertial angular velocity = E (roll rate, pitch rate, yaw rate)."""
-    ct, st = np.cos(pitch), np.sin(pitch)
-    cp, sp = np.cos(yaw), np.sin(yaw)
-    return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.array([[cp * cy, -sy, 0.0], [cp * sy, cy, 0.0], [-sp, 0.0, 1.0]])
 
 
 @compiled
-def _leg(geometry, pose, turn, j):  # type: ignore[no-untyped-def]
+def _leg(geometry, pose, entries, j):  # type: ignore[no-untyped-def]
     """Arm of a leg's upper gimbal, and the leg from lower to upper gimbal, inertial axes."""
-    a, b, c = rotated_arm(turn, geometry.upper[j])
+    a, b, c = rotated_arm(entries, geometry.upper[j])
     x = pose[0] + a - geometry.lower[j, 0]
     y = pose[1] + b - geometry.lower[j, 1]
     z = pose[2] + c - geometry.lower[j, 2]
@@ -109,18 +109,18 @@ def _leg(geometry, pose, turn, j):  # type: ignore[no-untyped-def]
 @compiled
 def write_legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
     """Write the extensions of a pose, (6,)."""
-    turn = turn_of(pose[3], pose[4], pose[5])
+    entries = rotation_entries(pose[3], pose[4], pose[5])
     for j in range(6):
-        _, (x, y, z) = _leg(geometry, pose, turn, j)
+        _, (x, y, z) = _leg(geometry, pose, entries, j)
         legs[j] = np.sqrt(x * x + y * y + z * z) - geometry.neutral[j]
 
 
 @compiled
 def write_twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write leg speeds of the twist, velocity and inertial angular velocity, (6, 6)."""
-    turn = turn_of(pose[3], pose[4], pose[5])
+    entries = rotation_entries(pose[3], pose[4], pose[5])
     for j in range(6):
-        (a, b, c), (x, y, z) = _leg(geometry, pose, turn, j)
+        (a, b, c), (x, y, z) = _leg(geometry, pose, entries, j)
         length = np.sqrt(x * x + y * y + z * z)
         x, y, z = x / length, y / length, z / length
         jacobian[j, 0], jacobian[j, 1], jacobian[j, 2] = x, y, z
@@ -131,11 +131,11 @@ def write_twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-d
 def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write d(legs)/d(pose), (6, 6)."""
     write_twist_jacobian(geometry, pose, jacobian)
-    ct, st = np.cos(pose[4]), np.sin(pose[4])
-    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    cp, sp = np.cos(pose[4]), np.sin(pose[4])
+    cy, sy = np.cos(pose[5]), np.sin(pose[5])
     for j in range(6):
         x, y, z = jacobian[j, 3], jacobian[j, 4], jacobian[j, 5]
-        jacobian[j, 3], jacobian[j, 4] = ct * cp * x + ct * sp * y - st * z, cp * y - sp * x
+        jacobian[j, 3], jacobian[j, 4] = cp * cy * x + cp * sy * y - sp * z, cy * y - sy * x
 
 
 @allocating

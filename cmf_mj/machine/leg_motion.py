@@ -9,8 +9,7 @@ with x the pose, J of `kinematics.pose_jacobian`, and c the centripetal and Eule
 **Gravity** (Appendix C). With l_j the vector of leg j from lower to upper gimbal (Eq C.6, T of
 Eq C.7), L its length and n = l / L, in the report's axes (z down), up = -z:
 
-    axial gravity     g_j = g n_j . up                           0.832 g at neutral
-    Eq C.3            |(I - r/L P) g|,  P = I - n n'  (Eq C.1)   g_j for r = L, g for r = 0
+    axial gravity     g_j = g n_j . up,    0.832 g at neutral
 
 `track` follows the pose from leg extensions, one chord step of Newton's method a frame, pose +=
 J0^-1 (legs - legs(pose)) with J0 the Jacobian at neutral. Each step shrinks the error to at most
@@ -37,33 +36,34 @@ from cmf_mj.machine.machine import geometry_of
 
 
 @allocating
-def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped-def]
-    """Leg velocities and the velocity part of leg accelerations (centripetal and Euler terms).
+def _leg_motion(geometry, pose, pose_rate, velocity_part, leg_rates):  # type: ignore[no-untyped-def]
+    """Write leg rates and the part of leg accelerations that velocity makes, c of the module.
 
     With w_j = v + omega x r_j the velocity of upper gimbal j, n_j along the leg, L_j its length,
     d2l/dt2 = n . (dv/dt + domega/dt x r + omega x (omega x r)) + (|w|^2 - (dl/dt)^2) / L.
     """
     arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
-    ct, st = np.cos(pose[4]), np.sin(pose[4])
-    cp, sp = np.cos(pose[5]), np.sin(pose[5])
-    omega = euler_rate_matrix(pose[4], pose[5]) @ rate[3:]
-    roll, pitch, yaw = rate[3], rate[4], rate[5]
-    euler = np.array(
+    cp, sp = np.cos(pose[4]), np.sin(pose[4])
+    cy, sy = np.cos(pose[5]), np.sin(pose[5])
+    omega = euler_rate_matrix(pose[4], pose[5]) @ pose_rate[3:]
+    roll_rate, pitch_rate, yaw_rate = pose_rate[3], pose_rate[4], pose_rate[5]
+    euler_term = np.array(
         [
-            (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch,
-            (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch,
-            -ct * pitch * roll,
+            (-sp * cy * pitch_rate - cp * sy * yaw_rate) * roll_rate - cy * yaw_rate * pitch_rate,
+            (-sp * sy * pitch_rate + cp * cy * yaw_rate) * roll_rate - sy * yaw_rate * pitch_rate,
+            -cp * pitch_rate * roll_rate,
         ]
     )
     for j in range(6):
         line = pose[:3] + arm[j] - geometry.lower[j]
         length = np.sqrt(line @ line)
         line /= length
-        swing = np.cross(omega, arm[j])
-        gimbal = rate[:3] + swing
-        legs[j] = line @ gimbal
-        inward = np.cross(euler, arm[j]) + np.cross(omega, swing)
-        turning[j] = line @ inward + (gimbal @ gimbal - legs[j] ** 2) / length
+        relative_velocity = np.cross(omega, arm[j])
+        gimbal_velocity = pose_rate[:3] + relative_velocity
+        leg_rates[j] = line @ gimbal_velocity
+        gimbal_acceleration = np.cross(euler_term, arm[j]) + np.cross(omega, relative_velocity)
+        across_squared = gimbal_velocity @ gimbal_velocity - leg_rates[j] ** 2
+        velocity_part[j] = line @ gimbal_acceleration + across_squared / length
 
 
 @allocating
@@ -78,13 +78,13 @@ def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accele
 @allocating
 def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
     jacobian = np.empty((6, 6))
-    turning = np.empty(6)
+    velocity_part = np.empty(6)
     computed_leg_rates = np.empty(6)  # once more the rates that are known
     for row in range(poses.shape[0]):
         write_pose_jacobian(geometry, poses[row], jacobian)
         rates[row] = np.linalg.solve(jacobian, leg_rates[row])
-        _leg_motion(geometry, poses[row], rates[row], turning, computed_leg_rates)
-        accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - turning)
+        _leg_motion(geometry, poses[row], rates[row], velocity_part, computed_leg_rates)
+        accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - velocity_part)
 
 
 class Motion(NamedTuple):
@@ -129,74 +129,74 @@ def leg_motion_to_pose(
     return _convert(_legs_to_motion, machine, known)
 
 
-class LegAxes(NamedTuple):
-    """Compiled parameters of the tracker."""
+class PoseTracker(NamedTuple):
+    """Parameters with which compiled code follows a pose from leg extensions."""
 
     geometry: Geometry
     inverse: NDArray[np.float64]  #: J0^-1, (6, 6): pose change per leg change.
 
 
-class LegAxesState(NamedTuple):
-    """Pose and legs as tracked."""
+class TrackedPose(NamedTuple):
+    """A pose as tracked, and where its legs lie."""
 
     pose: NDArray[np.float64]  #: (6,) [m, rad].
-    turn: NDArray[np.float64]  #: T at the pose, (3, 3).
+    rotation: NDArray[np.float64]  #: T at the pose, (3, 3).
     length: NDArray[np.float64]  #: Pin-to-pin lengths [m], (6,).
-    direction: NDArray[np.float64]  #: n, (6, 3), report axes.
+    direction: NDArray[np.float64]  #: n, (6, 3), report tracker.
 
 
-def make_leg_axes(machine: MachineOrGimbals = models.CMF) -> LegAxes:
-    """Parameters of the tracker."""
+def make_pose_tracker(machine: MachineOrGimbals = models.CMF) -> PoseTracker:
+    """The tracker of a machine's pose."""
     gimbals = geometry_of(machine)
     jacobian = kinematics.pose_jacobian(np.zeros(6), gimbals)
-    return LegAxes(gimbals, np.array(np.linalg.inv(jacobian), dtype=np.float64))
+    return PoseTracker(gimbals, np.array(np.linalg.inv(jacobian), dtype=np.float64))
 
 
-def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
-    """State at the pose of the leg extensions (6,) [m]."""
-    pose = kinematics.legs_to_pose(legs, axes.geometry)
-    state = LegAxesState(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
-    _update_legs(axes, state)
-    return state
+def tracked_pose(tracker: PoseTracker, legs: NDArray[np.float64]) -> TrackedPose:
+    """The tracked pose that has the leg extensions (6,) [m], to start from."""
+    pose = kinematics.legs_to_pose(legs, tracker.geometry)
+    tracked = TrackedPose(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
+    _write_legs_of_pose(tracker, tracked)
+    return tracked
 
 
 @compiled
-def _update_legs(axes, state):  # type: ignore[no-untyped-def]
-    """Lengths and directions of all legs at the pose of the state, Eq C.6."""
-    pose, turn = state.pose, state.turn
-    kinematics.rotate(pose[3], pose[4], pose[5], turn)
+def _write_legs_of_pose(tracker, tracked):  # type: ignore[no-untyped-def]
+    """Write rotation, lengths and directions of all legs at the tracked pose, Eq C.6."""
+    pose, rotation_matrix = tracked.pose, tracked.rotation
+    kinematics.write_rotation(pose[3], pose[4], pose[5], rotation_matrix)
     for j in range(6):
-        square = 0.0
+        squared_length = 0.0
         for i in range(3):
-            component = pose[i] - axes.geometry.lower[j, i]
+            component = pose[i] - tracker.geometry.lower[j, i]
             for k in range(3):
-                component += turn[i, k] * axes.geometry.upper[j, k]
-            state.direction[j, i] = component
-            square += component * component
-        state.length[j] = np.sqrt(square)
+                component += rotation_matrix[i, k] * tracker.geometry.upper[j, k]
+            tracked.direction[j, i] = component
+            squared_length += component * component
+        tracked.length[j] = np.sqrt(squared_length)
         for i in range(3):
-            state.direction[j, i] /= state.length[j]
+            tracked.direction[j, i] /= tracked.length[j]
 
 
 @compiled
-def track(axes, state, legs):  # type: ignore[no-untyped-def]
-    """Follow the leg extensions (6,) [m] by one chord step; the state is overwritten.
+def track(tracker, tracked, legs):  # type: ignore[no-untyped-def]
+    """Follow the leg extensions (6,) [m] by one chord step; `tracked` is overwritten.
 
     A pose that has run away, for legs that no pose has, starts again from neutral.
     """
     for j in range(6):
-        error = legs[j] + axes.geometry.neutral[j] - state.length[j]
+        error = legs[j] + tracker.geometry.neutral[j] - tracked.length[j]
         for i in range(6):
-            state.pose[i] += axes.inverse[i, j] * error
+            tracked.pose[i] += tracker.inverse[i, j] * error
     is_sound = True
     for i in range(6):  # metres and radians; written so that NaN is unsound
-        is_sound = is_sound and abs(state.pose[i]) < 0.5 * np.pi
+        is_sound = is_sound and abs(tracked.pose[i]) < 0.5 * np.pi
     if not is_sound:
-        state.pose[:] = 0.0
-    _update_legs(axes, state)
+        tracked.pose[:] = 0.0
+    _write_legs_of_pose(tracker, tracked)
 
 
 @compiled
-def upward(state, leg):  # type: ignore[no-untyped-def]
+def cosine_to_vertical(tracked, leg):  # type: ignore[no-untyped-def]
     """Cosine between a leg and the vertical, n . up."""
-    return -state.direction[leg, 2]
+    return -tracked.direction[leg, 2]

@@ -41,7 +41,7 @@ from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import SampledSystem, advance, hold, settled_state, write_outputs
+from cmf_mj.core.filters import SampledSystem, advance, discretise, settled_state, write_outputs
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, TiltCoordinated
@@ -93,7 +93,7 @@ class Filter(NamedTuple):
     @staticmethod
     def of(system: SampledSystem) -> "Filter":
         """A filter at rest."""
-        states, inputs = system.earlier.shape
+        states, inputs = system.previous_gain.shape
         return Filter(system, np.zeros(states), np.zeros(inputs))
 
     def start(self, inputs: Array) -> Array:
@@ -181,7 +181,7 @@ def side_by_side(systems: list[Matrices], interval: float) -> SampledSystem:
     count = len(systems)
     inputs = np.arange(b.shape[1]).reshape(count, -1).T.ravel()
     outputs = np.arange(c.shape[0]).reshape(count, -1).T.ravel()
-    return hold(a, b[:, inputs], c[outputs], d[np.ix_(outputs, inputs)], interval)
+    return discretise(a, b[:, inputs], c[outputs], d[np.ix_(outputs, inputs)], interval)
 
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.optimize import brentq
 
-from cmf_mj.core.filters import hold
+from cmf_mj.core.filters import discretise
 from cmf_mj.pilot.optimal import WashoutMode, washout_modes
 from cmf_mj.pilot.perception import load_senses, otolith_response, state_space
 from cmf_mj.pilot.washout_settings import PredictiveSettings
@@ -130,9 +130,9 @@ def condense(mode: WashoutMode, times: Matrix, smooth: Matrix | None = None) -> 
     states[0] = initial
     for knot, span in enumerate(np.diff(times)):
         begin, end = inputs[knot], inputs[knot + 1]
-        discrete = hold(*dynamics, np.zeros((0, n)), np.zeros((0, 2 * m)), float(span))
+        discrete = discretise(*dynamics, np.zeros((0, n)), np.zeros((0, 2 * m)), float(span))
         states[knot + 1] = discrete.transition @ states[knot]
-        states[knot + 1] += discrete.earlier @ begin + discrete.later @ end
+        states[knot + 1] += discrete.previous_gain @ begin + discrete.next_gain @ end
         stage = np.vstack([states[knot], begin, end])
         total += stage.T @ span_cost(dynamics, problem.weight, float(span)) @ stage
         if smooth is not None:
@@ -241,8 +241,9 @@ def otoliths_ahead(times: Matrix) -> OtolithsAhead:
     states = np.zeros((len(times), 2, len(times) + 2))
     states[0, :, :2] = np.eye(2)
     for knot, span in enumerate(np.diff(times)):
-        discrete = hold(a, b, c, d, float(span))
+        discrete = discretise(a, b, c, d, float(span))
         states[knot + 1] = discrete.transition @ states[knot]
-        states[knot + 1, :, 2 + knot : 4 + knot] += np.hstack([discrete.earlier, discrete.later])
+        input_gains = np.hstack([discrete.previous_gain, discrete.next_gain])
+        states[knot + 1, :, 2 + knot : 4 + knot] += input_gains
     sensed = np.asarray(c @ states[1:])[:, 0]
     return OtolithsAhead(sensed, states[1], -np.linalg.solve(a, b))

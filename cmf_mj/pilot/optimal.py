@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.filters import hold
+from cmf_mj.core.filters import discretise
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.classical import Filter, HeadMotion, Matrices, Sample, push_sample
@@ -243,7 +243,7 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
             c[acceleration, states] = mode.filter.c[rate] @ mode.filter.a
             d[acceleration, inputs] = mode.filter.c[rate] @ mode.filter.b
             d[acceleration, inputs + 6] = mode.filter.d[rate]
-    return Optimal(Filter.of(hold(a, b, c, d, interval)), interval)
+    return Optimal(Filter.of(discretise(a, b, c, d, interval)), interval)
 
 
 @allocating

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import hold, settled_state, write_history
+from cmf_mj.core.filters import discretise, settled_state, write_history
 from cmf_mj.core.quantity import Acceleration, AngularSpeed, Ratio, Time, Wait
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.pilot.motion import PilotMotion
@@ -135,7 +135,7 @@ def _sensed(
 ) -> NDArray[np.float64]:
     """Inputs (N, 3) at samples `interval` [s] apart through a sense, axis by axis, (N, 3)."""
     a, b, c, d = control.ssdata(state_space(response))
-    system = hold(a, b, c, d, interval)
+    system = discretise(a, b, c, d, interval)
     columns = np.ascontiguousarray(inputs.T)[:, :, None]
     outputs = np.empty_like(columns)
     for column, output in zip(columns, outputs, strict=True):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.analysis.measurable import CLEAR, dof_history
+from cmf_mj.analysis.measurable import LEAST_COHERENCE, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
@@ -161,7 +161,7 @@ def responses_figure(results: Sequence[CaseResult]) -> Figure:
     gain.set(ylim=(-20.0, 20.0))
     phase.set(ylim=(-270.0, 30.0), xlim=(0.1, 10.0))
     circles = "circles: published; " if any(result.published for result in results) else ""
-    note = f"{circles}pale: coherence below {CLEAR:g}, or unstable"
+    note = f"{circles}pale: coherence below {LEAST_COHERENCE:g}, or unstable"
     look.legend(figure, title=note, title_fontsize=8)
     return figure
 

@@ -18,7 +18,7 @@ from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.measurable import CLEAR
+from cmf_mj.analysis.measurable import LEAST_COHERENCE
 from cmf_mj.analysis.published import Published
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.files import plain_path, whole_file, write_json
@@ -163,9 +163,9 @@ def plot_bode(
 ) -> Any:
     """Draw a response and return its colour.
 
-    It is pale where its coherence is below `CLEAR`, all of it where the loop is not `stable`.
+    It is pale where its coherence is below `LEAST_COHERENCE`, all of it where not `stable`.
     """
-    is_clear = ~(response.coherence < CLEAR) | (not stable)
+    is_clear = ~(response.coherence < LEAST_COHERENCE) | (not stable)
     opacity = 1.0 if stable else FAINT
     for axes, values in ((gain, response.gain_db), (phase, response.phase_deg)):
         clear_values = np.where(is_clear, values, np.nan)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.measurable import CLEAR
+from cmf_mj.analysis.measurable import LEAST_COHERENCE
 from cmf_mj.analysis.measures import measures_from
 from cmf_mj.core.files import write_text
 from cmf_mj.core.result import Field, Result, Table, fields_of, lines
@@ -45,7 +45,7 @@ def response_table(measures: RecordingMeasures) -> Table:
     values = {"measures": measures_from(bandwidths(response)), "coherence": least_coherence}
     rows = lines(values, RESPONSE_FIELDS)
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
-    reason = f"not excited, or of a coherence below {CLEAR:g}"
+    reason = f"not excited, or of a coherence below {LEAST_COHERENCE:g}"
     rows.append(("lines left out", str(measures.left_out), reason))
     return Table(title, ("measure", "value", "definition"), rows)
 

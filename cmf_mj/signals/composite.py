@@ -300,8 +300,8 @@ def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> Array:
     _check_rising(point_times)
     points = shaped("values", values, point_times.size, None)
     time = np.arange(round(point_times[-1] * rate) + 1) / rate
-    stretch = np.searchsorted(point_times, time, side="right") - 1
-    stretch = np.clip(stretch, 0, point_times.size - 2)
+    points_passed = np.searchsorted(point_times, time, side="right")
+    stretch = np.clip(points_passed - 1, 0, point_times.size - 2)
     s = np.clip((time - point_times[stretch]) / np.diff(point_times)[stretch], 0.0, 1.0)[:, None]
     return points[stretch] + (points[stretch + 1] - points[stretch]) * quintic(s)
 

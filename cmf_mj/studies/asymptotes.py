@@ -43,7 +43,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.frequency_response import falls
+from cmf_mj.analysis.frequency_response import find_falls
 from cmf_mj.core.arrays import shaped
 from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian, pose_to_legs
@@ -84,7 +84,7 @@ class Asymptotes:
         valve_use = (flow / self.speed).max(axis=1)
         force_use = np.abs(s[:, 0]) ** 2 / self.acceleration
         use = np.maximum(valve_use, force_use)
-        return float(falls(frequency, -amplitude * use, -1.0)[0])
+        return float(find_falls(frequency, -amplitude * use, -1.0)[0])
 
     def transmission(self, frequency: float) -> float:
         """|H|, platform motion over what the oil let in, at a frequency [Hz]."""

@@ -34,7 +34,7 @@ from scipy import linalg
 
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import dcl_state_space, labels
-from cmf_mj.analysis.linear.operating_point import hold
+from cmf_mj.analysis.linear.operating_point import find_rest
 from cmf_mj.analysis.linear.plants import FEEDBACK, reduced
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.structured import Uncertain
@@ -313,7 +313,7 @@ def _slopes_of_leg(plant: Hexapod, leg: int) -> _PortSlopes:
         shares = np.union1d(outside, np.arange(0.0, 1.0, _FINE_STEP))
     for share in shares:
         try:
-            rest = hold(plant, leg, float(share) * area * supply, supply, 0.0)
+            rest = find_rest(plant, leg, float(share) * area * supply, supply, 0.0)
         except NotLinearError:
             continue
         pressures = np.append(rest.pressure, [supply, 0.0])

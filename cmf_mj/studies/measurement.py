@@ -21,7 +21,7 @@ from cmf_mj.analysis.frequency_response import (
     matrix_frequency_response,
     rounds_response,
 )
-from cmf_mj.analysis.measurable import CLEAR, EXCITED_SHARE, demand_share, dof_history
+from cmf_mj.analysis.measurable import EXCITED_SHARE, LEAST_COHERENCE, demand_share, dof_history
 from cmf_mj.analysis.spectra import Estimator
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
@@ -251,7 +251,7 @@ def measure_recordings(
     """Measure the response in recordings; several, or one of single sines, are rounds of one.
 
     The estimator of rounds is `h1` or `report`, as in `rounds_response`. Lines are read that the
-    demand excites, by its band or else by `EXCITED_SHARE`, with a coherence of at least `CLEAR`.
+    demand excites, by its band or else by `EXCITED_SHARE`, from `LEAST_COHERENCE` on.
     `columns` maps those of the files; the machine is that of the map or files, else `machine`.
     """
     kind = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
@@ -262,13 +262,14 @@ def measure_recordings(
         response = rounds_response(records, dof, estimator=kind)
     else:
         response = frequency_response(records[0], dof, estimator=kind)
-    clear = response.coherence >= CLEAR
+    clear = response.coherence >= LEAST_COHERENCE
     if records[0].signal.band is None:  # else the lines lie within it
         rounds = [dof_history(record, "leg_reference", dof) for record in records]
         demand = np.concatenate([demand - demand[0] for demand in rounds])
         share = demand_share(demand, records[0].rate, response.frequency)
         clear &= share > EXCITED_SHARE
     if not clear.any():
-        raise InputError(f"dof: no line of the demand in {dof} has a coherence of {CLEAR:g}")
+        least = f"a coherence of {LEAST_COHERENCE:g}"
+        raise InputError(f"dof: no line of the demand in {dof} has {least}")
     left_out = int(np.count_nonzero(~clear))
     return RecordingMeasures(tuple(files), dof, response.at(clear), left_out)

@@ -17,7 +17,7 @@ from cmf_mj import Hexapod, Plant, SingleLegs, load_cab, load_law
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.operating_point import hold, linear_mechanics, operating_point
+from cmf_mj.analysis.linear.operating_point import find_rest, linear_mechanics, operating_point
 from cmf_mj.analysis.linear.plants import leg_model, reduced
 from cmf_mj.analysis.linear.poles import modes
 from cmf_mj.analysis.linear.ports import outward_share, port_slopes
@@ -357,7 +357,7 @@ def test_legs_loaded_where_the_valve_begins_to_open_drift_nowhere() -> None:
     cylinder, supply = plant.hydraulics.cylinder[0], plant.parameters.supply_pressure.si
     held = (cylinder.cap_area - cylinder.rod_area) * supply
     edge = held * optimize.bisect(
-        lambda share: hold(plant, 0, share * held, supply, 0.0).command + 1e-8, 0.1, 0.5
+        lambda share: find_rest(plant, 0, share * held, supply, 0.0).command + 1e-8, 0.1, 0.5
     )
     slowest = []
     for share in (0.99, 0.999, 0.9995, 1.0005, 1.001, 1.01):
@@ -599,7 +599,7 @@ def test_worn_seals_hold_a_leg_short_of_the_stall_load() -> None:
     stall, least = cylinder.cap_area * high, cylinder.rod_area * high
 
     def command(load: float) -> float:
-        return hold(plant, 0, load, high, 0.0).command
+        return find_rest(plant, 0, load, high, 0.0).command
 
     middle = 0.5 * (stall - least)
     for share in (0.6, 0.8, 0.9):

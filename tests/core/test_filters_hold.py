@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from cmf_mj.core.filters import advance, hold, settled_state, write_history
+from cmf_mj.core.filters import advance, discretise, settled_state, write_history
 
 SYSTEM = (
     np.array([[0.0, 1.0], [-4.0, -2.4]]),
@@ -20,7 +20,7 @@ def test_response_to_straight_pieces_is_python_controls():
     time = interval * np.arange(draw.size)
     oracle = control.forced_response(control.ss(*SYSTEM), time, draw).outputs
     outputs = np.empty((draw.size, 2))
-    write_history(hold(*SYSTEM, interval), np.zeros(2), draw[:, None], outputs)
+    write_history(discretise(*SYSTEM, interval), np.zeros(2), draw[:, None], outputs)
     np.testing.assert_allclose(outputs.T, oracle, rtol=0, atol=1e-9 * np.abs(oracle).max())
 
 
@@ -29,13 +29,13 @@ def test_a_ramp_comes_out_in_closed_form():
     time = np.arange(9) * 0.7
     outputs = np.empty((9, 1))
     write_history(
-        hold([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.7), np.zeros(1), time[:, None], outputs
+        discretise([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.7), np.zeros(1), time[:, None], outputs
     )
     np.testing.assert_allclose(outputs[:, 0], time - 1.0 + np.exp(-time), atol=1e-14)
 
 
 def test_settled_state_stays():
-    system = hold(*SYSTEM, 0.1)
+    system = discretise(*SYSTEM, 0.1)
     state = settled_state(system, [3.0])
     before, work = state.copy(), np.empty(2)
     advance(system, state, np.array([3.0]), np.array([3.0]), work)
@@ -45,6 +45,6 @@ def test_settled_state_stays():
 
 def test_refusals():
     with pytest.raises(ValueError, match="c: shape"):
-        hold([[-1.0]], [[1.0]], [[1.0, 0.0]], [[0.0]], 0.1)
+        discretise([[-1.0]], [[1.0]], [[1.0, 0.0]], [[0.0]], 0.1)
     with pytest.raises(ValueError, match="interval"):
-        hold([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0)
+        discretise([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0)

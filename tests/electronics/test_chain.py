@@ -10,9 +10,9 @@ from cmf_mj import Hexapod, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.electronics.chain import ElectronicsSettings, write_gravity
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.leg_motion import leg_axes_state, make_leg_axes
+from cmf_mj.machine.leg_motion import make_pose_tracker, tracked_pose
 
-AXES = make_leg_axes()
+AXES = make_pose_tracker()
 POSE = np.array([0.2, -0.1, 0.3, 0.05, -0.1, 0.2])
 
 FAR = """
@@ -73,7 +73,7 @@ def test_what_the_dcl_reads_is_not_what_is_true() -> None:
 
 def test_what_legs_at_rest_feel_of_gravity_is_known() -> None:
     legs = kinematics.pose_to_legs(POSE)
-    state = leg_axes_state(AXES, legs)
+    state = tracked_pose(AXES, legs)
     expected, gravity = axial_gravity(POSE), np.zeros(6)
     assert expected.min() > 7.0
     write_gravity(AXES, state, legs, gravity)

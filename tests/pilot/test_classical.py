@@ -6,7 +6,7 @@ import pytest
 from cab_motions import G, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import SampledSystem, hold
+from cmf_mj.core.filters import SampledSystem, discretise
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.geometry import DOFS
@@ -49,7 +49,7 @@ def discrete_response(system: SampledSystem, omega: np.ndarray) -> np.ndarray:
     result = []
     for z in np.exp(1j * omega * STEP):
         resolvent = np.linalg.inv(z * np.eye(len(system.transition)) - system.transition)
-        pushed_by = system.earlier + z * system.later
+        pushed_by = system.previous_gain + z * system.next_gain
         result.append(system.output @ resolvent @ pushed_by + system.direct)
     return np.array(result)
 
@@ -64,7 +64,7 @@ def test_a_recovery_that_the_tilt_cannot_be_solved_with_is_refused() -> None:
 
 @pytest.mark.parametrize("dof", DOFS)
 def test_samples_are_python_controls_first_order_hold_to_1e_9(dof):
-    system = hold(*matrices(dof), STEP)
+    system = discretise(*matrices(dof), STEP)
     oracle = control.sample_system(control.ss(transfer(dof)), STEP, method="foh")
     omega = np.geomspace(0.01, 100.0, 40)
     ours = discrete_response(system, omega)[:, 0, 0]
@@ -96,7 +96,7 @@ def test_side_by_side_keeps_inputs_and_outputs_in_order():
     axes = [rotation_filter(getattr(SIMONA, dof)) for dof in DOFS[3:]]
     joined = discrete_response(side_by_side(axes, STEP), np.array([1.0]))[0]
     for place, axis in enumerate(axes):
-        alone = discrete_response(hold(*axis, STEP), np.array([1.0]))[0]
+        alone = discrete_response(discretise(*axis, STEP), np.array([1.0]))[0]
         np.testing.assert_allclose(joined[place::3, place::3], alone, rtol=1e-12)
     assert np.count_nonzero(np.abs(joined) > 1e-15) == 3 * np.count_nonzero(np.abs(alone) > 1e-15)
 

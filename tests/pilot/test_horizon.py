@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from cmf_mj.core.filters import hold
+from cmf_mj.core.filters import discretise
 from cmf_mj.pilot.horizon import condense, finite_problem, knots, otoliths_ahead, span_cost
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.optimal import washout_modes
@@ -21,10 +21,10 @@ def test_unconstrained_over_a_long_horizon_it_is_the_discrete_riccati_solution(n
     a, both, weight, _ = finite_problem(mode)
     n, m = len(a), mode.plant[1].shape[1]
     b = both[:, :m]
-    held = hold(a, b, np.zeros((0, n)), np.zeros((0, m)), span)
+    held = discretise(a, b, np.zeros((0, n)), np.zeros((0, m)), span)
     w = span_cost((a, b), weight[: n + m, : n + m], span)
-    moved = np.block([[held.transition, held.earlier], [np.zeros((m, n + m))]])
-    driven = np.vstack([held.later, np.eye(m)])
+    moved = np.block([[held.transition, held.previous_gain], [np.zeros((m, n + m))]])
+    driven = np.vstack([held.next_gain, np.eye(m)])
     q, s, r = w[: n + m, : n + m], w[: n + m, n + m :], w[n + m :, n + m :]
     p = linalg.solve_discrete_are(moved, driven, q, r, s=s)
     gain = np.linalg.solve(r + driven.T @ p @ driven, driven.T @ p @ moved + s.T)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, load_cab, load_law
-from cmf_mj.analysis import measures
 from cmf_mj.analysis.linear.linear import Linear
+from cmf_mj.analysis.linear.loop import loop_steps
 from cmf_mj.core.units import FRAME
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.geometry import DOFS
@@ -25,7 +25,7 @@ def test_step_responses_in_blocks_are_those_of_the_library() -> None:
         generator.normal(size=(2, 2)),
         FRAME,
     )
-    steps = measures._step_responses(system)
+    steps = loop_steps(system)
     time = np.arange(200) * FRAME
     for i in range(2):
         expected = control.step_response(system, time, input=i).outputs[:, 0]

@@ -85,9 +85,9 @@ def linearize(
     point = at or operating_point(plant, pose, excitation=excitation, friction=friction)
     legs = plant.legs
     valves = [_valve_states(plant, name) for name in plant.actuators]
-    number = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
+    leg_suffix = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
     lags = [
-        f"{kind}{valve}{number[leg]}"
+        f"{kind}{valve}{leg_suffix[leg]}"
         for kind in ("drive", "spool")
         for leg in range(legs)
         for valve in dict.fromkeys(valves[leg])
@@ -96,8 +96,8 @@ def linearize(
     supply, manifolds, network = plant.hydraulics.supply, list[str](), list[str]()
     if not supply.constant:
         manifolds = ["supply_pressure", "return_pressure"]
-        oil = ["accumulator_oil"] if supply.accumulators > 0.0 else []
-        network = [*manifolds, *oil, "pump_flow"]
+        accumulator = ["accumulator_oil"] if supply.accumulators > 0.0 else []
+        network = [*manifolds, *accumulator, "pump_flow"]
     system = _System([*lags, *labels(motion, legs), *network], labels(("command",), legs))
     _fill_mechanics(plant, point, system)
     flows = [_fill_hydraulics(plant, point, system, leg, valves[leg]) for leg in range(legs)]
@@ -160,20 +160,22 @@ def _fill_hydraulics(
 
     `valves` are the suffixes of the states of its valves, alike where they share them.
     """
-    hydraulics, number = plant.hydraulics, f"_{leg + 1}" if plant.legs > 1 else ""
+    hydraulics, leg_suffix = plant.hydraulics, f"_{leg + 1}" if plant.legs > 1 else ""
     cylinder = hydraulics.cylinder[leg]
     for suffix in dict.fromkeys(valves):
         a, b = _lag_rates(plant, plant.actuators[leg], valves.index(suffix))
-        drive, spool = f"drive{suffix}{number}", f"spool{suffix}{number}"
-        system.add(drive, **{drive: -a, f"command{number}": a})
+        drive, spool = f"drive{suffix}{leg_suffix}", f"spool{suffix}{leg_suffix}"
+        system.add(drive, **{drive: -a, f"command{leg_suffix}": a})
         system.add(spool, **{spool: -b, drive: b})
     extension = point.mechanics.extension[leg]
     manifolds = np.array([point.supply_pressure, point.return_pressure])
     pressures = np.append(point.pressure[leg], manifolds)
     slopes = ports.port_slopes(hydraulics, leg, point.spool[leg], pressures, point.outward[leg])
-    cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
+    cap, rod, speed = (
+        f"{name}{leg_suffix}" for name in ("cap_pressure", "rod_pressure", "leg_velocity")
+    )
 
-    def flow(row: int) -> dict[str, float]:
+    def flow_slopes(row: int) -> dict[str, float]:
         """Slopes of a port's flow by state."""
         terms = {
             cap: slopes.pressure[row, ports.CAP],
@@ -182,7 +184,7 @@ def _fill_hydraulics(
             "return_pressure": slopes.pressure[row, ports.LOW],
         }
         for valve, suffix in enumerate(valves):
-            name = f"spool{suffix}{number}"
+            name = f"spool{suffix}{leg_suffix}"
             terms[name] = terms.get(name, 0.0) + slopes.opening[row, valve]
         return terms
 
@@ -191,29 +193,34 @@ def _fill_hydraulics(
         (ports.CAP, cap, cap_volume, cylinder.cap_area),
         (ports.ROD, rod, rod_volume, -cylinder.rod_area),
     ):
-        content, rise = density(hydraulics.oil, pressures[row])
-        terms = flow(row) | {speed: -content * area}
-        system.add(chamber, **{state: value / (volume * rise) for state, value in terms.items()})
-    return _ManifoldFlows(flow(ports.DRAWN), flow(ports.RETURNED))
+        content, slope = density(hydraulics.oil, pressures[row])
+        terms = flow_slopes(row) | {speed: -content * area}
+        system.add(chamber, **{state: value / (volume * slope) for state, value in terms.items()})
+    return _ManifoldFlows(flow_slopes(ports.DRAWN), flow_slopes(ports.RETURNED))
 
 
-def _sum_by_state(tables: list[dict[str, float]]) -> dict[str, float]:
-    states = dict.fromkeys(state for table in tables for state in table)
-    return {state: sum(table.get(state, 0.0) for table in tables) for state in states}
+def _sum_by_state(slopes: list[dict[str, float]]) -> dict[str, float]:
+    states = dict.fromkeys(state for by_state in slopes for state in by_state)
+    return {state: sum(by_state.get(state, 0.0) for by_state in slopes) for state in states}
 
 
 def _fill_supply(
     plant: Plant, point: OperatingPoint, system: _System, flows: list[_ManifoldFlows]
 ) -> None:
+    """Fill in manifolds, pump and accumulators, with what the legs draw and return."""
     supply, oil = plant.hydraulics.supply, plant.hydraulics.oil
     drawn = _sum_by_state([flow.drawn for flow in flows])
     returned = _sum_by_state([flow.returned for flow in flows])
-    high = 1.0 / (supply.supply_volume * density(oil, point.supply_pressure)[1])
-    low = 1.0 / (supply.return_volume * density(oil, point.return_pressure)[1])
-    system.add("supply_pressure", pump_flow=high)
-    system.add("supply_pressure", **{state: -high * value for state, value in drawn.items()})
-    system.add("return_pressure", return_pressure=-low / supply.tank_line)
-    system.add("return_pressure", **{state: low * value for state, value in returned.items()})
+    _, supply_slope = density(oil, point.supply_pressure)
+    _, return_slope = density(oil, point.return_pressure)
+    supply_rise = 1.0 / (supply.supply_volume * supply_slope)
+    return_rise = 1.0 / (supply.return_volume * return_slope)
+    system.add("supply_pressure", pump_flow=supply_rise)
+    system.add("supply_pressure", **{state: -supply_rise * value for state, value in drawn.items()})
+    system.add("return_pressure", return_pressure=-return_rise / supply.tank_line)
+    system.add(
+        "return_pressure", **{state: return_rise * value for state, value in returned.items()}
+    )
     gain = supply.pump_flow / supply.pump_droop
     system.add(
         "pump_flow",
@@ -222,11 +229,11 @@ def _fill_supply(
     )
     if "accumulator_oil" not in system.row:
         return
-    rise = gas_pressure(supply, point.accumulator_oil)[1]
+    _, gas_rise = gas_pressure(supply, point.accumulator_oil)
     count, line = supply.accumulators, supply.accumulator_line
     system.add(
         "supply_pressure",
-        accumulator_oil=high * count * rise / line,
-        supply_pressure=-high * count / line,
+        accumulator_oil=supply_rise * count * gas_rise / line,
+        supply_pressure=-supply_rise * count / line,
     )
-    system.add("accumulator_oil", accumulator_oil=-rise / line, supply_pressure=1.0 / line)
+    system.add("accumulator_oil", accumulator_oil=-gas_rise / line, supply_pressure=1.0 / line)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import cont2discrete
 
-from cmf_mj.analysis.frequency_response import falls
+from cmf_mj.analysis.frequency_response import find_falls
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import at_frames, closed_loop, labels
 from cmf_mj.analysis.linear.operating_point import operating_point
@@ -51,7 +51,7 @@ _REJECTION_LINES = 0.05 * 10.0 ** (np.arange(105) / 40.0)
 """Lines the rejection is read from, 40 a decade, 0.05 to 19.9 Hz, with the ends of that band."""
 _MARGIN_LINES = np.geomspace(0.05, 500.0, 2000)  #: Lines that margins are read from [Hz].
 _VALVES_SHUT = Law(name="shut", title="Valves shut", direct_gain=Gains())
-_ENDLESS = 1e6  #: Stiffness at rest over the least dynamic one that counts as infinite.
+_INFINITE_RATIO = 1e6  #: Stiffness at rest over the least dynamic one that counts as infinite.
 
 
 class Disturbance(NamedTuple):
@@ -220,9 +220,10 @@ class Linear:
             broken_loop = control.ss(broken_a, entry @ column, -command, 0.0, loop.dt)
             # With log(-L) = a + j b, b within half a turn: -a where b is 0, and b where a is.
             logarithm = np.log(-broken_loop(np.exp(2j * np.pi * _MARGIN_LINES * loop.dt)))
-            level, angle = logarithm.real, logarithm.imag
-            gain, phase = _least_at_zero(level, angle), _least_at_zero(angle, level)
-            margins.append((-20.0 / np.log(10.0) * gain, np.degrees(phase)))
+            log_gain, angle = logarithm.real, logarithm.imag
+            gain_change = -_least_at_zero(log_gain, angle)
+            angle_change = _least_at_zero(angle, log_gain)
+            margins.append((20.0 / np.log(10.0) * gain_change, np.degrees(angle_change)))
         return np.array(margins)
 
     def measures(self, law: str | Law) -> tuple[Measures, ...]:
@@ -264,16 +265,17 @@ class Linear:
     def disturbance(self, law: str | Law) -> Disturbance:
         """Stiffness and disturbance rejection of the platform by axis under a law."""
         if not are_stable(self.leg_loop(law).poles()):
-            return Disturbance(*np.full((4, len(DOFS)), np.nan))
+            unknown = np.full(len(DOFS), np.nan)
+            return Disturbance(unknown, unknown, unknown, unknown)
         stiffness = self.stiffness(law, [0.0, *_REJECTION_LINES])
         static, dynamic = stiffness[0], stiffness[1:]
         shut = self.stiffness(_VALVES_SHUT.for_machine(self.plant.machine), _REJECTION_LINES)
         rejection = 20.0 * np.log10(shut / dynamic)
         low, high = _STIFFNESS_BAND
         least = dynamic[(low <= _REJECTION_LINES) & (_REJECTION_LINES <= high)].min(axis=0)
-        bandwidth = [falls(_REJECTION_LINES, -level, 3.0)[0] for level in rejection.T]
+        bandwidth = [find_falls(_REJECTION_LINES, -gain_db, 3.0)[0] for gain_db in rejection.T]
         return Disturbance(
-            static_stiffness=np.where(static > _ENDLESS * least, np.inf, static),
+            static_stiffness=np.where(static > _INFINITE_RATIO * least, np.inf, static),
             least_stiffness=least,
             bandwidth_hz=np.array(bandwidth),
             peak_db=rejection.max(axis=0),

@@ -40,11 +40,16 @@ from cmf_mj.core.errors import InputError, check_name
 
 DCL_INPUTS = ("reference", *FEEDBACK)  #: Inputs of the DCL for each leg; the reference in m.
 
-Matrix = NDArray[np.float64]
+OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
+STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
-_STATES = tuple(name for name in DclState.zeros(1).arrays() if name != "offset")
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_STEP_BLOCK = 64  #: Frames between the states that `loop_steps` goes through.
+_DCL_STATES = tuple(name for name in DclState.zeros(1).arrays() if name != "offset")
 """States of the DCL that its linear system may have."""
-_UNIT = 2.0**-30  #: Size of states and inputs that probe the law: no clamp acts, no digit is lost.
+_PROBE_SIZE = 2.0**-30  #: Of states and inputs that probe the law: no clamp acts, no digit is lost.
 _MOST_LAWS = 64  #: Laws whose matrices stay in memory: many plants are closed with the same few.
 
 
@@ -96,10 +101,10 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
             oldest = next(iter(_MATRICES_OF_LAWS))
             _MATRICES_OF_LAWS.pop(oldest, None)
         _MATRICES_OF_LAWS[key] = _probed_matrices(loaded, legs)
-    a, b, c, d, states = _MATRICES_OF_LAWS[key]
-    matrices = [matrix.copy() for matrix in (a, b, c, d)]
+    dcl = _MATRICES_OF_LAWS[key]
+    matrices = [matrix.copy() for matrix in (dcl.a, dcl.b, dcl.c, dcl.d)]
     names = {"inputs": labels(DCL_INPUTS, legs), "outputs": labels(("command",), legs)}
-    return control.ss(*matrices, loaded.frame, name="DCL", states=states, **names)
+    return control.ss(*matrices, loaded.frame, name="DCL", states=dcl.states, **names)
 
 
 class _DclMatrices(NamedTuple):
@@ -120,13 +125,13 @@ def _probed_matrices(law: Law, legs: int) -> _DclMatrices:
     axes = 1 if law.coordinates == "legs" else legs
     dcl, state = make_dcl(law, axes), DclState.zeros(axes)
     arrays = state.arrays()
-    states = tuple(arrays[name] for name in _STATES)
+    states = tuple(arrays[name] for name in _DCL_STATES)
     inputs = tuple(np.zeros(axes) for _ in DCL_INPUTS)
-    probes = _UNIT * np.eye((len(states) + len(inputs)) * axes)
+    probes = _PROBE_SIZE * np.eye((len(states) + len(inputs)) * axes)
     order = len(states) * axes
     answers = np.empty((len(probes), axes + order))
     _probe(dcl, state, LegFeedback(*inputs[1:]), states, inputs, probes, answers)
-    answers = answers.T / _UNIT
+    answers = answers.T / _PROBE_SIZE
     command, next_states = answers[:axes], answers[axes:]
     a, b, c, d = (
         np.asarray(np.kron(part, np.eye(legs // axes)), dtype=np.float64)
@@ -142,13 +147,8 @@ def _probed_matrices(law: Law, legs: int) -> _DclMatrices:
     read_by_command[0] = True
     acting_kinds = reachable_states(links.T, read_by_command)
     acting = np.flatnonzero(np.repeat(acting_kinds, legs))
-    names = [labels(_STATES, legs)[i].replace(".", "_") for i in acting]
+    names = [labels(_DCL_STATES, legs)[i].replace(".", "_") for i in acting]
     return _DclMatrices(a[np.ix_(acting, acting)], b[acting], c[:, acting], d, names)
-
-
-Complex = NDArray[np.complex128]
-OUTPUTS = (*FEEDBACK, "command")  #: Outputs a closed loop can have.
-STEP_DURATION = 10.0  #: Length of the steps measured [s].
 
 
 def closed_loop(
@@ -196,9 +196,9 @@ def closed_loop(
     d_of = dict.fromkeys(FEEDBACK, 0.0 * dr) | {"command": dr}
     loop_c = np.vstack([c_of[name] for name in outputs])
     loop_d = np.vstack([d_of[name] for name in outputs])
-    ports = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
+    port_names = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
     name = f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}"
-    return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **ports)
+    return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **port_names)
 
 
 def at_frames(plant: UnitTransferFunction | control.StateSpace, frame: float) -> control.StateSpace:
@@ -268,6 +268,28 @@ def loop_step(loop: control.StateSpace, duration: float = STEP_DURATION) -> tupl
     return np.asarray(time, dtype=np.float64), np.asarray(response.outputs).reshape(-1)
 
 
+def loop_steps(loop: control.StateSpace) -> Matrix:
+    """Responses of a discrete loop to a unit step of each input, (N, outputs, inputs).
+
+    Blocks of outputs from states a block apart: [C; CA; ...] x_k, x_(k+1) = A^n x_k + b.
+    """
+    a, b, c = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C))
+    order, inputs = b.shape
+    # The demands are further states, which stand still.
+    extended = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
+    rows = [np.hstack([c, np.asarray(loop.D)])]
+    for _ in range(_STEP_BLOCK - 1):
+        rows.append(rows[-1] @ extended)
+    block_outputs = np.vstack(rows)
+    block_step = np.linalg.matrix_power(extended, _STEP_BLOCK)
+    state = np.vstack([np.zeros((order, inputs)), np.eye(inputs)])
+    blocks = []
+    for _ in range(round(STEP_DURATION / loop.dt / _STEP_BLOCK)):
+        blocks.append((block_outputs @ state).reshape(_STEP_BLOCK, c.shape[0], inputs))
+        state = block_step @ state
+    return np.concatenate(blocks)
+
+
 def closed_loop_response(
     law: str | Law,
     velocity: ArrayLike,
@@ -286,7 +308,7 @@ def closed_loop_response(
     f = np.asarray(frequency, dtype=float)
     if not (f > 0.0).all():
         raise InputError("frequency: must be greater than 0 at every line")
-    v = _square("velocity", velocity, f.size)
+    v = _as_matrices("velocity", velocity, f.size)
     s = 2j * np.pi * f[:, None, None]
     loaded = load_law(law)
     gain, frame = _law_gains(loaded, f, v.shape[1]), loaded.frame
@@ -296,7 +318,7 @@ def closed_loop_response(
     feedback = by_velocity @ v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):
-            feedback = feedback + gain[name] @ _square(name, values, f.size)
+            feedback = feedback + gain[name] @ _as_matrices(name, values, f.size)
     command = np.linalg.solve(np.eye(v.shape[1]) - hold * feedback, gain["reference"])
     return np.asarray(hold / s * v @ command)
 
@@ -307,14 +329,15 @@ def _law_gains(law: Law, frequency: Matrix, axes: int) -> dict[str, Complex]:
     system = dcl_state_space(law, axes if coupled else 1)
     rows = control.frequency_response(system, 2.0 * np.pi * frequency).frdata
     if coupled:
-        by_leg = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
-        parts = [np.ascontiguousarray(part) for part in by_leg]
+        by_input = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
+        parts = [np.ascontiguousarray(part) for part in by_input]
     else:
         parts = [row[:, None, None] * np.eye(axes) for row in rows[0]]
     return dict(zip(DCL_INPUTS, parts, strict=True))
 
 
-def _square(name: str, values: ArrayLike, lines: int) -> Complex:
+def _as_matrices(name: str, values: ArrayLike, lines: int) -> Complex:
+    """A response (K,) or (K, n, n) at so many lines as matrices (K, n, n)."""
     response = np.asarray(values, dtype=complex)
     response = response[:, None, None] if response.ndim == 1 else response
     if response.ndim != 3 or response.shape[0] != lines or response.shape[1] != response.shape[2]:

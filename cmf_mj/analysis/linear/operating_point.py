@@ -115,7 +115,8 @@ def _check_smooth(plant: Plant) -> None:
         )
 
 
-_SCAN, _ROUNDS = 41, 50  #: Pressures at which a search begins, and the most rounds of another.
+_SCANNED_PRESSURES = 41  #: Rod pressures at which the search by scan begins.
+_ITERATIONS = 50  #: Of Newton's method, and of the balance of the supply.
 _PRESSURE_GAP = 1e-2  #: Least difference of the chambers' pressures over the supply's at the start.
 _EVEN = 1e-6  #: Oil gathered in both chambers over the flow, below which none counts as gathered.
 _SHUT = 1e-9  #: Opening that counts as shut: with equal chamber pressures it is a balance too.
@@ -154,7 +155,7 @@ def operating_point(
     _check_linear(plant, refuse_friction=friction is None)
     slope = friction_slope(plant.hydraulics.friction, "none" if friction is None else friction)
     mechanics, supply = linear_mechanics(plant, pose), plant.hydraulics.supply
-    balance = _supply_balance(plant, mechanics.load)
+    balance = _balance_supply(plant, mechanics.load)
     _check_supply(plant, supply, balance.high, balance.low)
     ratio = (supply.precharge + ATMOSPHERE) / (balance.high + ATMOSPHERE)
     return OperatingPoint(
@@ -174,7 +175,7 @@ def operating_point(
 class Rest(NamedTuple):
     """What holds one leg."""
 
-    command: float
+    command: float  #: Valve command, a fraction.
     pressure: NDArray[np.float64]  #: Of cap and rod [Pa], (2,).
     ratio: float = 1.0  #: Openings outward over openings inward of a valve closed on average.
 
@@ -189,12 +190,12 @@ class _Balance(NamedTuple):
     low: float  #: Pressure of the return manifold [Pa].
 
 
-def _supply_balance(plant: Plant, loads: NDArray[np.float64]) -> _Balance:
+def _balance_supply(plant: Plant, loads: NDArray[np.float64]) -> _Balance:
     """The rest of all legs at the pressures at which the pump gives what they draw."""
     hydraulics, supply = plant.hydraulics, plant.hydraulics.supply
     high, low = supply.pressure, supply.return_pressure
-    for _ in range(_ROUNDS):
-        rests = [hold(plant, leg, load, high, low) for leg, load in enumerate(loads)]
+    for _ in range(_ITERATIONS):
+        rests = [find_rest(plant, leg, load, high, low) for leg, load in enumerate(loads)]
         spool = np.array([rest.command for rest in rests])[:, None] + hydraulics.valve.null_bias
         manifolds = np.array([high, low])
         flows = [
@@ -235,7 +236,7 @@ class _LoadedLeg(NamedTuple):
         return port_slopes(self.hydraulics, self.leg_index, spools, pressures, outward)
 
 
-def hold(plant: Plant, leg: int, load: float, high: float, low: float) -> Rest:
+def find_rest(plant: Plant, leg: int, load: float, high: float, low: float) -> Rest:
     """The rest of one leg under a load [N] at given pressures of the manifolds [Pa].
 
     Raises `NotLinearError` for a load that no opening of the valves holds.
@@ -260,7 +261,7 @@ def _closed_rest(leg: _LoadedLeg) -> Rest | None:
     """The rest of a leg with equal valves, both closed; None where closed valves do not hold it."""
     cylinder = leg.hydraulics.cylinder[leg.leg_index]
     closing = -float(leg.hydraulics.valve[leg.leg_index].null_bias[0])
-    cap, rod = holding_pressures(cylinder, leg.load, leg.high, leg.low)[0]
+    ((cap, rod),) = holding_pressures(cylinder, leg.load, leg.high, leg.low)
     leak_ends = cylinder.leakage == 0.0 or abs(cap - rod) < 1e-6 * leg.high
     if cylinder.bearing_leakage != 0.0 or not leak_ends:
         return None
@@ -295,7 +296,8 @@ def _rest_by_scan(leg: _LoadedLeg, largest_command: float) -> Rest | None:
         """The command that moves the leg nowhere: both chambers fill alike; NaN for none."""
 
         def leg_speed(command: float) -> float:
-            return float(np.subtract(*filling_speeds(command, rod)))
+            cap_speed, rod_speed = filling_speeds(command, rod)
+            return float(cap_speed - rod_speed)
 
         if leg_speed(-largest_command) * leg_speed(largest_command) > 0.0:
             return float("nan")  # more leaks than open valves let in
@@ -308,7 +310,7 @@ def _rest_by_scan(leg: _LoadedLeg, largest_command: float) -> Rest | None:
     least = max(leg.low, (cap_area * leg.low - leg.load) / rod_area)
     most = min(leg.high, (cap_area * leg.high - leg.load) / rod_area)
     margin = 1e-9 * (most - least)
-    scan = np.linspace(least + margin, most - margin, _SCAN)
+    scan = np.linspace(least + margin, most - margin, _SCANNED_PRESSURES)
     balance = np.array([gathering(rod) for rod in scan])
     # Falling through 0: a pressure too high loses oil, so that the balance keeps itself.
     balanced_rods = [
@@ -348,7 +350,7 @@ def _rest_by_newton(leg: _LoadedLeg) -> Rest | None:
             continue
         flow = cylinder.leakage * (cap - rod)
         command = flow / (float(valves.cap_gain.sum()) * np.sqrt(drop)) - bias
-        for _ in range(_ROUNDS):
+        for _ in range(_ITERATIONS):
             slopes = leg.slopes(command, load_pressure + rod / ratio, rod)
             by_command = slopes.opening[[CAP, ROD]].sum(axis=1)
             by_rod = slopes.pressure[[CAP, ROD], ROD] + slopes.pressure[[CAP, ROD], CAP] / ratio

@@ -58,19 +58,19 @@ def least_damped_mode(
 ) -> PoleDamping:
     """The least damped pair of a loop, discrete in frames [s], between frequencies."""
     pairs = oscillations(poles, frame)
-    size = np.abs(pairs)
-    pairs = pairs[(size < 2.0 * np.pi * highest_hz) & (size > 2.0 * np.pi * lowest_hz)]
-    return _first_pair(pairs, -pairs.real / np.abs(pairs))
+    modulus = np.abs(pairs)
+    pairs = pairs[(modulus < 2.0 * np.pi * highest_hz) & (modulus > 2.0 * np.pi * lowest_hz)]
+    return _pair_of_lowest(pairs, -pairs.real / np.abs(pairs))
 
 
 def slowest_oscillation(poles: Poles, frame: float = FRAME) -> PoleDamping:
     """The slowest pair of a loop, discrete in frames [s], that is damped by less than 0.9."""
     pairs = oscillations(poles, frame)
     pairs = pairs[-pairs.real < _OSCILLATING * np.abs(pairs)]
-    return _first_pair(pairs, np.abs(pairs))
+    return _pair_of_lowest(pairs, np.abs(pairs))
 
 
-def _first_pair(pairs: Poles, rank: Matrix) -> PoleDamping:
+def _pair_of_lowest(pairs: Poles, rank: Matrix) -> PoleDamping:
     """Damping of the pair of the lowest rank."""
     if pairs.size == 0:
         return PoleDamping()
@@ -106,7 +106,7 @@ def _least(ratios: Matrix) -> float:
     return float(ratios.min()) if ratios.size else float("nan")
 
 
-_KINDS = {
+_STATE_KINDS = {
     "drive": ("drive",),
     "spool": ("spool",),
     "motion": ("leg_position", "leg_velocity"),
@@ -159,7 +159,7 @@ def modes(system: control.StateSpace, jacobian: Matrix | None = None) -> tuple[M
         has_motion = np.abs(largest) > 1e-12 * np.abs(vectors[:, i]).max()
         shape = shape / largest if has_motion else np.zeros(legs, dtype=complex)
         damping = float(-poles[i].real / frequency) if frequency > _INTEGRATOR else float("nan")
-        participation = dict.fromkeys(_KINDS, 0.0)
+        participation = dict.fromkeys(_STATE_KINDS, 0.0)
         for kind, factor in zip(kinds, factors[:, i].tolist(), strict=True):
             participation[kind] += factor
         shares = np.full(6, np.nan)
@@ -172,9 +172,9 @@ def modes(system: control.StateSpace, jacobian: Matrix | None = None) -> tuple[M
 
 def _state_kind(label: str) -> str:
     """The kind of a state of a linearised plant, by the beginning of its name."""
-    for kind, beginnings in _KINDS.items():
+    for kind, beginnings in _STATE_KINDS.items():
         if label.startswith(beginnings):
             return kind
-    names = ", ".join(name for beginnings in _KINDS.values() for name in beginnings)
+    names = ", ".join(name for beginnings in _STATE_KINDS.values() for name in beginnings)
     allowed = f"those that begin with {names}"
     raise InputError(f"system: state {label!r} is no plant's; allowed: {allowed}")

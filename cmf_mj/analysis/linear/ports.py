@@ -1,4 +1,4 @@
-"""Flows of one actuator and their slopes, at given openings and pressures.
+"""Flows of one actuator and their slopes, and what a valve closed on average does to a signal.
 
 The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage, without
 cushions.
@@ -111,21 +111,21 @@ def port_slopes(
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
     # Gains of the four paths, cap in, cap out, rod in, rod out, and their slopes with the openings.
     gains, gain_slopes = np.zeros(4), np.zeros((4, 2))
-    for index in range(2):
-        valve, size = valves[index], opening(valves[index], spools[index])
+    for index, spool in enumerate(spools):
+        valve, spool_opening = valves[index], opening(valves[index], spool)
         outward_gains = np.array([valve.cap_gain, 0.0, 0.0, valve.rod_gain])
         inward_gains = np.array([0.0, valve.cap_gain, valve.rod_gain, 0.0])
-        gains += max(size, 0.0) * outward_gains + max(-size, 0.0) * inward_gains
-        share = outward if size == 0.0 else float(size > 0.0)
+        gains += max(spool_opening, 0.0) * outward_gains + max(-spool_opening, 0.0) * inward_gains
+        share = outward if spool_opening == 0.0 else float(spool_opening > 0.0)
         gain_slopes[:, index] = share * outward_gains - (1.0 - share) * inward_gains
     cap, rod, high, low = pressures
-    laminar, supply, tank = hydraulics.laminar, cylinder.supply_hose, cylinder.return_hose
-    throttle = cylinder.cap_throttle
+    laminar, throttle = hydraulics.laminar, cylinder.cap_throttle
+    supply_hose, return_hose = cylinder.supply_hose, cylinder.return_hose
     paths = (
-        path_flow(gains[0], supply + throttle, laminar, high - cap),
-        path_flow(gains[1], tank + throttle, laminar, cap - low),
-        path_flow(gains[2], supply, laminar, high - rod),
-        path_flow(gains[3], tank, laminar, rod - low),
+        path_flow(gains[0], supply_hose + throttle, laminar, high - cap),
+        path_flow(gains[1], return_hose + throttle, laminar, cap - low),
+        path_flow(gains[2], supply_hose, laminar, high - rod),
+        path_flow(gains[3], return_hose, laminar, rod - low),
     )
     # What each path, and each of the two leakages, adds to the rows; drops by pressures.
     to_rows = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 0, 1, 0], [0, 1, 0, 1]], dtype=float)

@@ -95,7 +95,7 @@ class _Variables:
         t, s = self.unpack(values)
         inverse = linalg.solve_triangular(t, self.identity, check_finite=False)
         scaled = t @ m @ inverse
-        eigenvalue, vector = _eigh(_gain(scaled, s))
+        eigenvalue, vector = _eigh(_phi_over_x(scaled, s))
         weight = np.exp(sharpness * (eigenvalue - eigenvalue.max()))
         value = float(eigenvalue.max() + np.log(weight.sum()) / sharpness)
         density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
@@ -154,7 +154,7 @@ def _balanced(m: Complex) -> tuple[Complex, Complex]:
 def largest_eigenvalue(m: Complex, scaling: Scaling) -> float:
     """The largest eigenvalue of Phi at beta = 0 over X, of a matrix or of several."""
     scaled = scaling.t @ m @ np.linalg.inv(scaling.t)
-    return float(np.linalg.eigvalsh(_gain(scaled, scaling.s)).max())
+    return float(np.linalg.eigvalsh(_phi_over_x(scaled, scaling.s)).max())
 
 
 def peak_bound(
@@ -234,7 +234,7 @@ class _Ray:
         """Frequencies at which det Phi may be zero, ascending."""
         t, inverse, a = scaling.t, np.linalg.inv(scaling.t), self.a
         bs, cs, ds = self.b @ inverse, t @ self.c, t @ self.loop.d @ inverse
-        r = _gain(ds, scaling.s) - scaling.beta**2 * np.eye(len(ds))
+        r = _phi_over_x(ds, scaling.s) - scaling.beta**2 * np.eye(len(ds))
         s = cs.conj().T @ ds - 1j * cs.conj().T @ scaling.s
         solution = np.linalg.solve(r, np.hstack([s.conj().T, bs.conj().T]))
         by_s, by_b = solution[:, : len(a)], solution[:, len(a) :]
@@ -290,7 +290,7 @@ def _eigh(m: Complex) -> tuple[Matrix, Complex]:
         return np.array(values), np.array(vectors)
 
 
-def _gain(m: Complex, s: Complex) -> Complex:
-    """M* M + j (S M - M* S)."""
+def _phi_over_x(m: Complex, s: Complex) -> Complex:
+    """Phi at beta = 0 over X, of m = T M T^-1: m* m + j (S m - m* S)."""
     cross = 1j * s @ m
     return _adjoint(m) @ m + cross + _adjoint(cross)

@@ -20,7 +20,7 @@ from cmf_mj.control.dcu.motion import POSE
 from cmf_mj.core import quantity as kind
 from cmf_mj.core.arrays import compiled_params, record_array, shaped
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.filters import chain
+from cmf_mj.core.filters import step_matrix
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.core.units import FRAME, RATE
 
@@ -195,8 +195,8 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
         frame=frame,
         gap_rate=gap_rate,
         gap_range=3.0 * limits.by_freedom("rejoin_velocity") / gap_rate,
-        closing=chain([0.0, 3.0 * gap_rate**2, 3.0 * gap_rate], -(gap_rate**3), frame),
-        smoothing=chain(np.poly(poles)[:0:-1].real, np.prod(poles).real, frame),
+        closing=step_matrix([0.0, 3.0 * gap_rate**2, 3.0 * gap_rate], -(gap_rate**3), frame),
+        smoothing=step_matrix(np.poly(poles)[:0:-1].real, np.prod(poles).real, frame),
     )
 
 
