@@ -10,7 +10,7 @@ from typer import Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, friction_option, pose_option, progress_bar, show, written
+from cmf_mj.cli.common import app, friction_option, pose_option, progress_bar, show, written_text
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
@@ -40,7 +40,7 @@ def linearize_command(
     linear = cmf_mj.Linear(made, pose_option(pose), friction=stated)
     study = report.linearization_study(linear, law, dofs)
     paths = report.save_study(study, out)
-    show(report.pole_table(study), report.loop_table(study), written(paths, out))
+    show(report.pole_table(study), report.loop_table(study), written_text(paths, out))
 
 
 @drawing("modes")
@@ -72,7 +72,7 @@ def modes_command(
         show(report.mode_table(modes))
     for one in ranges:
         show(report.mode_table(one.worst, "worst pose"))
-    show(report.range_table(ranges), written(paths, out))
+    show(report.range_table(ranges), written_text(paths, out))
 
 
 @drawing("measure")
@@ -90,7 +90,7 @@ def measure_command(
 
     measures = measure_recordings(files, dof, estimator, columns, machine)
     paths = report.save_recordings(measures, out)
-    show(report.response_table(measures), written(paths))
+    show(report.response_table(measures), written_text(paths))
 
 
 @drawing("identify")
@@ -111,4 +111,4 @@ def identify_command(
         raise InputError(f"orders: {orders!r} is refused; allowed: na,nb,nk such as 4,3,1")
     na, nb, nk = map(int, parts)
     model = identify([read_mapped(path, columns) for path in files], dof, (na, nb, nk))
-    show(report.model_table(model), written(report.save_identification(model, out)))
+    show(report.model_table(model), written_text(report.save_identification(model, out)))

@@ -12,7 +12,7 @@ from typer import Argument, Option, echo
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, progress_bar, show, written
+from cmf_mj.cli.common import app, progress_bar, show, written_text
 from cmf_mj.cli.options import name_or_file, new_file
 from cmf_mj.core.errors import InputError, within
 
@@ -145,7 +145,7 @@ def fit_command(
         stated = Result(doubts.stated, fields_of(doubt.StatedNumber)).table
         drawn |= {"stated.csv": stated.save}
     files = save_files(drawn, out)
-    show(table, *doubts.tables(), doubts.verdict, written(files, out))
+    show(table, *doubts.tables(), doubts.verdict, written_text(files, out))
 
 
 guides = typer.Typer(no_args_is_help=True, help="Test guides: make a master, check against it.")
@@ -221,7 +221,7 @@ def guide_run_command(
         raise InputError(f"recordings: {folder} is of another guide than {guide!r}")
     master.head.write(folder)
     rows = compare(master, master)
-    show(verdict_table(rows), written(save_guide(master, master, rows, [], folder), folder))
+    show(verdict_table(rows), written_text(save_guide(master, master, rows, [], folder), folder))
 
 
 @options.drawing(guides.command)("check")
@@ -246,4 +246,4 @@ def guide_check_command(
             causes = diagnose(master, since, find_slopes(master, jobs, update), jobs)
     paths = report.save_guide(master, since, rows, causes, out)
     tables = [report.causes_table(causes).table] if causes else []
-    show(report.verdict_table(rows), *tables, written(paths, out))
+    show(report.verdict_table(rows), *tables, written_text(paths, out))

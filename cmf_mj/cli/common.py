@@ -47,9 +47,9 @@ class Commands(TyperGroup):
 
             if not isinstance(error.__cause__, ValidationError) or error.param is None:
                 raise
-            first = error.__cause__.errors()[0]
-            allowed = first["msg"][0].lower() + first["msg"][1:]
-            refuse(InputError(f"{error.param.name}: {first['input']!r} is refused: {allowed}"))
+            fault = error.__cause__.errors()[0]
+            allowed = fault["msg"][:1].lower() + fault["msg"][1:]
+            refuse(InputError(f"{error.param.name}: {fault['input']!r} is refused: {allowed}"))
         except (CmfError, OSError) as error:
             refuse(error)
         except RuntimeError as error:
@@ -79,10 +79,7 @@ def claim(context: typer.Context, folder: Path) -> Path:
 
 
 def given_by_user(context: typer.Context, name: str) -> bool:
-    """Whether the user gave an option, even with the value of its default.
-
-    An option of unknown source was not read from a command line: whoever set it meant it.
-    """
+    """Whether the user gave an option; true where it was not read from a command line."""
     source = context.get_parameter_source(name)
     return source is None or not source.name.startswith("DEFAULT")
 
@@ -95,32 +92,27 @@ def check_writable(file: Path | None) -> Path | None:
 
 
 def show(*parts: RenderableType, unfolded: bool = False) -> None:
-    """Print tables and text at least `TEXT_WIDTH` wide; if `unfolded`, so wide that no cell folds.
-
-    In a terminal that is narrower than a table, its groups of columns come one below the other.
-    """
+    """Print tables and text `TEXT_WIDTH` wide or more; if `unfolded`, so that no cell folds."""
     from rich.console import Console
 
     from cmf_mj.core.result import Table
 
-    console, width, endless = Console(), TEXT_WIDTH, Console(width=1000)
+    console, width, wide_console = Console(), TEXT_WIDTH, Console(width=1000)
     if unfolded:
-        widths = (endless.measure(part).maximum for part in parts if not isinstance(part, str))
+        widths = (wide_console.measure(part).maximum for part in parts if not isinstance(part, str))
         width = max(widths, default=TEXT_WIDTH)
     available = console.width if console.is_terminal else width
     if console.width < width:
         console = Console(width=width)
-    printed: list[RenderableType] = []
     for part in parts:
-        if isinstance(part, Table) and endless.measure(part).maximum > available:
-            printed += part.column_groups()
-        else:
-            printed.append(part)
-    for part in printed:
-        console.print(part, markup=not isinstance(part, str))  # tables escape their own
+        pieces: Sequence[RenderableType] = [part]
+        if isinstance(part, Table) and wide_console.measure(part).maximum > available:
+            pieces = part.column_groups()  # one below the other
+        for piece in pieces:
+            console.print(piece, markup=not isinstance(piece, str))  # tables escape their own
 
 
-def written(paths: Sequence[Path], folder: Path | None = None) -> str:
+def written_text(paths: Sequence[Path], folder: Path | None = None) -> str:
     """What has been written, in a line: whole paths, or names within a folder."""
     if folder is None:
         return f"written: {', '.join(str(path) for path in paths)}"
@@ -142,8 +134,8 @@ def progress_bar(
     columns = (progress.TimeElapsedColumn(),) if seconds else counts
     text, console = progress.TextColumn("{task.description}", markup=False), Console(stderr=True)
     with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
-        begun = f"{work}, compiling first takes a minute or two" if compiles else work
-        task = bar.add_task(begun, total=None)
+        first_text = f"{work}, compiling first takes a minute or two" if compiles else work
+        task = bar.add_task(first_text, total=None)
         try:
             yield lambda done, total, now=work: bar.update(
                 task, completed=done, total=total, description=now
@@ -197,10 +189,9 @@ def pose_option(text: str) -> NDArray[np.float64]:
     except ValueError:
         values = []
     if len(values) != 6 or not np.isfinite(values).all():
-        raise InputError(
-            f"pose: {text!r} is refused; allowed: six finite numbers with commas between"
-        )
-    return np.array([units.to_si(dof_unit(i), v) for i, v in enumerate(values)])
+        allowed = "six finite numbers with commas between"
+        raise InputError(f"pose: {text!r} is refused; allowed: {allowed}")
+    return np.array([units.to_si(dof_unit(dof), value) for dof, value in enumerate(values)])
 
 
 def noise_option(noise: bool) -> ElectronicsSettings | None:

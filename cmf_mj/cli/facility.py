@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_option, progress_bar, show, written_text
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 command = partial(app.command, rich_help_panel="Facility")
 drawing = options.drawing(command)
 
-BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}  #: Operating states in which a run may begin.
+BEGIN_STATES = {"engaged": "ENGAGED", "settled": "OFF"}  #: States in which a run may begin.
 
 PROTOCOLS = ("cmf", "moog")  #: What a host may speak to `cmf serve`.
 EXPORTS = ("library", "law", "fmu")  #: What `cmf export` writes.
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
-_BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
-_SERVED = f"of cmf: {_BEGIN}; default engaged"
+_BEGIN_HELP = "engaged, or settled: off on the stops, raised and engaged at once"
+_SERVE_HELP = f"of cmf: {_BEGIN_HELP}; default engaged"
 _EXPORTS = "library or fmu: the machine; law: a control law alone"
 
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
@@ -44,7 +44,7 @@ def _begin_options(begin: str, noise: bool) -> dict[str, Any]:
     from cmf_mj.control.states import Request, State
 
     return {
-        "begin": State[BEGIN[begin]],
+        "begin": State[BEGIN_STATES[begin]],
         "requests": [(0.0, Request.ENGAGE)],
         "electronics": noise_option(noise),
     }
@@ -92,7 +92,7 @@ def serve_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    begin: Annotated[str | None, choice("cli.facility:BEGIN", "STATE", _SERVED)] = None,
+    begin: Annotated[str | None, choice("cli.facility:BEGIN_STATES", "STATE", _SERVE_HELP)] = None,
     out: options.Out = Path("out/serve"),
 ) -> None:
     """Run the facility in real time on host frames from the network."""
@@ -104,39 +104,39 @@ def serve_command(
     from cmf_mj.facility.operation import serve
     from cmf_mj.show import operation as report
 
-    last: Session | None = None  # an interrupt does not lose what was run until then
+    latest_session: Session | None = None  # an interrupt does not lose what was run until then
 
     def attend(session: Session) -> int:
-        nonlocal last
-        last = session
+        nonlocal latest_session
+        latest_session = session
         return server.attend(session) if protocol == "moog" else session.rate
 
-    plant, how = cmf_mj.Hexapod(cab, hydraulics), _begin_options(begin or "engaged", noise)
+    plant, run = cmf_mj.Hexapod(cab, hydraulics), _begin_options(begin or "engaged", noise)
     server: Any
     if protocol == "moog":
         if begin is not None:
             raise InputError(f"begin: {begin!r} is nothing to the protocol moog, which begins off")
         server = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
-        how |= {"begin": State.OFF, "requests": (), "paced": not lockstep}
+        run |= {"begin": State.OFF, "requests": (), "paced": not lockstep}
     else:
         if lockstep:
             raise InputError("lockstep: is nothing to the protocol cmf")
         server = UdpReceiver(port, host=host, host_port=host_port, bind=bind)
-    how["attend"] = attend
+    run["attend"] = attend
     with server as receiver:
         address = "{}:{}".format(*receiver.address)
         with progress_bar(f"serving {address}", seconds=True) as bar:
 
-            def progress(done: float) -> None:
-                if done == 0.0:
+            def progress(time: float) -> None:
+                if time == 0.0:
                     print(f"listening on {address}", flush=True)
-                bar(done, seconds)
+                bar(time, seconds)
 
             try:
-                operation = serve(plant, law, receiver.ring, seconds, progress=progress, **how)
+                operation = serve(plant, law, receiver.ring, seconds, progress=progress, **run)
             except KeyboardInterrupt:
-                if last is not None and last.frame:
-                    record = cmf_mj.Record(*last.history(), last.describe())
+                if latest_session is not None and latest_session.frame:
+                    record = cmf_mj.Record(*latest_session.history(), latest_session.describe())
                     print(f"written: {record.save(plain_path(out, 'record.parquet'))}", flush=True)
                 raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
@@ -146,7 +146,7 @@ def serve_command(
         tables.append(report.timing_table(operation.timing))
     arrivals = operation.arrivals
     doubts = unit_doubts(arrivals.time, arrivals.values[:, 0], plant.machine)
-    show(*tables, *doubts, _end_text(operation), written(paths))
+    show(*tables, *doubts, _end_text(operation), written_text(paths))
 
 
 @drawing("operate")
@@ -159,7 +159,7 @@ def operate_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    begin: Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)] = "engaged",
+    begin: Annotated[str, choice("cli.facility:BEGIN_STATES", "STATE", _BEGIN_HELP)] = "engaged",
     out: options.Out = Path("out/operate"),
 ) -> None:
     """Run the facility on a file of host frames, as fast as it goes."""
@@ -170,7 +170,7 @@ def operate_command(
     stream = _stream(file, rate, plant.cab_parameters)
     operation = operate(plant, law, stream, seconds=seconds, **_begin_options(begin, noise))
     paths = report.save_operation(operation, out)
-    show(report.account_table(operation), _end_text(operation), written(paths))
+    show(report.account_table(operation), _end_text(operation), written_text(paths))
 
 
 @command("host")
@@ -237,10 +237,10 @@ def export_command(
     from cmf_mj.plant.hexapod import make_plant
 
     if what == "law":
-        return show(written(export_law(law, out, cab), out))
-    made, chain = make_plant(plant, cab, hydraulics), noise_option(noise)
+        return show(written_text(export_law(law, out, cab), out))
+    machinery, chain = make_plant(plant, cab, hydraulics), noise_option(noise)
     if what == "library":
-        paths = export_library(made, law, out, electronics=chain)
+        paths = export_library(machinery, law, out, electronics=chain)
     else:
-        paths = [export_fmu(made, law, plain_path(out, "cmf.fmu"), fmi=fmi, electronics=chain)]
-    show(written(paths, out))
+        paths = [export_fmu(machinery, law, plain_path(out, "cmf.fmu"), fmi=fmi, electronics=chain)]
+    show(written_text(paths, out))

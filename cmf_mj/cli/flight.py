@@ -11,7 +11,7 @@ from typer import Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, noise_option, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_option, progress_bar, show, written_text
 from cmf_mj.cli.options import any_argument, choice, file, new_file
 from cmf_mj.core.errors import InputError
 
@@ -19,12 +19,12 @@ command = partial(app.command, rich_help_panel="Flight")
 drawing = options.drawing(command)
 
 _FLIGHTS, _SCRIPTS = "pilot.flight:all_flight_names", "pilot.scripts:SCRIPTS"
-_SOURCE = "script of JSBSim; with --from UDP port of telemetry, or CSV file"
-_FLOWN = "name or file; with --from the UDP port of live telemetry"
+_SOURCE_HELP = "script of JSBSim; with --from UDP port of telemetry, or CSV file"
+_FLIGHT = "name or file; with --from the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
-_KNOWN = 6  #: Drawn machines that a learner is made for.
-_QUICK = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
+_LEARNER_MACHINES = 6  #: Drawn machines that a learner is made for.
+_QUICK_FREQUENCIES = (0.631, 2.512, 10.0)  #: Frequencies of a quick test [rad/s].
 
 
 def _port(source: str) -> int:
@@ -36,7 +36,7 @@ def _port(source: str) -> int:
 
 @drawing("fly")
 def fly_command(
-    flight: Annotated[str, any_argument(_FLIGHTS, "FLIGHT", _FLOWN)],
+    flight: Annotated[str, any_argument(_FLIGHTS, "FLIGHT", _FLIGHT)],
     form: From = None,
     laws: options.Laws = options.VELOCITY,
     machine: options.Machine = "cmf",
@@ -56,33 +56,34 @@ def fly_command(
     from cmf_mj.show import flight as report
     from cmf_mj.show.operation import save_operation
 
-    loaded = [cmf_mj.load_law(name) for name in laws]
-    check_distinct("laws", [one.name for one in loaded])
-    port, flown = (0, load_flight(flight)) if form is None else (_port(flight), None)
-    if flown is None and len(loaded) != 1:
-        raise InputError(f"laws: {len(loaded)} for live telemetry; allowed: one")
-    how: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "electronics": noise_option(noise)}
-    length = seconds if flown is None else float(flown.motion.time[-1])
+    loaded_laws = [cmf_mj.load_law(name) for name in laws]
+    check_distinct("laws", [law.name for law in loaded_laws])
+    port, recorded = (0, load_flight(flight)) if form is None else (_port(flight), None)
+    if recorded is None and len(loaded_laws) != 1:
+        raise InputError(f"laws: {len(loaded_laws)} for live telemetry; allowed: one")
+    length = seconds if recorded is None else float(recorded.motion.time[-1])
+    ride_options: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "washout": washout}
+    ride_options["electronics"] = noise_option(noise)
     rides, paths = [], []
-    for law in loaded:
+    for law in loaded_laws:
         with progress_bar(f"flying {law.name}", seconds=True) as bar:
-            watched = how | {"washout": washout, "progress": lambda at, bar=bar: bar(at, length)}
-            if flown is None:
-                ride = fly_live(str(form), port, law, seconds=length, **watched)
+            ride_options["progress"] = lambda time, bar=bar: bar(time, length)
+            if recorded is None:
+                ride = fly_live(str(form), port, law, seconds=length, **ride_options)
             else:
-                ride = fly(flown.motion, law, **watched)
+                ride = fly(recorded.motion, law, **ride_options)
         rides.append(ride)
         folder = plain_path(out, ride.law)
         paths += save_operation(ride.operation, folder)
         paths += report.save_flight(ride, folder)
     paths += report.save_flights(rides, out)
-    title = flown.origin.title if flown else f"{form} at port {port}"
+    title = recorded.origin.title if recorded else f"{form} at port {port}"
     show(title, report.flight_table(rides), unfolded=True)
     for ride in rides:
-        kept = "kept within" if ride.use.travel <= 1.0 else "LEFT"
+        verdict = "kept within" if ride.use.travel <= 1.0 else "LEFT"
         stroke, speed = ride.use.share[3:5].max(axis=1)
         show(
-            f"{ride.law}: {kept} the envelope, legs {stroke:.0%} of their "
+            f"{ride.law}: {verdict} the envelope, legs {stroke:.0%} of their "
             f"stroke, {speed:.0%} of their speed, {int(ride.limited.sum())} "
             f"host frames held back; host to legs "
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms",
@@ -111,20 +112,20 @@ def learn_command(
     from cmf_mj.pilot.learning import draw_machine, learn
     from cmf_mj.show import flight as report
 
-    asked = cue(load_flight(flight).motion, washout, cab=cab).stream
-    machines = [draw_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN)]  # type: ignore[arg-type]
+    demand = cue(load_flight(flight).motion, washout, cab=cab).stream
+    machines = [draw_machine(cab, hydraulics, seed, draw) for draw in range(_LEARNER_MACHINES)]  # type: ignore[arg-type]
     plants = [cmf_mj.Hexapod(cab, hydraulics), *machines]
     run: dict[str, Any] = {"electronics": noise_option(noise), "trials": trials, "seed": seed}
     with progress_bar(f"learning {flight}") as update:
-        learnt = learn(asked, law, plants, progress=update, **run)
-    paths = report.save_learning(learnt, out)
-    show(report.trial_table(learnt), unfolded=True)
-    show(report.verdict_text(learnt), written(paths, out))
+        learning = learn(demand, law, plants, progress=update, **run)
+    paths = report.save_learning(learning, out)
+    show(report.trial_table(learning), unfolded=True)
+    show(report.verdict_text(learning), written_text(paths, out))
 
 
 @command("flight")
 def flight_command(
-    source: Annotated[str, any_argument(_SCRIPTS, "SOURCE", _SOURCE)],
+    source: Annotated[str, any_argument(_SCRIPTS, "SOURCE", _SOURCE_HELP)],
     form: From = None,
     file: Annotated[Path | None, new_file(help="CSV or Parquet file to write it to")] = None,
     seed: options.Seed = 1,
@@ -144,18 +145,19 @@ def flight_command(
             f"pilot's station from the centre of gravity: {x} m forward, {y} right, {z} down",
         )
     else:
-        table = form == "csv" and not source.isdigit()
-        sent = (read_telemetry(source), 0) if table else listen(form, _port(source), seconds)
-        received, refused = sent
-        verdict = check_telemetry(received)
-        span = float(received.time[-1] - received.time[0])
-        show(f"{received.time.size} samples in {span:.1f} s, {refused} datagrams of other form")
+        if form == "csv" and not source.isdigit():
+            telemetry, refused = read_telemetry(source), 0
+        else:
+            telemetry, refused = listen(form, _port(source), seconds)
+        verdict = check_telemetry(telemetry)
+        span = float(telemetry.time[-1] - telemetry.time[0])
+        show(f"{telemetry.time.size} samples in {span:.1f} s, {refused} datagrams of other form")
         show(*(f"ERROR: {error}" for error in verdict.errors))
         show(*(f"these data cannot show whether {error}" for error in verdict.unseen))
         if verdict.errors:
             raise typer.Exit(1)
         show("no error found")
-        flight = flight_of(received, form, Path(source).stem)
+        flight = flight_of(telemetry, form, Path(source).stem)
     if file is not None:
         show(f"written: {flight.save(file)}")
 
@@ -177,11 +179,11 @@ def cue_command(
     from cmf_mj.show import cueing as report
 
     bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
-    flown = cue(load_flight(flight).motion, washout, cab=cab, limits=bounds, rate=rate)
-    paths = report.save_cue(flown, out)
-    excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
-    plans = [] if flown.plans is None else [flown.plans]
-    show(report.error_table(flown), excursion, *plans, written(paths))
+    cueing = cue(load_flight(flight).motion, washout, cab=cab, limits=bounds, rate=rate)
+    paths = report.save_cue(cueing, out)
+    excursion = report.excursion_table(cueing.excursion, int(cueing.limited.sum()))
+    plans = [] if cueing.plans is None else [cueing.plans]
+    show(report.error_table(cueing), excursion, *plans, written_text(paths))
 
 
 @drawing("omct")
@@ -200,10 +202,9 @@ def omct_command(
     from cmf_mj.pilot.omct import FREQUENCIES, omct
     from cmf_mj.show import omct as report
 
-    how: dict[str, Any] = {"washout": washout, "cab": cab, "hydraulics": hydraulics}
-    frequencies, tested = _QUICK if quick else FREQUENCIES, [] if laws == ["none"] else laws
+    test: dict[str, Any] = {"washout": washout, "cab": cab, "hydraulics": hydraulics, "dofs": dofs}
+    test["frequencies"] = _QUICK_FREQUENCIES if quick else FREQUENCIES
     with progress_bar() as update:
-        how |= {"frequencies": frequencies, "dofs": dofs, "jobs": jobs, "progress": update}
-        result = omct(tested, **how)
+        result = omct([] if laws == ["none"] else laws, jobs=jobs, progress=update, **test)
     paths = report.save_omct(result, out)
-    show(report.omct_table(result), written(paths))
+    show(report.omct_table(result), written_text(paths))

@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, show
+from cmf_mj.cli.common import app, show, written_text
 from cmf_mj.cli.options import any_argument, argument
 from cmf_mj.core.errors import InputError
 
@@ -18,7 +18,7 @@ machines = typer.Typer(no_args_is_help=True, help="Motion bases as files: make, 
 app.add_typer(machines, name="machine", rich_help_panel="Show")
 
 Machine = Annotated[str, any_argument(options.MACHINES, "MACHINE", "name or TOML file")]
-SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
+CabName = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
 
 LISTS = ("laws", "machines", "hydraulics", "sensors")  #: What `cmf list` shows.
 _LIST = "laws or machines; one set of hydraulics or sensors, number by number"
@@ -41,17 +41,17 @@ def list_command(
         raise InputError(f"set: {name!r} is of no use to {what}; allowed: none")
     if what == "laws":
         fields = [*map(Field, ("name", "title", "source"))]
-        laws = [cmf_mj.load_law(one) for one in cmf_mj.law_names("all")]
+        laws = [cmf_mj.load_law(law_name) for law_name in cmf_mj.law_names("all")]
         show(Result(laws, fields, "control laws"))
     elif what == "machines":
         rows = [
-            (one.name, one.title, ", ".join(one.cabs), cmf_mj.load_law(one.law).name)
-            for one in map(cmf_mj.load_machine, machine_names())
+            (base.name, base.title, ", ".join(base.cabs), cmf_mj.load_law(base.law).name)
+            for base in map(cmf_mj.load_machine, machine_names())
         ]
         show(Table("machines", ("name", "title", "cabs", "law"), rows))
     elif what == "hydraulics":
-        chosen = hydraulics_of(cmf_mj.load_machine(machine), name)
-        show(quantity_table(f"hydraulics: {chosen.name}", chosen.quantities()))
+        hydraulics = hydraulics_of(cmf_mj.load_machine(machine), name)
+        show(quantity_table(f"hydraulics: {hydraulics.name}", hydraulics.quantities()))
     else:
         sensors = load_sensors(name or "noisy")
         title = f"sensors: {sensors.name}, gravity {'on' if sensors.gravity else 'off'}"
@@ -73,8 +73,8 @@ def new_command(
     target = check_target(file or Path(f"{name}.toml"))
     if target.exists():
         raise InputError(f"file: {target} exists and is kept; name another one with --file")
-    ours = (directory() / "machines" / "lab.toml").read_text(encoding="utf-8")
-    text = ours[ours.index("name = ") :].replace('name = "lab"', f'name = "{name}"', 1)
+    lab_text = (directory() / "machines" / "lab.toml").read_text(encoding="utf-8")
+    text = lab_text[lab_text.index("name = ") :].replace('name = "lab"', f'name = "{name}"', 1)
     text = text.replace("laws/lab.toml", "original", 1)
     show(f"written: {write_text(target, text)}")
 
@@ -92,16 +92,15 @@ def check_command(machine: Machine) -> None:
 
 @machines.command("build")
 def build_command(
-    machine: Machine, cab: SomeCab = None, out: options.Out = Path("out/machine")
+    machine: Machine, cab: CabName = None, out: options.Out = Path("out/machine")
 ) -> None:
     """Write the MJCF of a machine with a cab: the scene and the files that it includes."""
-    from cmf_mj.cli.common import written
     from cmf_mj.core.files import write_text
     from cmf_mj.plant.model_text import model_texts
 
-    chosen = cmf_mj.load_cab(cab, machine)
-    if not chosen.unchanged:
-        raise InputError(f"cab: {chosen.name!r} is changed; allowed: one of the machine's own")
-    scene, files = model_texts(chosen)
+    loaded_cab = cmf_mj.load_cab(cab, machine)
+    if not loaded_cab.unchanged:
+        raise InputError(f"cab: {loaded_cab.name!r} is changed; allowed: one of the machine's own")
+    scene, files = model_texts(loaded_cab)
     texts = {"scene.xml": scene} | {name: text.decode() for name, text in files.items()}
-    show(written([write_text(out / name, text) for name, text in texts.items()], out))
+    show(written_text([write_text(out / name, text) for name, text in texts.items()], out))

@@ -39,13 +39,14 @@ def choice(
 ) -> Any:
     """An option that takes a name, or several with commas between; `all` stands for every one.
 
-    `source` has the names, `source_of_all` those that `all` stands for. With `takes_files` it takes
-    files and other names too, which the command then checks. `make` is `Option` or `Argument`.
+    `source` has the names, `source_of_all` those that `all` stands for. With `takes_files` the
+    command checks what is no such name. `make` is `Option` or `Argument`.
     """
 
     def complete(incomplete: str) -> list[str]:
-        before, comma, last = incomplete.rpartition(",")
-        return [before + comma + name for name in names_in(source) if name.startswith(last)]
+        names_before, comma, beginning = incomplete.rpartition(",")
+        names = [name for name in names_in(source) if name.startswith(beginning)]
+        return [names_before + comma + name for name in names]
 
     def check(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
         if not value or ctx.resilient_parsing:
@@ -78,11 +79,10 @@ def _law_on_machine(ctx: typer.Context, name: str) -> str:
 def of_machine(source: str, metavar: str, text: str, source_of_all: str = "") -> Any:
     """An option whose names and default are those of the machine of the option `machine`.
 
-    The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
-    stands for the machine's own unless that is the CMF.
+    The command gets loaded cabs and hydraulic sets, and names of laws. A default stands for the
+    machine's own unless that is the CMF.
     """
-    how: dict[str, Any] = {"takes_files": True, "source_of_all": source_of_all}
-    option = choice(source, metavar, text, make=_machine_option, **how)
+    option = name_or_file(source, metavar, text, source_of_all=source_of_all, make=_machine_option)
     check = option.callback
 
     def load(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -115,7 +115,7 @@ def _load_of_machine(ctx: typer.Context, field: str, names: Any) -> Any:
 
 
 def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
-    """As `command`, for commands that draw: they take the format of their figures."""
+    """As `command`, with an option for the format of the figures."""
 
     def add_options(function: Callable[..., None]) -> Callable[..., None]:
         def draw(figure_format: str | None, **arguments: Any) -> None:
@@ -124,13 +124,13 @@ def drawing(command: Callable[[str], Any]) -> Callable[[str], Any]:
             with write_figures_as(figure_format):
                 function(**arguments)
 
-        own = signature(function, eval_str=True)
-        form = Parameter(
+        usage = signature(function, eval_str=True)
+        figure_format = Parameter(
             "figure_format", Parameter.KEYWORD_ONLY, default=None, annotation=FigureFormat
         )
         update_wrapper(draw, function)
-        parameters = [*own.parameters.values(), form]
-        vars(draw)["__signature__"] = own.replace(parameters=parameters)
+        parameters = [*usage.parameters.values(), figure_format]
+        vars(draw)["__signature__"] = usage.replace(parameters=parameters)
         return draw
 
     return lambda name: lambda function: command(name)(add_options(function))

@@ -19,7 +19,7 @@ from cmf_mj.cli.common import (
     progress_bar,
     quantity_option,
     show,
-    written,
+    written_text,
 )
 from cmf_mj.cli.options import any_argument, argument, choice, name_or_file, new_file, size
 from cmf_mj.core.errors import InputError
@@ -66,7 +66,7 @@ def run_command(
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
         record = chosen.record(progress=progress)
-    show(written(save_run(record, chosen, folder)))
+    show(written_text(save_run(record, chosen, folder)))
 
 
 @drawing("compare")

@@ -14,7 +14,7 @@ from typer import Argument, Context, Option
 
 import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, claim, friction_option, progress_bar, show, written
+from cmf_mj.cli.common import app, claim, friction_option, progress_bar, show, written_text
 from cmf_mj.cli.options import any_argument, choice, name_or_file, new_file
 from cmf_mj.core.errors import require
 
@@ -24,16 +24,16 @@ drawing = options.drawing(command)
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _BACKENDS = "threading, loky (processes) or dask"
 _READY, _TUNED = "studies.settings:STUDIES", Path("out/tune/law.toml")
-_SEARCHED = (
+_FORM_HELP = (
     "law whose gains to search: modal_plan, modal, velocity, pressure, feed_forward, acceleration"
 )
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
-SomeCabs = Annotated[
+OtherCabs = Annotated[
     list[str] | None,
     name_or_file(options.CABS, "CABS", "instead of the study's", source_of_all="cli.options:ALL"),
 ]
-SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
+OtherDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
 
 
 @drawing("study")
@@ -43,8 +43,8 @@ def study_command(
     out: options.NamedOut = None,
     machine: options.OtherMachine = None,
     laws: Laws = None,
-    cabs: SomeCabs = None,
-    dofs: SomeDofs = None,
+    cabs: OtherCabs = None,
+    dofs: OtherDofs = None,
     draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
     quick: options.Quick = False,
     jobs: options.Jobs = None,
@@ -63,37 +63,37 @@ def study_command(
     from cmf_mj.studies.engine import RESULTS, run_study
     from cmf_mj.studies.settings import load_study, study_table
 
-    how: dict[str, Any] = {"jobs": os.cpu_count() or 1 if jobs is None else jobs}
-    how |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
-    given = {"machine": machine, "cabs": cabs, "dofs": dofs, "draws": draws}
-    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    workers: dict[str, Any] = {"jobs": os.cpu_count() or 1 if jobs is None else jobs}
+    workers |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
+    entries = {"machine": machine, "cabs": cabs, "dofs": dofs, "draws": draws}
+    changes: dict[str, Any] = {key: value for key, value in entries.items() if value is not None}
     out = claim(context, out or Path("out") / Path(specification).stem)
     tables, figures = dict[str, Any](), dict[str, Any]()
     try:
         with progress_bar() as update:
-            specified, _ = study_table(specification)
-            if "effects" in specified:
+            specification_table, _ = study_table(specification)
+            if "effects" in specification_table:
                 effects = load_effects(specification, laws=laws, changes=changes, quick=quick)
-                tables = effect_tables(run_effects(effects, out, progress=update, **how))
-            elif "unknowns" in specified:
-                unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
-                results = run_posterior(unknown, out, progress=update, **how)
+                tables = effect_tables(run_effects(effects, out, progress=update, **workers))
+            elif "unknowns" in specification_table:
+                posterior = load_posterior(specification, laws=laws, changes=changes, quick=quick)
+                results = run_posterior(posterior, out, progress=update, **workers)
                 tables, figures = posterior_tables(results), posterior_figures(results)
             else:
                 changes |= {"quick": True} if quick else {}
                 study = load_study(specification, laws=laws, changes=changes)
-                table = run_study(study, out, progress=update, **how)
+                table = run_study(study, out, progress=update, **workers)
                 show(report.summary_table(table))
                 paths = [out / RESULTS, *report.save_report(table, out)]
         if tables:
             show(*[*tables.values()][:2])  # of the others many have more rows than a screen
-            kinds = product(tables.items(), ("md", "csv"))
-            files = {f"{name}.{kind}": each.table for (name, each), kind in kinds}
+            kinds = product(tables, ("md", "csv"))
+            files = {f"{name}.{kind}": tables[name].table for name, kind in kinds}
             paths = save_files(files | figures, out, 90)
-        show(written(paths, out))
+        show(written_text(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command continues {out}", err=True)
-        if how["backend"] == "threading":
+        if workers["backend"] == "threading":
             sys.stderr.flush()
             os._exit(130)  # threads still compute: they would outlive what they compute on
         raise SystemExit(130) from None
@@ -102,7 +102,7 @@ def study_command(
 @command("tune")
 def tune_command(
     name: Annotated[str | None, Option(help="name of the law; default FORM_tuned")] = None,
-    form: Annotated[str, choice(_FORMS, "FORM", _SEARCHED)] = "modal_plan",
+    form: Annotated[str, choice(_FORMS, "FORM", _FORM_HELP)] = "modal_plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     machine: options.Machine = "cmf",
@@ -118,30 +118,31 @@ def tune_command(
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
-    stated, limits = friction_option(friction), Requirements(peak, overshoot / 100.0)
-    named = name or f"{form}_tuned"
-    template = make_template(named, named.replace("_", " ").capitalize(), cabs, stated)
-    how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
+    limits = Requirements(peak, overshoot / 100.0)
+    name = name or f"{form}_tuned"
+    title = name.replace("_", " ").capitalize()
+    template = make_template(name, title, cabs, friction_option(friction))
+    effort: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
-        result = search(template, limits, progress=update, **how)
-    names = ",".join(cab.carrier.name for cab in template.cabs)
+        result = search(template, limits, progress=update, **effort)
+    cab_names = ",".join(cab.carrier.name for cab in template.cabs)
     base = cmf_mj.load_cab(cabs[0]).machine.name
-    on = "" if base == CMF else f"--machine {base} "
+    machine_text = "" if base == CMF else f"--machine {base} "
     command_line = (
-        f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
-        f"--cabs {names} --evaluations {evaluations} --seed {seed}"
+        f"cmf tune {machine_text}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
+        f"--cabs {cab_names} --evaluations {evaluations} --seed {seed}"
         + ("" if friction is None else f" --friction {friction}")
     )
     law = result.law.model_copy(update={"source": f"this project: {command_line}"})
     save_law(law, target, f"Written by `{command_line}`.")
-    reached = result.performance
+    performance = result.performance
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "
-        f"-90 deg {reached.phase_hz.min():.2f} Hz, peak {reached.peak_db.max():.2f} dB, "
-        f"overshoot {100.0 * reached.overshoot.max():.1f} %, least damping ratio "
+        f"-90 deg {performance.phase_hz.min():.2f} Hz, peak {performance.peak_db.max():.2f} dB, "
+        f"overshoot {100.0 * performance.overshoot.max():.1f} %, least damping ratio "
         f"{least_damping(law, template.frictionless):.3f}; {result.verdict}",
         f"{result.evaluations} laws tried; written to {target}",
-        f"what the simulation gives: cmf compare {on}--laws {target}",
+        f"what the simulation gives: cmf compare {machine_text}--laws {target}",
     )
 
 
@@ -162,34 +163,35 @@ def certify_command(
     from cmf_mj.plant.cylinder import contact_text
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
-    from cmf_mj.studies import certificate as run
+    from cmf_mj.studies import certificate
     from cmf_mj.studies.certificate_box import load_box
     from cmf_mj.studies.engine import one_library_thread
 
     unit_box = load_box(box)
-    effort = (run.QUICK if quick else run.Effort())._replace(seed=seed)
+    effort = (certificate.QUICK if quick else certificate.Effort())._replace(seed=seed)
     contacts = (
         [friction_option(text.strip()) for text in friction.split(",")] if friction else [None]
     )
     plants = [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs]
-    loaded = [cmf_mj.load_law(law) for law in laws]
-    check_distinct("laws", [law.name for law in loaded])
+    loaded_laws = [cmf_mj.load_law(law) for law in laws]
+    check_distinct("laws", [law.name for law in loaded_laws])
     check_distinct("cabs", [plant.cab for plant in plants])
     certificates = []
     with progress_bar() as update:
-        cases = list(product(loaded, plants, contacts))
+        cases = list(product(loaded_laws, plants, contacts))
         update(0, len(cases))
         for law, plant, contact in cases:
             folder = out / law.name / plant.cab
             if len(contacts) > 1:
                 folder /= contact_text(contact).replace(" m/s", "")
             with one_library_thread():  # so that the same seed gives the same bits
-                certificates.append(run.certify(plant, law, folder, unit_box, effort, contact))
+                proof = certificate.certify(plant, law, folder, unit_box, effort, contact)
+            certificates.append(proof)
             update(len(certificates), len(cases))
-    tables = run.certificate_tables(certificates)
-    files = {f"{name}.{end}": table for name, table in tables.items() for end in ("md", "csv")}
+    tables = certificate.certificate_tables(certificates)
+    files = {f"{name}.{kind}": tables[name] for name, kind in product(tables, ("md", "csv"))}
     figure = {"certificates.png": report.certificate_figure(certificates)}
-    show(*tables.values(), written(save_files(files | figure, out), out))
+    show(*tables.values(), written_text(save_files(files | figure, out), out))
 
 
 reports = typer.Typer()
@@ -250,4 +252,4 @@ def linear_command(
 
     loops, rows = linear.law_loops(laws), linear.table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    show(rows, loops, written(paths, out))
+    show(rows, loops, written_text(paths, out))

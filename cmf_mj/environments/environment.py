@@ -1,8 +1,8 @@
 """Any plant as a Gymnasium environment: a session that runs a step of control frames at a time.
 
-What an action does, what is seen, the reward, what a run is about and how machines differ are
-arguments; without them an action is the valve commands, or with a law the extensions demanded, and
-the cylinders are seen.
+The arguments choose the action, the observation, the reward, the task of a run and the unknown
+numbers of its machine. By default an action is the valve commands, or with a law the extensions
+demanded, and the observation is `of_cylinders`.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,10 +34,8 @@ from cmf_mj.plant.plant import Plant
 Array = NDArray[np.float64]
 
 FRAMES = 64  #: Control frames of a step, by default: 1/32 s at 2048 Hz.
-
-LOST = 100.0  #: Taken off the reward of a run that leaves the machine's physical bounds.
-
-_SIZE = 480, 640  #: Of a picture: rows and columns.
+_PENALTY = 100.0  #: The reward is less by it where a run leaves the machine's physical bounds.
+_PICTURE_SIZE = 480, 640  #: Rows and columns.
 
 
 class ObservedQuantity(NamedTuple):
@@ -46,7 +44,7 @@ class ObservedQuantity(NamedTuple):
     name: str
     unit: str
     width: int  #: Numbers.
-    largest: float  #: Beyond it the observation is held.
+    largest: float  #: Bound of the observation.
     of: Callable[[Any], ArrayLike]  #: The numbers, of the environment.
 
 
@@ -54,7 +52,7 @@ def of_cylinders(plant: Plant) -> tuple[ObservedQuantity, ...]:
     """Extension, velocity and pressure difference of each cylinder."""
     count, reach = plant.legs, 1.25 * float(plant.hydraulics.cylinder.half_stroke.max())
 
-    def across(env: MachineEnv) -> Array:
+    def pressure_difference(env: MachineEnv) -> Array:
         pressure = env.running.dynamics.state.pressure
         return 1e-6 * (pressure[:, CAP] - pressure[:, ROD])
 
@@ -63,7 +61,7 @@ def of_cylinders(plant: Plant) -> tuple[ObservedQuantity, ...]:
         ObservedQuantity(
             "leg_velocity", "m/s", count, 2.0, lambda env: env.running.memory.mean_velocity
         ),
-        ObservedQuantity("pressure_difference", "MPa", count, 50.0, across),
+        ObservedQuantity("pressure_difference", "MPa", count, 50.0, pressure_difference),
     )
 
 
@@ -71,10 +69,10 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A plant in steps of some control frames.
 
     >>> from cmf_mj.environments import MachineEnv
-    >>> def still(env, action):  # extensions near the middle; the task never ends
+    >>> def closeness(env, action):  # of extensions to the middle; the task never ends
     ...     return -float(np.abs(env.extension).sum()), False
-    >>> env = MachineEnv(cmf_mj.SingleLegs(), reward=still, frames=128, seconds=2.0)
-    >>> seen, info = env.reset(seed=0)
+    >>> env = MachineEnv(cmf_mj.SingleLegs(), reward=closeness, frames=128, seconds=2.0)
+    >>> observation, info = env.reset(seed=0)
     >>> env.step(0.1 * np.ones(6))[0].shape
     (18,)
     """
@@ -119,15 +117,15 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             check_name("render_mode", render_mode, self.metadata["render_modes"])
         self.plant, self._nominal, self._unknowns = plant, plant, unknowns
         self.law = self._nominal_law = None if law is None else load_law(law, plant.machine)
-        self.render_mode, self._reward, self._act, self._begin = render_mode, reward, act, begin
+        self.render_mode, self._reward, self._begin = render_mode, reward, begin
+        self._act = MachineEnv._table if act is None else act
         self.frames, self._start = whole("frames", frames, 1, MOST_FRAMES), start
         if not 0.0 < real("seconds", seconds) * plant.machine.rate <= MOST_FRAMES:
             allowed = f"above 0, up to {MOST_FRAMES} frames"
             raise InputError(f"seconds: {seconds} is refused; allowed: {allowed}")
         self.steps = max(round(seconds * plant.machine.rate / self.frames), 1)
         """Steps after which a run is truncated."""
-        self.period = self.frames * plant.machine.frame
-        """Length of a step [s]."""
+        self.period = self.frames * plant.machine.frame  #: Length of a step [s].
         self.metadata = {**self.metadata, "render_fps": max(round(1.0 / self.period), 1)}  # type: ignore[misc]
         self.quantities = tuple(of_cylinders(plant) if quantities is None else quantities)
         """Names, units and order of the observation."""
@@ -137,8 +135,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._actions = plant.legs if actions is None else actions
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self._actions,))
         self.session: Session | None = None
-        self.info: dict[str, Any] = {}
-        """What a reset and a step hand out beside the observation."""
+        self.info: dict[str, Any] = {}  #: What a reset and a step return with the observation.
         self._renderer: mujoco.Renderer | None = None
 
     @property
@@ -164,15 +161,15 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         elif options:
             raise InputError(f"options: {options!r} is refused; allowed: none")
         if self._unknowns is not None:
-            own = self._unknowns.on(self._nominal)
-            values = own.streams(int(self.np_random.integers(2**31)), 0)
-            self.plant = own.apply(values, self._nominal)
+            unknowns = self._unknowns.on(self._nominal)
+            values = unknowns.streams(int(self.np_random.integers(2**31)), 0)
+            self.plant = unknowns.apply(values, self._nominal)
             if self._nominal_law is not None:
-                self.law = own.apply(values, self._nominal_law)
+                self.law = unknowns.apply(values, self._nominal_law)
         self.plant.start(self._start)
-        self._asked = self.plant.extensions()
-        table = 0.0 * self._asked if self.law is None else self._asked
-        self.table = np.tile(table, (self.frames, 1))
+        self._demand = self.plant.extensions()
+        row = 0.0 * self._demand if self.law is None else self._demand
+        self.table = np.tile(row, (self.frames, 1))
         run = Run(
             plant=self.plant,
             law=self.law,
@@ -182,19 +179,19 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             record_every=self.frames,
         )
         self.session = run.session(kept_seconds=self.period)
-        self._done = False
+        self._is_done = False
         return self.observation(), deepcopy(self.info)
 
     @staticmethod
-    def chosen(options: Any, name: str, drawn: Array, most: float) -> Array:
-        """What the options of a reset have under a name, rows of as many numbers as are drawn."""
-        given = {} if options is None else options
-        if not isinstance(given, dict) or given.keys() - {name}:
+    def option(options: Any, name: str, default: Array, largest: float) -> Array:
+        """The only option of a reset, rows of as many numbers as the default has."""
+        table = {} if options is None else options
+        if not isinstance(table, dict) or table.keys() - {name}:
             raise InputError(f"options: {options!r} is refused; allowed: {{{name!r}: numbers}}")
-        values = real(name, given.get(name, drawn))
-        fits = values.size and values.ndim <= drawn.ndim and values.shape[-1:] == drawn.shape[-1:]
-        if not (fits and (np.abs(values) <= most).all()):
-            allowed = f"numbers of shape {drawn.shape}, of size {most:g} at most"
+        values = real(name, table.get(name, default))
+        is_wide = values.size and values.shape[-1:] == default.shape[-1:]
+        if not (is_wide and values.ndim <= default.ndim and (np.abs(values) <= largest).all()):
+            allowed = f"numbers of shape {default.shape}, of size {largest:g} at most"
             raise InputError(f"{name}: {values.tolist()} is refused; allowed: {allowed}")
         return values.copy()
 
@@ -203,35 +200,39 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run the control frames of a step."""
         session = self.running
-        if self._done or session.frame >= session.frames:
+        if self._is_done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
-        acted = np.clip(shaped("action", action, self._actions), -1.0, 1.0)
-        self.table[:] = self._held(acted) if self._act is None else self._act(self, acted)
-        left: dict[str, Any] = {}
+        bounded_action = np.clip(shaped("action", action, self._actions), -1.0, 1.0)
+        self.table[:] = self._act(self, bounded_action)
+        end: dict[str, Any] = {}
         try:
             session.run(self.frames)
-        except OutOfBounds as end:
-            left["left"] = str(end)
-        seen = self.observation()
-        reward, done = self._reward(self, acted)
-        if left:
-            self.session, reward, done = None, -LOST, True
-        self._done = done
-        return seen, reward, done, session.frame >= session.frames, deepcopy(self.info) | left
+        except OutOfBounds as error:
+            end["left"] = str(error)
+        observation = self.observation()
+        reward, self._is_done = self._reward(self, bounded_action)
+        if end:
+            self.session, reward, self._is_done = None, -_PENALTY, True
+        info = deepcopy(self.info) | end
+        return observation, reward, self._is_done, session.frame >= session.frames, info
 
-    def _held(self, action: Array) -> Array:
-        """The table without `act`."""
+    def _table(self, action: Array) -> Array:
+        """Valve commands, or demanded extensions, of an action: `act` by default."""
         if self.law is None:
             return action
-        before, self._asked = self._asked, action * self.plant.hydraulics.cylinder.half_stroke
+        old_demand, self._demand = self._demand, action * self.plant.hydraulics.cylinder.half_stroke
+        return self._line(old_demand, self._demand)
+
+    def _line(self, begin: Array, end: Array) -> Array:
+        """A table that goes from one row, which it has not, to another in a straight line."""
         share = np.arange(1, self.frames + 1)[:, None] / self.frames
-        return np.asarray(before + share * (self._asked - before))
+        return np.asarray(begin + share * (end - begin))
 
     def observation(self) -> NDArray[np.float32]:
-        """What is seen, held within its bounds; what is no number is 0."""
-        seen = np.concatenate([np.atleast_1d(quantity.of(self)) for quantity in self.quantities])
-        seen[np.isnan(seen)] = 0.0
-        return np.asarray(np.clip(seen, -self._high, self._high), dtype=np.float32)
+        """The quantities within their bounds; what is no number is 0."""
+        values = np.concatenate([np.atleast_1d(quantity.of(self)) for quantity in self.quantities])
+        values[np.isnan(values)] = 0.0
+        return np.asarray(np.clip(values, -self._high, self._high), dtype=np.float32)
 
     def render(self) -> Any:
         """A picture of the machine, (480, 640, 3)."""
@@ -239,10 +240,11 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             return None
         model = self.plant.drawn_model
         if self._renderer is None:
-            self._renderer, self._drawn = mujoco.Renderer(model, *_SIZE), mujoco.MjData(model)
-        self._drawn.qpos[:] = self.plant.data.qpos
-        mujoco.mj_forward(model, self._drawn)
-        self._renderer.update_scene(self._drawn)
+            self._renderer = mujoco.Renderer(model, *_PICTURE_SIZE)
+            self._picture_data = mujoco.MjData(model)
+        self._picture_data.qpos[:] = self.plant.data.qpos
+        mujoco.mj_forward(model, self._picture_data)
+        self._renderer.update_scene(self._picture_data)
         return self._renderer.render()
 
     def close(self) -> None:
@@ -257,8 +259,8 @@ ACTIONS = ("pose", "valves", "residual")
 
 _REACH = np.array([0.3, 0.3, 0.2, 0.15, 0.15, 0.2])
 """Pose of a full action, and the range of targets [m, rad]."""
-
 _RESIDUAL = 0.2  #: Share of it that a residual may add.
+_LARGEST_ERROR = 2.0  #: Bound of the observed pose error and of targets [m, rad].
 
 
 class HexapodEnv(MachineEnv):
@@ -284,40 +286,43 @@ class HexapodEnv(MachineEnv):
         """
         self.action = check_name("action", action, ACTIONS)
         plant = Hexapod(load_cab(cab), load_hydraulics(hydraulics))
-        missing = ObservedQuantity("pose_error", "m, rad", 6, 2.0, HexapodEnv._missing)
+        error = ObservedQuantity(
+            "pose_error", "m, rad", 6, _LARGEST_ERROR, HexapodEnv._measure_error
+        )
         super().__init__(
-            *(plant, None if action == "valves" else law),
-            reward=HexapodEnv._judge,
-            act=None if action == "valves" else HexapodEnv._ramp,
-            quantities=(*of_cylinders(plant), missing),
-            begin=HexapodEnv._aim,
+            plant,
+            None if action == "valves" else law,
+            reward=HexapodEnv._error_reward,
+            act=None if action == "valves" else HexapodEnv._leg_table,
+            quantities=(*of_cylinders(plant), error),
+            begin=HexapodEnv._choose_target,
             unknowns=unknowns,
             seconds=seconds,
             render_mode=render_mode,
         )
 
-    def _aim(self, options: Any) -> None:
-        drawn = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
-        self.target = self.chosen(options, "target", drawn, self.quantities[3].largest)
+    def _choose_target(self, options: Any) -> None:
+        random_target = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
+        self.target = self.option(options, "target", random_target, _LARGEST_ERROR)
         self.info["target"] = self.target.copy()
         self._pose = np.zeros(6)
 
-    def _ramp(self, action: Array) -> Array:
-        aim = action * _REACH
+    def _leg_table(self, action: Array) -> Array:
+        pose = action * _REACH
         if self.action == "residual":
-            aim = self.target + _RESIDUAL * aim
-        share = np.arange(1, self.frames + 1)[:, None] / self.frames
-        table = pose_to_legs(self._pose + share * (aim - self._pose), self.plant.machine)
-        self._pose = aim
+            pose = self.target + _RESIDUAL * pose
+        table = pose_to_legs(self._line(self._pose, pose), self.plant.machine)
+        self._pose = pose
         return table
 
-    def _missing(self) -> Array:
-        self._apart = np.zeros(6)
+    def _measure_error(self) -> Array:
+        """The target less the pose; 0 where the legs have none."""
+        self._pose_error = np.zeros(6)
         if np.isfinite(self.extension).all():
             with suppress(NoPoseError):
-                self._apart = self.target - legs_to_pose(self.extension, self.plant.machine)
-        return self._apart
+                self._pose_error = self.target - legs_to_pose(self.extension, self.plant.machine)
+        return self._pose_error
 
-    def _judge(self, action: Array) -> tuple[float, bool]:
-        error = self._apart / 0.1
+    def _error_reward(self, action: Array) -> tuple[float, bool]:
+        error = self._pose_error / 0.1
         return -float(error @ error + 0.01 * action @ action) * self.period, False

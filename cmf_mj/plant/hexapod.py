@@ -106,17 +106,17 @@ class Hexapod(Plant):
                 default as shipped.
             timestep: mechanical step [s]; default that of the `spec`, else as `set_timestep`.
         """
-        self.cab_parameters = loaded = load_cab(cab, machine)
-        self.cab = loaded.name
+        self.cab_parameters = loaded_cab = load_cab(cab, machine)
+        self.cab = loaded_cab.name
         try:
             self._drawn = None if spec is None else spec.compile()
-            model = hexapod_model(loaded, drawn=False) if spec is None else headless(spec)
+            model = hexapod_model(loaded_cab, has_geoms=False) if spec is None else headless(spec)
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
         if spec is None or timestep is not None:
-            set_timestep(model.opt, timestep, loaded.machine.frame)
-        parameters = hydraulics_of(loaded.machine, hydraulics)
-        super().__init__(model, parameters, payload=["platform"], machine=loaded.machine)
+            set_timestep(model.opt, timestep, loaded_cab.machine.frame)
+        parameters = hydraulics_of(loaded_cab.machine, hydraulics)
+        super().__init__(model, parameters, payload=["platform"], machine=loaded_cab.machine)
 
     def check(self) -> None:
         """Refuse a model that is not the machine of kinematics, hydraulics and cab.
@@ -125,11 +125,11 @@ class Hexapod(Plant):
         at neutral, the masses those of the cab.
         """
         super().check()
-        stroke, half = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
-        for leg in np.flatnonzero(~(np.abs(half - stroke) <= fit.SAME)):
+        stroke, strokes = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(~(np.abs(strokes - stroke) <= fit.SAME)):
             raise InputError(
-                f"half_stroke: set {self.parameters.name!r} gives leg_{leg + 1} +-{half[leg]:.6g} "
-                f"m, the kinematics +-{stroke:.6g} m; allowed: both the same"
+                f"half_stroke: set {self.parameters.name!r} gives leg_{leg + 1} "
+                f"+-{strokes[leg]:.6g} m, the kinematics +-{stroke:.6g} m; allowed: both the same"
             )
         assert self.cab_parameters is not None
         fit.check_hexapod(self.model, self.data, self.machine.geometry, self.cab_parameters)
@@ -194,8 +194,8 @@ class Hexapod(Plant):
 
     def _platform_places(self) -> tuple[slice, slice]:
         """Where the platform's position and quaternion stand in the generalised positions."""
-        first = self.model.joint("platform").qposadr[0]
-        return slice(first, first + 3), slice(first + 3, first + 7)
+        start = self.model.joint("platform").qposadr[0]
+        return slice(start, start + 3), slice(start + 3, start + 7)
 
     def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
         """Platform pose (..., 6), report axes, of generalised positions `qpos`, (..., nq)."""
@@ -211,9 +211,8 @@ class Hexapod(Plant):
         target = np.zeros(6) if pose is None else shaped("pose", pose, 6)
         mass = self.reflected_mass(target)
         legs = kinematics.pose_to_legs(target, self.machine)
-        springs = cylinder.stiffness(
-            self.hydraulics.cylinder, self.hydraulics.oil.bulk_modulus, legs
-        )
+        bulk_modulus = self.hydraulics.oil.bulk_modulus
+        springs = cylinder.stiffness(self.hydraulics.cylinder, bulk_modulus, legs)
         frequency, shapes = oil_modes(mass, springs)
         jacobian = kinematics.pose_jacobian(target, self.machine)
         pose_shapes = np.linalg.inv(jacobian) @ shapes
@@ -232,34 +231,31 @@ def hexapod_spec(
     The legs stand on rigid ground or, `sliding`, on a body `floor` that slides in x, y and z and
     has no mass yet; `yielding` gives it one, and springs.
     """
-    loaded = load_cab(cab, machine)
-    base = load_cab(loaded.base, loaded.machine)
+    loaded_cab = load_cab(cab, machine)
+    base = load_cab(loaded_cab.base, loaded_cab.machine)
     scene, files = model_texts(base)
     if sliding:
         files[MACHINE_FILE] = with_floor(files[MACHINE_FILE])
     spec = mujoco.MjSpec.from_string(scene, files)
-    _change_masses(spec, loaded, base)
+    _change_masses(spec, loaded_cab, base)
     return spec
 
 
-def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) -> mujoco.MjModel:
-    """The compiled machine with a cab; one that is not `drawn` is the `headless` one."""
-    return copy.copy(_compiled_model(load_cab(cab), drawn))
+def hexapod_model(cab: str | Path | Cab | None = None, *, has_geoms: bool = True) -> mujoco.MjModel:
+    """The compiled machine with a cab; one without geoms is the `headless` one."""
+    return copy.copy(_compiled_model(load_cab(cab), has_geoms))
 
 
 @lru_cache(maxsize=8)
-def _compiled_model(cab: Cab, drawn: bool) -> mujoco.MjModel:
+def _compiled_model(cab: Cab, has_geoms: bool) -> mujoco.MjModel:
     """The model of a cab, to be copied and never changed."""
     spec = hexapod_spec(cab)
-    return spec.compile() if drawn else headless(spec)
+    return spec.compile() if has_geoms else headless(spec)
 
 
 def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Principal moments (3,) [kg m^2] of a tensor (3, 3), and the quaternion of their axes.
-
-    A diagonal tensor keeps its axes.
-    """
-    if inertia[0, 1] == inertia[0, 2] == inertia[1, 2] == 0.0:
+    """Principal moments (3,) [kg m^2] of a tensor (3, 3), and the quaternion of their axes."""
+    if inertia[0, 1] == inertia[0, 2] == inertia[1, 2] == 0.0:  # keeps its axes
         return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
     moments, axes = np.linalg.eigh(inertia)
     axes *= np.sign(np.linalg.det(axes))
@@ -268,10 +264,8 @@ def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
 
 def _change_masses(spec: mujoco.MjSpec, cab: Cab, base: Cab) -> None:
     """Give the bodies of a base's model the masses of a cab, where they differ."""
-    for name, part, base_part in (
-        ("platform", cab.platform, base.platform),
-        ("cab/cab", cab, base),
-    ):
+    bodies = (("platform", cab.platform, base.platform), ("cab/cab", cab, base))
+    for name, part, base_part in bodies:
         fields = RigidBody.model_fields
         if any(getattr(part, field) != getattr(base_part, field) for field in fields):
             body = spec.body(name)

@@ -39,12 +39,11 @@ from cmf_mj.core.settings import Settings, Time, as_tuples, beside, read_toml, v
 from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.record.record import Record
-from cmf_mj.record.sources import REMARK, Source, bridged, even_clock, read_source, resampled
+from cmf_mj.record.sources import REMARK, Source, bridge_gaps, even_clock, read_source, resample
 
 Array = NDArray[np.float64]
 
-FACILITY = Path(__file__).with_name("facility.toml")
-"""Map of the facility's CSV files."""
+FACILITY = Path(__file__).with_name("facility.toml")  #: Map of the facility's CSV files.
 
 _STROKE_CHANNELS = ("leg_position", "leg_reference")  #: Channels that are within the stroke.
 POSES = ("demand_pose", "platform_pose")  #: Channels of six axes, m and rad.
@@ -63,7 +62,7 @@ _Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples), _Six]
 _Sign = Literal[-1, 1]
 _Signs = Annotated[tuple[_Sign, ...], BeforeValidator(as_tuples), _Six]
 _Rate = Annotated[float, Field(gt=0.0, le=1e6)]
-_SLOWEST = 1.0  #: Rate [Hz] below which a recording's clock has another unit.
+_LOWEST_RATE = 1.0  #: Rate [Hz] below which a recording's clock has another unit.
 
 
 class TimeColumn(Settings):
@@ -144,9 +143,10 @@ class ColumnMap(Settings):
         names = channel_columns.columns
         if isinstance(names, str):
             names = tuple(names.replace("{leg}", str(leg)) for leg in self.legs)
-        unit, sign = _six(channel_columns.unit), _six(channel_columns.sign)
-        scale, offset = channel_columns.scale, _six(channel_columns.offset)
-        return [MappedColumn(names[k], unit[k], sign[k], scale, offset[k]) for k in range(6)]
+        numbers = (channel_columns.unit, channel_columns.sign, channel_columns.offset)
+        rows = zip(names, *map(_for_six_columns, numbers), strict=True)
+        scale = channel_columns.scale
+        return [MappedColumn(name, unit, sign, scale, offset) for name, unit, sign, offset in rows]
 
 
 def si_units(channel: str) -> tuple[str, ...]:
@@ -159,18 +159,18 @@ def _check_unit(unit: str, si_unit: str) -> None:
         raise InputError(f"unit: {unit!r} is {units.si_unit(unit)}; allowed: a unit of {si_unit}")
 
 
-def _six(value: Any) -> tuple[Any, ...]:
+def _for_six_columns(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,) * 6
 
 
-def load_columns(source: "str | Path | ColumnMap" = FACILITY) -> ColumnMap:
+def load_columns(columns: "str | Path | ColumnMap" = FACILITY) -> ColumnMap:
     """A map as it is, or of its TOML file; a machine's file in it is beside that file."""
-    if isinstance(source, ColumnMap):
-        return source
-    table = read_toml(Path(source))
+    if isinstance(columns, ColumnMap):
+        return columns
+    table = read_toml(Path(columns))
     if isinstance(table.get("machine"), str):
-        table["machine"] = str(beside(Path(source).parent, table["machine"]))
-    return validated(ColumnMap, table, str(source))
+        table["machine"] = str(beside(Path(columns).parent, table["machine"]))
+    return validated(ColumnMap, table, str(columns))
 
 
 def read_mapped(
@@ -235,18 +235,15 @@ def _whole_map(source: Source, column_map: ColumnMap, half_stroke: float) -> Col
 
 def _check_cells(source: Source, column: MappedColumn, bound: float) -> None:
     """Refuse a column with a cell that has no number below a bound in SI."""
-    is_odd, unit = ~(np.abs(column.to_si(source.column(column.name))) < bound), column.unit
-    if is_odd.any():
+    is_wrong, unit = ~(np.abs(column.to_si(source.column(column.name))) < bound), column.unit
+    if is_wrong.any():
         allowed = f"allowed: a number within {units.from_si(unit, bound):.6g} {unit}"
         allowed += f" of {column.offset:g}" if column.offset else ""
-        raise InputError(f"{column.name}: row {int(is_odd.argmax()) + 1} has no such; {allowed}")
+        raise InputError(f"{column.name}: row {int(is_wrong.argmax()) + 1} has no such; {allowed}")
 
 
 def write_facility_csv(record: Record, path: str | Path) -> Path:
-    """Write the channels of a record that `FACILITY` maps, and its metadata; six decimals.
-
-    The rate stays; the facility's recorder has 128 Hz.
-    """
+    """Write what `FACILITY` maps, at the record's rate and with six decimals, and the metadata."""
     column_map, columns, target = load_columns(), {}, Path(path)
     for channel in column_map.channels:
         if channel in record.channels:
@@ -268,22 +265,23 @@ def _record(source: Source, column_map: ColumnMap, metadata: dict[str, Any]) -> 
     time, rate = stamps, clock.resample or clock.rate
     if rate is None:
         time, rate = even_clock(stamps)
-    channels, missing, filled = dict[str, Array](), list[str](), dict[str, int]()
+    channels, missing, bridged = dict[str, Array](), list[str](), dict[str, int]()
     for channel in column_map.channels:
-        histories, absent = _histories(source, column_map, channel)
-        missing += absent
+        histories, missing_columns = _histories(source, column_map, channel)
+        missing += missing_columns
         if clock.resample is not None:
-            time, histories = resampled(stamps, histories, rate, bridge)
+            time, histories = resample(stamps, histories, rate, bridge)
         for k, history in enumerate(histories):
-            histories[k], samples = bridged(history, round(bridge * rate))
-            filled |= {f"{channel}/{k}": samples} if samples else {}
+            histories[k], samples = bridge_gaps(history, round(bridge * rate))
+            if samples:
+                bridged[f"{channel}/{k}"] = samples
         channels[channel] = histories.T
-    recording: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": filled}
+    recording: dict[str, Any] = {"file": source.path.name, "missing": missing, "bridged": bridged}
     recording["units"] = {name: column_map.columns(name)[0].unit for name in channels}
     recording["last_place"] = _last_place(source, column_map, "leg_reference")
     metadata = {"command": {"kind": "recording"}, **metadata, "sample_rate": rate}
-    si = {name: CHANNELS[name] for name in channels}
-    return Record(time, channels, si, metadata | {"recording": recording})
+    channel_units = {name: CHANNELS[name] for name in channels}
+    return Record(time, channels, channel_units, metadata | {"recording": recording})
 
 
 def _stamps(source: Source, clock: TimeColumn) -> Array:
@@ -297,31 +295,29 @@ def _stamps(source: Source, clock: TimeColumn) -> Array:
             row = int(np.isnan(stamps).argmax()) + 1
             raise InputError(f"time: {clock.column}: row {row} has none; allowed: a time")
     interval = np.median(np.diff(stamps)) if stamps.size > 1 else 0.0
-    if interval * _SLOWEST > 1.0:
+    if interval * _LOWEST_RATE > 1.0:
         text = f"{1.0 / interval:.3g} samples a second by unit {clock.unit!r}"
-        raise InputError(f"time: {text} is refused; allowed: at least {_SLOWEST:g}")
+        raise InputError(f"time: {text} is refused; allowed: at least {_LOWEST_RATE:g}")
     return stamps
 
 
 def _last_place(source: Source, column_map: ColumnMap, channel: str) -> float:
-    """What the last decimal of a channel's columns is in SI, 0 where they fill a double.
-
-    Columns with no number but zero do not tell.
-    """
+    """The last decimal of a channel's columns in SI, 0 where they fill a double or are 0."""
     places = [0.0]
     for column in column_map.columns(channel) if channel in column_map.channels else ():
         raw = source.columns.get(column.name, np.zeros(0))
         raw = raw[np.isfinite(raw) & (raw != 0.0)]
-        decimals = (n for n in range(10) if raw.size and np.array_equal(np.round(raw, n), raw))
-        count = units.factor(column.unit) * abs(column.scale)
-        places.append(next((count * 10.0**-n for n in decimals), 0.0))
+        for decimals in range(10 if raw.size else 0):
+            if np.array_equal(np.round(raw, decimals), raw):
+                places.append(units.factor(column.unit) * abs(column.scale) * 10.0**-decimals)
+                break
     return max(places)
 
 
 def _histories(source: Source, column_map: ColumnMap, channel: str) -> tuple[Array, list[str]]:
     """Histories of a channel in SI, (6, N), NaN for legs not recorded, and the names of these."""
     columns, histories, missing = column_map.columns(channel), [], []
-    lost = np.full(next(iter(source.columns.values())).size, np.nan)
+    no_numbers = np.full(next(iter(source.columns.values())).size, np.nan)
     has_pattern = isinstance(column_map.channels[channel].columns, str)
     if has_pattern and not any(column.name in source.columns for column in columns):
         raise unknown_name(f"channels.{channel}: column", columns[0].name, source.columns)
@@ -329,5 +325,5 @@ def _histories(source: Source, column_map: ColumnMap, channel: str) -> tuple[Arr
         is_missing = not column.name or (has_pattern and column.name not in source.columns)
         if is_missing:
             missing.append(column.name or f"{channel} of leg {leg}")
-        histories.append(column.to_si(lost if is_missing else source.column(column.name)))
+        histories.append(column.to_si(no_numbers if is_missing else source.column(column.name)))
     return np.array(histories), missing

@@ -10,7 +10,7 @@ or at the end: `p1 [bar]`, `x1_mm`, `v1_mm_s`. A last word that may be a unit or
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomlkit
@@ -18,7 +18,7 @@ import tomlkit
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.record.columns import CHANNELS, POSES
+from cmf_mj.record.columns import CHANNELS, POSES, si_units
 from cmf_mj.record.sources import Source, even_clock, read_source
 
 _PRESSURES = "p prs pressure press druck"
@@ -41,16 +41,14 @@ _CHANNELS = (
 """Words of names by channel; an earlier entry is preferred."""
 
 _DEMAND = "ref reference cmd dmd demand demanded dem set setpoint sp target desired xd soll"
-_DEMAND_WORDS = {*_DEMAND.split()}
-"""Words that names of demands have and names of measurements have not."""
+_DEMAND_WORDS = {*_DEMAND.split()}  #: Names of demands have one, names of measurements none.
 _DEMAND_CHANNELS = ("demand_pose", "leg_reference")
-_UNDECIDED_CHANNELS = ("valve_command", "compensator_output")
-"""Channels whose names may have such words or not."""
+_UNDECIDED_CHANNELS = ("valve_command", "compensator_output")  #: Their names may have one or not.
 
-_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+_POSE_UNITS = si_units("demand_pose")
 _AXES = ("surge x px", "sway y py", "heave z pz", "roll phi rx", "pitch theta ry", "yaw psi rz")
 _TIME = {*"time t zeit timestamp date sec seconds clock".split()}
-_MEANINGS = [({*words.split()}, CHANNELS[name].partition(",")[0]) for name, words in _CHANNELS]
+_MEANINGS = [({*words.split()}, si_units(channel)[0]) for channel, words in _CHANNELS]
 _MEANINGS += [(_TIME, "s"), *zip(({*axis.split()} for axis in _AXES), _POSE_UNITS, strict=True)]
 """Words of names, and the SI unit of what they name."""
 _WORDS = _DEMAND_WORDS.union(*(words for words, _ in _MEANINGS))
@@ -66,32 +64,42 @@ _DEFAULT_UNITS = {"m": "mm", "m/s": "mm/s", "m/s^2": "m/s^2", "Pa": "bar", "1": 
 """Units of the field where a name states none, for the reader to correct."""
 
 
-_Name = tuple[set[str], str]  #: Words of a name, and its unit, empty where none is stated.
+class _NameParts(NamedTuple):
+    """What the name of a column says."""
+
+    words: set[str]  #: In lower case.
+    unit: str  #: Empty where neither the file nor the name states one.
+
+    def may_be(self, si_unit: str) -> bool:
+        return not self.unit or units.si_unit(self.unit) == si_unit
 
 
-def _words_and_unit(source: Source, name: str) -> _Name:
-    """Words of a name, in lower case, and the unit that the file or the name states."""
+def _name_parts(source: Source, name: str) -> _NameParts:
+    """Words of a column's name, and the unit that the file or the name states."""
     bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
     plain = re.sub(r"[\[(][^\])]*[\])]", "", name)
-    words = re.findall(r"mA\b|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[%°]+", plain)
-    words = [word.lower() for word in words]
+    pattern = r"mA\b|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[%°]+"
+    words = [word.lower() for word in re.findall(pattern, plain)]
     unit = _unit(source.units.get(name) or (bracket[1] if bracket else ""))
     for size in (2, 1):  # mm_s, mm
-        rest, last = words[:-size], words[-size:]
-        if not unit and rest and {*last} <= _TRAILING_UNITS and (found := _unit("/".join(last))):
-            due = {si for meaning, si in _MEANINGS if meaning & _split(rest)}
-            if size == 2 or last[0] not in _UNITS_OR_WORDS or units.si_unit(found) in due:
-                words, unit = rest, found
-    return _split(words), unit
+        words_before, last_words = words[:-size], words[-size:]
+        if unit or not words_before or not {*last_words} <= _TRAILING_UNITS:
+            continue
+        last_unit = _unit("/".join(last_words))
+        expected_units = {unit for meaning, unit in _MEANINGS if meaning & _split(words_before)}
+        is_unambiguous = size == 2 or words[-1] not in _UNITS_OR_WORDS
+        if last_unit and (is_unambiguous or units.si_unit(last_unit) in expected_units):
+            words, unit = words_before, last_unit
+    return _NameParts(_split(words), unit)
 
 
 def _split(words: list[str]) -> set[str]:
     """Words, and in place of one such as `xcmd` the two that it joins."""
     parts = set[str]()
     for word in words:
-        cuts = ({word[:k], word[k:]} for k in range(1, len(word)))
-        known = next((cut for cut in cuts if cut <= _WORDS), {word})
-        parts |= {word} if word in _WORDS else known
+        pairs = ({word[:k], word[k:]} for k in range(1, len(word)))
+        known_pair = next((pair for pair in pairs if pair <= _WORDS), {word})
+        parts |= {word} if word in _WORDS else known_pair
     return parts
 
 
@@ -105,88 +113,97 @@ def _unit(text: str) -> str:
 def _leg_patterns(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Patterns with {leg} that six names fit, and the six labels."""
     for name in names:
-        for spot in re.finditer(r"\d|(?<![a-zA-Z])[a-fA-F](?![a-zA-Z])", name):
-            pattern = f"{name[: spot.start()]}{{leg}}{name[spot.end() :]}"
-            for labels in _LABELS:
-                each = labels.upper() if spot[0].isupper() else labels
-                if spot[0] == each[0] and all(pattern.replace("{leg}", k) in names for k in each):
-                    yield pattern, each
+        for label in re.finditer(r"\d|(?<![a-zA-Z])[a-fA-F](?![a-zA-Z])", name):
+            pattern = f"{name[: label.start()]}{{leg}}{name[label.end() :]}"
+            for lower_labels in _LABELS:
+                labels = lower_labels.upper() if label[0].isupper() else lower_labels
+                if labels.startswith(label[0]) and {*_leg_names(pattern, labels)} <= {*names}:
+                    yield pattern, labels
 
 
-def _channel(words: set[str], unit: str, taken: Collection[str]) -> str | None:
-    """The first channel whose words a name has, and whose unit fits."""
-    asked = bool(words & _DEMAND_WORDS)
-    for channel, known in _CHANNELS:
-        due = CHANNELS[channel].partition(",")[0]
-        fits = (not unit or units.si_unit(unit) == due) and channel not in taken
-        decided = channel in _UNDECIDED_CHANNELS or (channel in _DEMAND_CHANNELS) == asked
-        if fits and decided and words & {*known.split()}:
+def _leg_names(pattern: str, labels: str) -> list[str]:
+    return [pattern.replace("{leg}", label) for label in labels]
+
+
+def _channel(parts: _NameParts, used_channels: Collection[str]) -> str | None:
+    """The first unused channel whose words a name has, and whose unit fits."""
+    for channel, channel_words in _CHANNELS:
+        fits = parts.may_be(si_units(channel)[0]) and channel not in used_channels
+        is_demand = channel in _DEMAND_CHANNELS
+        fits &= channel in _UNDECIDED_CHANNELS or is_demand == bool(parts.words & _DEMAND_WORDS)
+        if fits and parts.words & {*channel_words.split()}:
             return channel
     return None
 
 
-def _described(channel: str, names: Mapping[str, _Name], doubts: list[str]) -> dict[str, Any]:
+def _description(
+    channel: str, names: Mapping[str, _NameParts], doubts: list[str]
+) -> dict[str, Any]:
     """Columns and units of a channel by its six names; what is a guess goes to the doubts."""
-    si = _POSE_UNITS if channel in POSES else (CHANNELS[channel],) * 6
-    usual = dict(zip(si, si, strict=True)) if channel in POSES else _DEFAULT_UNITS
-    unit = [one or usual[due] for (_, one), due in zip(names.values(), si, strict=True)]
-    if bare := [name for name, (_, one) in names.items() if not one]:
-        doubts.append(f"{channel}: no unit in {bare[0]!r}: the one below is a guess")
-    name, (words, _) = next(iter(names.items()))
-    if CHANNELS[channel] == "Pa" and not words & {*f"{_CAP} {_ROD}".split()}:
+    unit = [
+        parts.unit or (si_unit if channel in POSES else _DEFAULT_UNITS[si_unit])
+        for parts, si_unit in zip(names.values(), si_units(channel), strict=True)
+    ]
+    if unitless_names := [name for name, parts in names.items() if not parts.unit]:
+        doubts.append(f"{channel}: no unit in {unitless_names[0]!r}: the one below is a guess")
+    name, parts = next(iter(names.items()))
+    if CHANNELS[channel] == "Pa" and not parts.words & {*f"{_CAP} {_ROD}".split()}:
         side = channel.removesuffix("_pressure")
         doubts.append(f"{channel}: {name!r} names no side of the piston: {side} is a guess")
     return {"columns": [*names], "unit": unit if len({*unit}) > 1 else unit[0]}
 
 
+def _pose_columns(names: Mapping[str, _NameParts], is_demand: bool) -> dict[str, str]:
+    """Columns of a pose by degree of freedom, of those with a unit first."""
+    column_of: dict[str, str] = {}
+    for name, parts in sorted(names.items(), key=lambda item: not item[1].unit):
+        for dof, axis_words, si_unit in zip(DOFS, _AXES, _POSE_UNITS, strict=True):
+            fits = parts.may_be(si_unit) and bool(parts.words & _DEMAND_WORDS) == is_demand
+            if fits and parts.words & {*axis_words.split()}:
+                column_of.setdefault(dof, name)
+    return column_of
+
+
 def guess_columns(path: str | Path) -> str:
     """A map of a file's columns, as TOML text; what was not recognised is in comments."""
     source = read_source(path)
-    names = {name: _words_and_unit(source, name) for name in source.columns}
-    channels: dict[str, Any] = {}
-    doubts: list[str] = []
+    names = {name: _name_parts(source, name) for name in source.columns}
+    channels, doubts, leg_labels = dict[str, Any](), list[str](), ""
     time = _time(source, names, doubts)
-    leg_labels = ""
-    left = {name: named for name, named in names.items() if name != time.get("column")}
-
-    def take(channel: str, taken: list[str]) -> None:
-        channels[channel] = _described(channel, {name: left.pop(name) for name in taken}, doubts)
-
-    patterns = list(_leg_patterns([*left]))
-    alike = {pattern.replace("{leg}", one) for pattern, labels in patterns for one in labels}
+    names.pop(time.get("column", ""), None)
+    patterns = list(_leg_patterns([*names]))
+    names_of_legs = {name for pattern in patterns for name in _leg_names(*pattern)}
     for pattern, labels in patterns:
-        taken = [pattern.replace("{leg}", label) for label in labels]
-        channel = _channel(*names[taken[0]], channels) if {*taken} <= {*left} else None
+        columns = _leg_names(pattern, labels)
+        channel = _channel(names[columns[0]], channels) if {*columns} <= {*names} else None
         if channel is not None:
             leg_labels = leg_labels or labels
-            take(channel, taken)
+            names_of_channel = {name: names.pop(name) for name in columns}
+            channels[channel] = _description(channel, names_of_channel, doubts)
             if labels == leg_labels:
                 channels[channel]["columns"] = pattern
-    for channel, asked in zip(POSES, (True, False), strict=True):
-        found: dict[str, str] = {}
-        for name in sorted(left, key=lambda one: not names[one][1]):  # those with a unit first
-            words, unit = names[name]
-            for dof, known, si in zip(DOFS, _AXES, _POSE_UNITS, strict=True):
-                fits = name not in alike and (not unit or units.si_unit(unit) == si)
-                if fits and words & {*known.split()} and bool(words & _DEMAND_WORDS) == asked:
-                    found.setdefault(dof, name)
-        if channel not in channels and len({*found.values()}) == 6:
-            take(channel, [found[dof] for dof in DOFS])
+    for channel in POSES:
+        candidates = {name: names[name] for name in names if name not in names_of_legs}
+        column_of = _pose_columns(candidates, channel in _DEMAND_CHANNELS)
+        if channel not in channels and len({*column_of.values()}) == 6:
+            names_of_channel = {column_of[dof]: names.pop(column_of[dof]) for dof in DOFS}
+            channels[channel] = _description(channel, names_of_channel, doubts)
     lines = ["A guess from the header: read it, correct it, then `cmf recording check`.", *doubts]
-    lines += [f"not recognised: {', '.join(left)}"] if left else []
-    lines.append(f"other channels: {', '.join(one for one in CHANNELS if one not in channels)}")
+    lines += [f"not recognised: {', '.join(names)}"] if names else []
+    lines.append(f"other channels: {', '.join(name for name in CHANNELS if name not in channels)}")
     table = {"legs": [*leg_labels]} if leg_labels not in ("", _LABELS[0]) else {}
     text = tomlkit.dumps(table | {"time": time, "channels": channels})
     return "".join(f"# {line}\n" for line in lines) + "\n" + text
 
 
-def _time(source: Source, names: dict[str, _Name], doubts: list[str]) -> dict[str, Any]:
+def _time(source: Source, names: Mapping[str, _NameParts], doubts: list[str]) -> dict[str, Any]:
     """The time column, its unit by its name, else the first that makes 10 Hz or more."""
     for name, (words, unit) in names.items():
-        if words & _TIME and (not unit or units.si_unit(unit) == "s"):
+        if words & _TIME and names[name].may_be("s"):
             step = float(np.median(np.diff(source.columns[name])))
             if not unit:
-                unit = next((one for one in ("s", "ms") if step * units.factor(one) < 0.101), "us")
+                fast_units = [unit for unit in ("s", "ms") if step * units.factor(unit) < 0.101]
+                unit = [*fast_units, "us"][0]
                 doubts.append(f"time: no unit in {name!r}: {unit!r} is a guess")
             try:
                 even_clock(units.to_si(unit, source.columns[name]))

@@ -124,15 +124,16 @@ class Record:
         >>> record["speed"].tolist(), record.units["speed"], record.rate
         ([0.0254, 0.0508], 'm/s', 2.0)
         """
-        stamps = shaped("time", time, None)
-        even, rate = even_clock(stamps)
+        even_time, rate = even_clock(shaped("time", time, None))
         histories = {name: real(name, values) for name, values in channels.items()}
-        si = {name: unit if _SI.fullmatch(unit) else si_unit(unit) for name, unit in units.items()}
+        si_units = dict(units)
         for name, unit in units.items():
-            if name in histories and unit != si[name]:
+            if not _SI.fullmatch(unit):
+                si_units[name] = si_unit(unit)
+            if name in histories and unit != si_units[name]:
                 histories[name] = to_si(unit, histories[name])
-        described = {"command": {"kind": "recording"}} | dict(metadata or {})
-        return Record(even, histories, si, described | {"sample_rate": rate})
+        metadata = {"command": {"kind": "recording"}} | dict(metadata or {})
+        return Record(even_time, histories, si_units, metadata | {"sample_rate": rate})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What pickle makes the record of again, so that its arrays are frozen."""
@@ -144,10 +145,11 @@ class Record:
 
     def __repr__(self) -> str:
         """What was run, for how long, and the channels."""
-        words = [str(self.metadata[name]) for name in ("plant", "law") if self.metadata.get(name)]
-        words += [name for name in (self.signal.kind, self.signal.axis) if name]
-        size = f"{self.time.size} samples at {self.metadata.get('sample_rate', '?')} Hz"
-        return f"<Record: {', '.join([*words, size])}; {', '.join(self.channels)}>"
+        metadata, signal = self.metadata, self.signal
+        words = (metadata.get("plant"), metadata.get("law"), signal.kind, signal.axis)
+        size = f"{self.time.size} samples at {metadata.get('sample_rate', '?')} Hz"
+        text = ", ".join([*(str(word) for word in words if word), size])
+        return f"<Record: {text}; {', '.join(self.channels)}>"
 
     @property
     def digest(self) -> str:
@@ -167,10 +169,10 @@ class Record:
         """The signal, refused where it has more than half the sampling rate."""
         signal = self.signal
         frequencies = (*(signal.band or ()), *(dwell.frequency for dwell in signal.dwells))
-        top = max(frequencies, default=0.0)
-        if top > 0.5 * self.rate:
-            text = f"{self.rate:g} samples a second cannot hold {top:g} Hz of the {signal.kind}"
-            raise InputError(f"record_every: {text}; allowed: at least {2.0 * top:g} a second")
+        highest = max(frequencies, default=0.0)
+        if highest > 0.5 * self.rate:
+            text = f"{self.rate:g} samples a second cannot hold {highest:g} Hz of the {signal.kind}"
+            raise InputError(f"record_every: {text}; allowed: at least {2.0 * highest:g} a second")
         return signal
 
     def signal_as(self, kind: type[AnySignal]) -> AnySignal:

@@ -5,15 +5,11 @@ was called keeps the journal; workers only compute, so they need no shared disk.
 is a row with its error. A worker that dies takes no result with it: its tasks run again, and one
 that kills its worker every time is a row with an error too.
 
-The folder of a study: what it is, the results so far, the finished table.
-
     study.json        what the study runs, with versions and a digest of the sources
     journal.jsonl     a line for each finished task, with its checksum, written in one piece
     results.parquet   all rows in the order of the tasks, once all are finished
 
-A line that a killed process left half-written, or that is damaged, is dropped and its task runs
-again; the number of damaged lines is printed. Numbers survive the journal to the bit: JSON holds
-the shortest digits that read back the same.
+An unfinished or damaged line is dropped and its task runs again. Numbers survive to the bit.
 """
 
 import hashlib
@@ -292,7 +288,7 @@ def run_tasks(
 
 
 @dataclass
-class Asker:
+class TaskRunner:
     """Runs one list of tasks after the other, numbered on from list to list."""
 
     journal: Journal

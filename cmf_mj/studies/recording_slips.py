@@ -16,7 +16,7 @@ from cmf_mj.core.units import factor
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine
-from cmf_mj.record.sources import runs
+from cmf_mj.record.sources import true_runs
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def find_clipping(values: Array, step: float) -> tuple[float, int] | None:
     """The limit at which a column stays while it comes and goes at speed, and samples there."""
     for limit in (np.nanmax(values), np.nanmin(values)):
         lengths = []
-        for first, end in runs(values == limit):
+        for first, end in true_runs(values == limit):
             length = end - first
             if length >= _CLIPPED_SAMPLES and first >= 2 and end + 2 <= values.size:
                 slope = min(abs(values[first - 2] - limit), abs(values[end + 1] - limit))
@@ -155,7 +155,7 @@ def find_clipping(values: Array, step: float) -> tuple[float, int] | None:
 def find_frozen_span(values: Array, leg: int, rate: float) -> slice | None:
     """Longest span of one value of a leg, in histories (N, 6), in which most other legs move."""
     is_still = np.append(np.diff(values[:, leg]) == 0.0, False)
-    first, end = max(runs(is_still), key=lambda run: run[1] - run[0], default=(0, 0))
+    first, end = max(true_runs(is_still), key=lambda run: run[1] - run[0], default=(0, 0))
     others = np.delete(values, leg, axis=1)[:, np.delete(recorded_legs(values), leg)]
     if not max(0.5 * rate, 20) <= end - first < 0.98 * len(values) or others.shape[1] < 2:
         return None

@@ -26,7 +26,7 @@ from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.columns import POSES
 from cmf_mj.record.record import Record
-from cmf_mj.record.sources import bridged, runs
+from cmf_mj.record.sources import bridge_gaps, true_runs
 from cmf_mj.studies import recording_pairs as pairs
 from cmf_mj.studies import recording_slips as slips
 
@@ -81,7 +81,7 @@ class _Recording:
         """A channel with its gaps bridged, (N, 6)."""
         if name not in self.record.channels:
             return np.full((self.record.time.size, 6), np.nan)
-        return np.column_stack([bridged(column)[0] for column in self.record[name].T])
+        return np.column_stack([bridge_gaps(column)[0] for column in self.record[name].T])
 
     def channels_with_numbers(self, names: tuple[str, ...]) -> Iterator[tuple[str, Array, str]]:
         """Names, values and units of those of these channels that have numbers."""
@@ -158,7 +158,7 @@ def _check_gaps(recording: _Recording) -> Iterator[Finding]:
             empty = np.isnan(column)
             if not empty.any() or empty.all():
                 continue
-            spans = runs(empty)
+            spans = true_runs(empty)
             first, end = max(spans, key=lambda span: span[1] - span[0])
             column_text = f"leg {leg + 1}, " if values.ndim > 1 else ""
             longest = f"from {record.time[first]:.4g} to {record.time[end - 1]:.4g} s"

@@ -87,7 +87,7 @@ def test_an_environment_lets_a_refusal_through(monkeypatch: pytest.MonkeyPatch) 
     for apart in (APART, np.full(6, np.nan)):
         legs[:] = apart
         assert np.isfinite(env.observation()).all()
-        assert not env._apart.any()
+        assert not env._pose_error.any()
     legs[:] = 0.0
     monkeypatch.setattr("cmf_mj.environments.environment.legs_to_pose", refuse)
     with pytest.raises(InputError, match="law: is refused"):

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from cmf_mj.cli.common import progress_bar, refuse, show, written
+from cmf_mj.cli.common import progress_bar, refuse, show, written_text
 from cmf_mj.core.errors import CmfError, InputError
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -40,7 +40,7 @@ def main() -> None:
     )
     for chosen, save in others:
         if chosen:
-            print(written(save(given.out), given.out))
+            print(written_text(save(given.out), given.out))
             return
     try:
         if not 0.0 < given.seconds <= 600.0:
@@ -55,7 +55,7 @@ def main() -> None:
     except CmfError as error:
         refuse(error)
     paths = save_verification(result, given.out)
-    show(verification_table(result), written(paths, given.out))
+    show(verification_table(result), written_text(paths, given.out))
 
 
 if __name__ == "__main__":

@@ -204,7 +204,7 @@ def test_a_task_draws_itself_sees_and_ends() -> None:
 
     def aim(env: Any, options: Any) -> None:
         drawn = env.np_random.uniform(0.05, 0.1, 1)
-        env.place = env.chosen(options, "place", drawn, 0.5)[0]
+        env.place = env.option(options, "place", drawn, 0.5)[0]
         env.info["place"] = env.place
 
     def left(env: Any) -> float:

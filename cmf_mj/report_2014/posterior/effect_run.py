@@ -39,7 +39,7 @@ from cmf_mj.report_2014.posterior.study import (
 from cmf_mj.report_2014.posterior.weighing import Bank
 from cmf_mj.signals.composite import ROUNDS, seven_sines
 from cmf_mj.studies.case import make_case, run_case
-from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Workers
+from cmf_mj.studies.engine import Journal, Progress, Row, TaskRunner, Workers
 from cmf_mj.studies.fit import sampling
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ class _Population:
     """The machines of all rounds so far, which the sampling draws, and what plants make of them."""
 
     study: PosteriorStudy
-    ask: Asker
+    ask: TaskRunner
     oscillation_g: Array  #: Acceleration under force feedback at `PRESSURES` [g].
     shifts: list[Row]  #: By `name` and `reading`.
     machines: list[Row] = field(default_factory=list)
@@ -211,7 +211,7 @@ def run_effects(
     task_count = 2 * machine_count + settings.kept * (1 + len(settings.used))
     task_count += len(evidence.PRESSURES) + bool(readings)
     journal = Journal(Path(folder), study.identity())
-    ask = Asker(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
+    ask = TaskRunner(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
     oscillation_g = np.array(ask_oscillation(ask))
     shifts = ask("readings", [Case({})])[0] if readings else []
     population = _Population(study, ask, oscillation_g, shifts)

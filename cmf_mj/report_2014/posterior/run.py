@@ -31,7 +31,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import effects, evidence
 from cmf_mj.report_2014.posterior.study import PosteriorStudy
 from cmf_mj.studies.case import swing_after_step
-from cmf_mj.studies.engine import Asker, Journal, Progress, Row, Work, Workers, row_table
+from cmf_mj.studies.engine import Journal, Progress, Row, TaskRunner, Work, Workers, row_table
 from cmf_mj.studies.evaluation import MEASURE_NAMES
 from cmf_mj.studies.fit import sampling
 
@@ -95,7 +95,7 @@ class _Population:
     """The machines of all rounds so far, which the sampling draws."""
 
     study: PosteriorStudy
-    ask: Asker
+    ask: TaskRunner
     oscillation_g: Array  #: Acceleration under force feedback at `PRESSURES` [g].
     machines: list[Row] = field(default_factory=list)
     damping: list[Row] = field(default_factory=list)  #: Of every machine, cab and law.
@@ -138,7 +138,7 @@ def run_posterior(
     journal = Journal(Path(folder), study.identity())
     task_count = settings.rounds * settings.draws + settings.kept + 1 + 2 * len(settings.unknowns)
     task_count += len(evidence.PRESSURES) + settings.simulated * len(study.cabs)
-    ask = Asker(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
+    ask = TaskRunner(journal, partial(Task, study=study), _WORK, pool, progress, task_count)
     tables: dict[str, list[Row]] = {name: [] for name in TABLES}
     oscillation_g = ask_oscillation(ask)
     tables["force"] = [
@@ -171,7 +171,7 @@ def run_posterior(
     return Results(study, **{name: read_table(path) for name, path in paths.items()})
 
 
-def _sample_machines(study: PosteriorStudy, ask: Asker, oscillation_g: Array) -> _Population:
+def _sample_machines(study: PosteriorStudy, ask: TaskRunner, oscillation_g: Array) -> _Population:
     """Draw machines in rounds and weigh them; `oscillation_g` [g] is that at `PRESSURES`."""
     settings, population = study.settings, _Population(study, ask, oscillation_g)
     draws = sampling.importance(
@@ -189,7 +189,7 @@ def _simulation_cases(study: PosteriorStudy, kept: Sequence[Case]) -> list[Case]
     return [case._replace(subject=cab.name) for case in chosen_cases for cab in study.cabs]
 
 
-def ask_oscillation(ask: Asker) -> list[float]:
+def ask_oscillation(ask: TaskRunner) -> list[float]:
     """Ask the acceleration under force feedback [g] at `PRESSURES`."""
     answers = ask("force", [Case({"psi": psi}) for psi in evidence.PRESSURES])
     return [row["g"] for (row,) in answers]
