@@ -9,18 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.errors import InputError, unknown_name
 
-Block = TypeVar("Block", bound=tuple[Any, ...])
-Params = TypeVar("Params", bound=tuple[Any, ...])
+BlockT = TypeVar("BlockT", bound=tuple[Any, ...])
+ParamsT = TypeVar("ParamsT", bound=tuple[Any, ...])
 
-MEMORY = 4 * 2**30  #: Limit of any one part of a run, such as its record [bytes].
+LARGEST_PART = 4 * 2**30  #: Size of the largest part of a run, such as its record [bytes].
 
 
 def check_memory(field: str, part: str, numbers: float) -> None:
     """Refuse a part of a run with too many numbers of 8 bytes, before any of it is made."""
     size = 8.0 * numbers
-    if size > MEMORY:
+    if size > LARGEST_PART:
         raise InputError(
-            f"{field}: {part} would take {size / 2**30:.3g} GiB; allowed: {MEMORY / 2**30:g} GiB"
+            f"{field}: {part} would take {size / 2**30:.3g} GiB; "
+            f"allowed: {LARGEST_PART / 2**30:g} GiB"
         )
 
 
@@ -87,13 +88,13 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     return view
 
 
-def copy_block(block: Block) -> Block:
+def copy_block(block: BlockT) -> BlockT:
     """A named tuple of arrays, and of such tuples, with arrays of its own."""
     parts = (copy_block(part) if isinstance(part, tuple) else part.copy() for part in block)
     return type(block)(*parts)
 
 
-def compiled_params(kind: type[Params], settings: object, **derived: Any) -> Params:
+def compiled_params(kind: type[ParamsT], settings: object, **derived: Any) -> ParamsT:
     """The named tuple of a block: `derived` values, and the rest by name from settings.
 
     Settings are a mapping or an object. Quantities become their SI value, others stay as they are.

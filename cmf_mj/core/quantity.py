@@ -14,7 +14,7 @@ from cmf_mj.core.result import Table
 from cmf_mj.core.settings import Settings, as_tuples
 from cmf_mj.core.units import LONGEST
 
-Value = TypeVar("Value")
+ValueT = TypeVar("ValueT")
 
 Status = Literal[
     "stated", "derived", "calibrated", "identified", "assumed", "published", "recalled"
@@ -23,10 +23,10 @@ Status = Literal[
 than the report, `recalled` from general knowledge of the field and not checked."""
 
 
-class _Sourced(Settings, Generic[Value]):
+class _Sourced(Settings, Generic[ValueT]):
     """A value as a source gives it, in its unit."""
 
-    value: Value  #: Value in `unit`.
+    value: ValueT  #: Value in `unit`.
     unit: str  #: Unit as published, e.g. `in/s/%`.
     status: Status  #: How the number is known.
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.

@@ -170,7 +170,7 @@ class Table:
         return write_text(path, "\n".join(part for part in parts if part.strip()))
 
 
-Row = TypeVar("Row")
+RowT = TypeVar("RowT")
 
 _KEY = "cmf_mj_result"
 
@@ -252,7 +252,7 @@ def fields_of(row: type) -> tuple[Field, ...]:
 
 
 @dataclass(frozen=True)
-class Result(Sequence[Row], Generic[Row]):
+class Result(Sequence[RowT], Generic[RowT]):
     """Rows of a study with their fields; a sequence of the rows, and a data frame of them.
 
     >>> from cmf_mj.core.result import Field, Result
@@ -268,7 +268,7 @@ class Result(Sequence[Row], Generic[Row]):
     np.float64(4.0)
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[RowT]
     fields: Sequence[Field]
     title: str = ""
     caption: str = ""
@@ -285,7 +285,7 @@ class Result(Sequence[Row], Generic[Row]):
         """How many rows."""
         return len(self.rows)
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[RowT]:
         """The rows."""
         return iter(self.rows)
 

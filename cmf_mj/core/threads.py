@@ -1,4 +1,7 @@
-"""Cases run side by side on threads: the compiled loops release the interpreter lock."""
+"""Cases run side by side on threads, and the guard of what one thread alone may use.
+
+Compiled loops release the interpreter lock, so that threads share the processor's cores.
+"""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -11,8 +14,8 @@ from cmf_mj.core.errors import InputError
 
 MOST_JOBS = 1024  #: Most threads or processes of one command.
 
-Case = TypeVar("Case")
-Result = TypeVar("Result")
+CaseT = TypeVar("CaseT")
+ResultT = TypeVar("ResultT")
 
 
 class OneAtATime:
@@ -37,11 +40,11 @@ class OneAtATime:
 
 
 def on_threads(
-    work: Callable[[Case], Result],
-    cases: Sequence[Case],
+    work: Callable[[CaseT], ResultT],
+    cases: Sequence[CaseT],
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Result]:
+) -> list[ResultT]:
     """Results of all cases, in their order, on `jobs` threads, by default one a core.
 
     The work on a case must share nothing that it changes with other cases. `progress` is called
@@ -49,7 +52,7 @@ def on_threads(
     """
     if jobs is not None:
         whole("jobs", jobs, 1, MOST_JOBS)
-    results: list[Result] = []
+    results: list[ResultT] = []
     pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator")
     for result in pool(delayed(work)(case) for case in cases):
         results.append(result)

@@ -77,7 +77,7 @@ _SI_NAMES = {
 }
 """SI units by the part of a unit; parts that are SI units themselves are left out."""
 
-Value = TypeVar("Value", float, np.ndarray)
+ValueT = TypeVar("ValueT", float, np.ndarray)
 
 
 def is_known(unit: str) -> bool:
@@ -110,20 +110,20 @@ def si_unit(unit: str) -> str:
     if unit in _SI_NAMES:
         return _SI_NAMES[unit]
     numerator, denominator = list[str](), list[str]()
-    for place, part in enumerate(unit.split("/")):
+    for index, part in enumerate(unit.split("/")):
         multiplied, *divided = _SI_NAMES.get(part, part).split("/")
-        numerator += divided if place > 0 else [multiplied]
-        denominator += [multiplied] if place > 0 else divided
+        numerator += divided if index > 0 else [multiplied]
+        denominator += [multiplied] if index > 0 else divided
     product = " ".join(part for part in numerator if part != "1") or "1"
     return "/".join([product, *(part for part in denominator if part != "1")])
 
 
-def to_si(unit: str, value: Value) -> Value:
+def to_si(unit: str, value: ValueT) -> ValueT:
     """Convert `value` in `unit` to SI."""
     return value * factor(unit)
 
 
-def from_si(unit: str, value: Value) -> Value:
+def from_si(unit: str, value: ValueT) -> ValueT:
     """Convert `value` in SI to `unit`."""
     return value / factor(unit)
 

@@ -118,7 +118,10 @@ class Cab(RigidBody):
         return _changed_cab(self, name, changes, name)
 
 
-_SI = {"centre_of_mass": "m", "inertia": "kg m^2"}  #: Units of `Cab.changed`; all else is in kg.
+_SI_UNITS = {
+    "centre_of_mass": "m",
+    "inertia": "kg m^2",
+}  #: In `Cab.changed`; all else is in kg.
 
 
 def _file_table(values: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -132,7 +135,7 @@ def _file_table(values: Mapping[str, Any], source: str) -> dict[str, Any]:
             numbers = numbers[ENTRIES]
         table[field] = {
             "value": numbers.tolist(),
-            "unit": _SI.get(field, "kg"),
+            "unit": _SI_UNITS.get(field, "kg"),
             "status": "assumed",
             "source": source,
         }

@@ -61,7 +61,7 @@ def paired_circles(
     )
 
 
-Choice = TypeVar("Choice")
+ChoiceT = TypeVar("ChoiceT")
 
 
 def dof_index(dof: str) -> int:
@@ -69,7 +69,7 @@ def dof_index(dof: str) -> int:
     return DOFS.index(check_name("dof", dof, DOFS))
 
 
-def by_kind(dof: str | int, translation: Choice, rotation: Choice) -> Choice:
+def by_kind(dof: str | int, translation: ChoiceT, rotation: ChoiceT) -> ChoiceT:
     """The first for surge, sway and heave, the second for roll, pitch and yaw.
 
     >>> by_kind("pitch", "m/s^2", "deg/s^2")
@@ -88,15 +88,17 @@ def dof_unit(dof: str | int) -> str:
     return by_kind(dof, "in", "deg")
 
 
-LENGTHS = ("m", "mm", "in", "ft")
-_COORDINATES = ("upper", "lower")
-_CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
-_FORMS = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
+LENGTH_UNITS = ("m", "mm", "in", "ft")
+_COORDINATE_FIELDS = ("upper", "lower")
+_CIRCLE_FIELDS = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
+_FORMS = f"allowed: either upper and lower, or {', '.join(_CIRCLE_FIELDS)} and forward"
 
 
 def _check_six(points: Points) -> Points:
-    if points.unit not in LENGTHS:
-        raise InputError(f"{points.unit!r} is refused: unit must be one of {', '.join(LENGTHS)}")
+    if points.unit not in LENGTH_UNITS:
+        raise InputError(
+            f"{points.unit!r} is refused: unit must be one of {', '.join(LENGTH_UNITS)}"
+        )
     if len(points.value) != 6:
         raise InputError(f"has {len(points.value)} points; allowed: 6, one a leg")
     return points
@@ -125,12 +127,12 @@ class Gimbals(Settings):
 
     @model_validator(mode="after")
     def _check_one_form(self) -> "Gimbals":
-        coordinates = [name for name in _COORDINATES if getattr(self, name) is not None]
-        circles = [name for name in _CIRCLES if getattr(self, name) is not None]
+        coordinates = [name for name in _COORDINATE_FIELDS if getattr(self, name) is not None]
+        circles = [name for name in _CIRCLE_FIELDS if getattr(self, name) is not None]
         if coordinates and (circles or self.forward):
             other = circles[0] if circles else "forward"
             raise InputError(f"{coordinates[0]}: is given with {other}; {_FORMS}")
-        form = _CIRCLES if circles else _COORDINATES
+        form = _CIRCLE_FIELDS if circles else _COORDINATE_FIELDS
         missing = sorted(set(form) - {*coordinates, *circles})
         if missing:
             name = missing[0] if coordinates or circles else "upper"
@@ -142,7 +144,7 @@ class Gimbals(Settings):
         if self.upper is not None and self.lower is not None:
             return self.upper.si * FLIP, self.lower.si * FLIP
         upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
-            getattr(self, name).si for name in _CIRCLES
+            getattr(self, name).si for name in _CIRCLE_FIELDS
         )
         upper, lower = (upper_radius, upper_spacing), (lower_radius, lower_spacing)
         forward = 0.0 if self.forward is None else self.forward.si

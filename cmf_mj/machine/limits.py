@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from cmf_mj.core import quantity as kind
-from cmf_mj.core import units
+from cmf_mj.core import quantity, units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, Status
 from cmf_mj.core.settings import Settings
@@ -32,9 +31,9 @@ class Range(Settings):
         return units.to_si(self.unit, self.low), units.to_si(self.unit, self.high)
 
 
-Span = TypeVar("Span")
-Speed = TypeVar("Speed")
-Acceleration = TypeVar("Acceleration")
+SpanT = TypeVar("SpanT")
+SpeedT = TypeVar("SpeedT")
+AccelerationT = TypeVar("AccelerationT")
 
 
 def _range_in(*allowed: str) -> AfterValidator:
@@ -46,13 +45,13 @@ def _range_in(*allowed: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-class Axis(Settings, Generic[Span, Speed, Acceleration]):
+class Axis(Settings, Generic[SpanT, SpeedT, AccelerationT]):
     """Limits of one degree of freedom."""
 
-    mechanical: Span  #: Displacement at which the machine ends.
-    operational: Span  #: Displacement a demand may ask for.
-    velocity: Speed  #: Largest speed, or rate of the Euler angle, either way.
-    acceleration: Acceleration  #: Largest acceleration, or second derivative of it, either way.
+    mechanical: SpanT  #: Displacement at which the machine ends.
+    operational: SpanT  #: Displacement a demand may ask for.
+    velocity: SpeedT  #: Largest speed, or rate of the Euler angle, either way.
+    acceleration: AccelerationT  #: Largest acceleration, or second derivative of it, either way.
 
     @model_validator(mode="after")
     def _check_nested(self) -> "Axis[Any, Any, Any]":
@@ -63,10 +62,12 @@ class Axis(Settings, Generic[Span, Speed, Acceleration]):
         return self
 
 
-Translation = Axis[Annotated[Range, _range_in("in", "m", "mm")], kind.Speed, kind.Acceleration]
+Translation = Axis[
+    Annotated[Range, _range_in("in", "m", "mm")], quantity.Speed, quantity.Acceleration
+]
 """Limits of surge, sway or heave."""
 Rotation = Axis[
-    Annotated[Range, _range_in("deg", "rad")], kind.AngularSpeed, kind.AngularAcceleration
+    Annotated[Range, _range_in("deg", "rad")], quantity.AngularSpeed, quantity.AngularAcceleration
 ]
 """Limits of roll, pitch or yaw."""
 
@@ -76,16 +77,16 @@ _RejoinShare = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.0).chec
 class StatedLeg(Settings):
     """Limits of one leg as a machine file gives them."""
 
-    velocity: kind.Speed  #: Largest leg speed either way.
-    acceleration: kind.Acceleration  #: Largest leg acceleration either way.
-    position: kind.Length | None = None  #: Default the working stroke.
+    velocity: quantity.Speed  #: Largest leg speed either way.
+    acceleration: quantity.Acceleration  #: Largest leg acceleration either way.
+    position: quantity.Length | None = None  #: Default the working stroke.
     rejoin: _RejoinShare | None = None  #: Default half.
 
 
 class Leg(StatedLeg):
     """Limits of one leg, and how a limited motion returns to its demand."""
 
-    position: kind.Length  #: Largest extension and retraction from neutral.
+    position: quantity.Length  #: Largest extension and retraction from neutral.
     rejoin: _RejoinShare  #: Share of the acceleration for the way back to the demand.
 
 

@@ -32,7 +32,7 @@ from cmf_mj.core.quantity import Area, Kind, Length, Quantity
 from cmf_mj.core.settings import Name, Settings, beside, merged, read_toml, user_file, validated
 from cmf_mj.core.units import FASTEST_RATE, HERTZ, INCH, RATE, SLOWEST_RATE
 from cmf_mj.machine import models
-from cmf_mj.machine.geometry import LENGTHS, Geometry, Gimbals, make_geometry
+from cmf_mj.machine.geometry import LENGTH_UNITS, Geometry, Gimbals, make_geometry
 from cmf_mj.machine.limits import StatedLimits
 from cmf_mj.machine.models import Legs, Mass, Place, RigidBody
 
@@ -52,7 +52,7 @@ def _check_control_rate(rate: Quantity) -> Quantity:
     return rate
 
 
-_Height = Annotated[Quantity, AfterValidator(Kind(LENGTHS, signed=True).check)]
+_Height = Annotated[Quantity, AfterValidator(Kind(LENGTH_UNITS, signed=True).check)]
 _Hertz = Annotated[Quantity, AfterValidator(Kind(("Hz",)).check)]
 _Rate = Annotated[_Hertz, AfterValidator(_check_control_rate)]
 

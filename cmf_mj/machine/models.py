@@ -1,4 +1,4 @@
-"""Folders of models and data files, and the numbers of a machine that an MJCF has.
+"""Folders of models and data files, numbers of a machine in an MJCF, and masses of its parts.
 
 A model that owns its geometry and inertia has the names of the shipped ones: sites `upper_1` to
 `upper_6`, bodies `cylinder_#` and `rod_#`, slide joints `leg_#`, the body `platform`, and in the

@@ -38,7 +38,7 @@ from cmf_mj.signals.signal import (
     command_of,
     poses_along,
 )
-from cmf_mj.signals.single import Lines, quintic, raised_cosine
+from cmf_mj.signals.single import OddLines, quintic, raised_cosine
 
 ROUNDS = (
     (0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2),
@@ -193,7 +193,7 @@ class FadedSines(Signal):
         return Command(pose.reshape(-1, len(DOFS)), self)
 
 
-class OrthogonalMultisines(Lines):
+class OrthogonalMultisines(OddLines):
     """Multisines in several degrees of freedom at once, no two with a line in common.
 
     With n driven, degree of freedom i has every n-th of the odd lines, from the i-th on, 2 n /

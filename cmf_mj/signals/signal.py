@@ -35,7 +35,7 @@ Frequency = Annotated[float, Field(ge=1e-4, le=FASTEST_RATE / 2)]
 """At most half the control rate; the longest signal holds a third of the slowest cycle [Hz]."""
 Rate = Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)]  #: Control frames a second.
 _FREQUENCIES = ("frequency", "frequencies", "start", "stop")
-_LENGTHS, _ANGLES = ("in", "m", "mm"), ("deg", "rad")
+_LENGTH_UNITS, _ANGLE_UNITS = ("in", "m", "mm"), ("deg", "rad")
 
 
 def check_positive(**values: float) -> None:
@@ -71,8 +71,8 @@ def _number_with_unit(value: Any) -> float | tuple[float, str]:
     is_number = isinstance(number, int | float) and not isinstance(number, bool)
     if not is_number or not abs(number) < float("inf") or not isinstance(unit, str):
         raise InputError('must be a number in m or rad, or one and its unit, such as [2.0, "in"]')
-    if unit not in _LENGTHS + _ANGLES:
-        raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
+    if unit not in _LENGTH_UNITS + _ANGLE_UNITS:
+        raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTH_UNITS + _ANGLE_UNITS)}")
     highest = units.from_si(unit, HIGHEST)
     if not abs(number) <= highest:
         raise InputError(f"must be at most {highest:g} in size")
@@ -90,7 +90,7 @@ def amplitude_in_si(dof: str, amplitude: float | tuple[float, str]) -> float:
     if not isinstance(amplitude, tuple):
         return amplitude
     value, unit = amplitude
-    allowed = by_kind(dof, _LENGTHS, _ANGLES)
+    allowed = by_kind(dof, _LENGTH_UNITS, _ANGLE_UNITS)
     if unit not in allowed:
         names = ", ".join(allowed)
         raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {names}")

@@ -240,7 +240,7 @@ class Noise(SingleSignal):
         return _with_rest(history * (self.size / size), self.settle, self.rate)
 
 
-class Lines(Signal):
+class OddLines(Signal):
     """Odd lines with random phases, repeated whole periods; the first period is the transient."""
 
     start: Frequency = 0.1  #: Lowest line [Hz].
@@ -296,7 +296,7 @@ class Lines(Signal):
         return history
 
 
-class Multisine(Lines, SingleSignal):
+class Multisine(OddLines, SingleSignal):
     """Odd random-phase multisine of the peak `amplitude`, repeated whole periods.
 
     Lines are the odd multiples of 1/period between `start` and `stop`; even non-linear distortion
