@@ -160,7 +160,8 @@ def _with_cueing() -> None:
     from cmf_mj.studies.guide import COMMAND_MAKERS
     from cmf_mj.studies.measurement import MEASURES
 
-    COMMAND_MAKERS["aircraft"], MEASURES["cueing"] = omct.guided, omct.cueing
+    COMMAND_MAKERS["aircraft"] = omct.aircraft_command
+    MEASURES["cueing"] = omct.cueing_responses
 
 
 def _bench(guide: str, out: Path, **named: Any) -> Any:

@@ -175,10 +175,10 @@ class Airframe:
         force = self.vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
         structural = self.vector("metrics/eyepoint-{}-in") - self.vector("inertia/cg-{}-in")
         lever = structural * np.array([-1.0, 1.0, -1.0]) * units.INCH
-        swing = _cross(angular_acceleration, lever)
+        tangential = _cross(angular_acceleration, lever)
         return AircraftState(
             time=self["simulation/sim-time-sec"],
-            specific_force=force + swing + _cross(rate, _cross(rate, lever)),
+            specific_force=force + tangential + _cross(rate, _cross(rate, lever)),
             angular_rate=self.vector("velocities/{}-rad_sec", "pqr"),
             attitude=self.vector("attitude/{}-rad", ("phi", "theta", "psi")),
             lever=lever,
@@ -193,7 +193,7 @@ class Airframe:
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As `np.cross` to the bit, which takes half the time of a flight."""
+    """As `np.cross`, bit for bit: `np.cross` itself would take half the time of a flight."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 

@@ -130,12 +130,12 @@ class Classical(NamedTuple):
 
     def start(self, sample: Sample, head: HeadMotion) -> None:
         """Begin with a sample that was constant for long, without slopes; overwrites `head`."""
-        pushing = np.clip(sample.force[:2], -self.tilt_force, self.tilt_force)
-        _tilt_demands(self.low_pass.start(pushing), self.demand)
+        limited_force = np.clip(sample.force[:2], -self.tilt_force, self.tilt_force)
+        _tilt_demands(self.low_pass.start(limited_force), self.demand)
         self.tilt[:] = self.demand
-        turn = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
-        rest = np.array([0.0, 0.0, STANDARD_GRAVITY])
-        self.translation.start(turn @ sample.force + rest)
+        to_inertial = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
+        gravity = np.array([0.0, 0.0, STANDARD_GRAVITY])
+        self.translation.start(to_inertial @ sample.force + gravity)
         self.rotation.start(np.concatenate([sample.euler_rates, np.zeros(3)]))
         self.move(sample, head)  # the same inputs again change nothing: this reads the outputs
 
@@ -178,9 +178,12 @@ def _with_derivatives(a: Array, b: Array) -> Matrices:
 def side_by_side(systems: list[Matrices], interval: float) -> SampledSystem:
     """Equal-sized systems as one, its inputs and outputs ordered by signal, then by system."""
     a, b, c, d = (linalg.block_diag(*matrices) for matrices in zip(*systems, strict=True))
-    count = len(systems)
-    inputs = np.arange(b.shape[1]).reshape(count, -1).T.ravel()
-    outputs = np.arange(c.shape[0]).reshape(count, -1).T.ravel()
+
+    def by_signal(size: int) -> NDArray[np.int64]:
+        """Indices by signal, then system, of signals that stand by system, then signal."""
+        return np.arange(size).reshape(len(systems), -1).T.ravel()
+
+    inputs, outputs = by_signal(b.shape[1]), by_signal(c.shape[0])
     return discretise(a, b[:, inputs], c[outputs], d[np.ix_(outputs, inputs)], interval)
 
 
@@ -208,10 +211,10 @@ def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
 
 
 @allocating
-def _tilt_demands(passed, demand):  # type: ignore[no-untyped-def]
+def _tilt_demands(low_passed, demand):  # type: ignore[no-untyped-def]
     """Write A_d, A_d', A_d'' of pitch and minus roll (2, 3) of f, f', f'' along x and y (6,)."""
     for axis in range(2):
-        force, out = passed[axis::2], demand[axis]
+        force, out = low_passed[axis::2], demand[axis]
         sine = force[0] / STANDARD_GRAVITY
         cosine = np.sqrt(1.0 - sine * sine)
         out[0] = np.arcsin(sine)
@@ -261,16 +264,16 @@ def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore
 
 @allocating
 def _move(classical, sample, head):  # type: ignore[no-untyped-def]
-    turning = np.empty(6)
-    turning[:3], turning[3:] = sample.euler_rates, sample.slopes
-    push_sample(classical.rotation, turning, head.angular.reshape(9))
+    rates_and_slopes = np.empty(6)
+    rates_and_slopes[:3], rates_and_slopes[3:] = sample.euler_rates, sample.slopes
+    push_sample(classical.rotation, rates_and_slopes, head.angular.reshape(9))
 
     force, limit = sample.force, classical.tilt_force
-    pushing, passed, demand = np.empty(2), np.empty(6), np.empty((2, 3))
+    limited_force, low_passed, demand = np.empty(2), np.empty(6), np.empty((2, 3))
     for axis in range(2):
-        pushing[axis] = min(max(force[axis], -limit), limit)
-    push_sample(classical.low_pass, pushing, passed)
-    _tilt_demands(passed, demand)
+        limited_force[axis] = min(max(force[axis], -limit), limit)
+    push_sample(classical.low_pass, limited_force, low_passed)
+    _tilt_demands(low_passed, demand)
     limits = (classical.tilt_rate, classical.recovery, classical.interval)
     for axis in range(2):
         follow(classical.tilt[axis], classical.demand[axis], demand[axis], *limits)
@@ -280,6 +283,6 @@ def _move(classical, sample, head):  # type: ignore[no-untyped-def]
         head.angular[order, 0] -= classical.tilt[1, order]
 
     roll, pitch, yaw = head.angular[0]
-    moving = rotation(roll, pitch, yaw) @ force
-    moving[2] += STANDARD_GRAVITY
-    push_sample(classical.translation, moving, head.linear.reshape(9))
+    acceleration = rotation(roll, pitch, yaw) @ force
+    acceleration[2] += STANDARD_GRAVITY
+    push_sample(classical.translation, acceleration, head.linear.reshape(9))

@@ -39,7 +39,7 @@ _UNITS = {
     "height": "m",
 }
 _SHIPPED = Path(__file__).parent / "flights"
-_SLOWEST = 1.0  #: Longest time from row to row of a flight in a file [s].
+_MAX_STEP = 1.0  #: Longest time from row to row of a flight in a file [s].
 
 
 class Origin(Settings):
@@ -118,8 +118,8 @@ def load_flight(source: str | Path) -> Flight:
         motion = PilotMotion(time, **channels)
         if time.size < 2:
             raise InputError(f"time: has {time.size} row; at least 2 are needed")
-        if (step := float(np.median(np.diff(time)))) > _SLOWEST:
-            raise InputError(f"time: {step:g} s from row to row; allowed: to {_SLOWEST} s; in ms?")
+        if (step := float(np.median(np.diff(time)))) > _MAX_STEP:
+            raise InputError(f"time: {step:g} s from row to row; allowed: to {_MAX_STEP} s; in ms?")
         if (pitch := float(np.abs(motion.attitude[:, 1]).max())) > 0.5 * np.pi:
             raise InputError(f"pitch: {pitch:g} rad; allowed: within +-90 deg; in degrees?")
         return Flight(motion, origin, columns)

@@ -34,7 +34,7 @@ from cmf_mj.plant.parameters import HydraulicParameters
 from cmf_mj.record.record import Record
 
 RECORD_EVERY = 8  #: Control frames a row of the record: 256 Hz.
-_CORNER = 30.0
+_LOW_PASS_CORNER = 30.0
 """Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
 record hold vibration beyond half the host's rate."""
 
@@ -159,7 +159,7 @@ def low_passed(
     new_time: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Columns at a record's rate and some times [s], at others, without what lies beyond 30 Hz."""
-    sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
+    sections = signal.butter(4, _LOW_PASS_CORNER, fs=record.rate, output="sos")
     return interpolated(new_time, time, signal.sosfiltfilt(sections, values, axis=0))
 
 

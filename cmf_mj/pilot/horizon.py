@@ -30,13 +30,13 @@ from cmf_mj.pilot.washout_settings import PredictiveSettings
 Matrix = NDArray[np.float64]
 
 
-def knots(count: int, first: float, horizon: float) -> Matrix:
+def knot_times(count: int, span: float, horizon: float) -> Matrix:
     """Times t_0 .. t_N [s], (N + 1,): a first span, later ones longer by one ratio."""
-    if horizon <= count * first * (1.0 + 1e-9):
-        return np.asarray(first * np.arange(count + 1))
+    if horizon <= count * span * (1.0 + 1e-9):
+        return np.asarray(span * np.arange(count + 1))
     powers = np.arange(count)
-    ratio = brentq(lambda r: first * np.sum(r**powers) - horizon, 1.0, horizon / first + 1.0)
-    return np.concatenate([[0.0], np.cumsum(first * ratio**powers)])
+    ratio = brentq(lambda r: span * np.sum(r**powers) - horizon, 1.0, horizon / span + 1.0)
+    return np.concatenate([[0.0], np.cumsum(span * ratio**powers)])
 
 
 class FiniteProblem(NamedTuple):
@@ -93,9 +93,9 @@ def span_cost(dynamics: tuple[Matrix, Matrix], weight: Matrix, span: float) -> M
     cost = linalg.block_diag(weight, np.zeros((m, m)))
     doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(chain, 1) * span))) + 1)
     part = span / 2**doublings
-    joined = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
-    transition = joined[len(chain) :, len(chain) :]
-    total = transition.T @ joined[: len(chain), len(chain) :]
+    exponential = linalg.expm(part * np.block([[-chain.T, cost], [np.zeros_like(chain), chain]]))
+    transition = exponential[len(chain) :, len(chain) :]
+    total = transition.T @ exponential[: len(chain), len(chain) :]
     for _ in range(doublings):
         total, transition = total + transition.T @ total @ transition, transition @ transition
     slope = np.eye(n + 2 * m)
@@ -155,7 +155,7 @@ class Horizon(NamedTuple):
     """All modes over the horizon; s and U are those of the modes in a row."""
 
     times: Matrix  #: Of the knots [s], (N + 1,).
-    shift: Matrix  #: From efforts at the knots to those a frame later, (N + 1, N + 1).
+    frame_step: Matrix  #: From efforts at the knots to those a frame later, (N + 1, N + 1).
     modes: list[Condensed]
     factor: Matrix  #: R.
     unscale: Matrix  #: R^-1.
@@ -179,7 +179,7 @@ class Horizon(NamedTuple):
 def make_horizon(settings: PredictiveSettings, interval: float) -> Horizon:
     """Condense all modes of a set at frames `interval` [s] apart."""
     prediction = settings.prediction
-    times = knots(prediction.knots, interval, prediction.horizon.si)
+    times = knot_times(prediction.knots, interval, prediction.horizon.si)
     modes = []
     for name, mode in washout_modes(settings).items():
         costs = getattr(settings, name)
@@ -188,17 +188,17 @@ def make_horizon(settings: PredictiveSettings, interval: float) -> Horizon:
     factor = linalg.cholesky(linalg.block_diag(*(mode.hessian for mode in modes)))
     unscale = linalg.solve_triangular(factor, np.eye(len(factor)))
     gradient = unscale.T @ linalg.block_diag(*(mode.gradient for mode in modes))
-    motion, motion_of_plan = _joined(modes, [_motion(mode, times) for mode in modes])
-    error, error_of_plan = _joined(modes, [_error(mode) for mode in modes])
+    motion, motion_of_plan = _join_maps(modes, [_motion_map(mode, times) for mode in modes])
+    error, error_of_plan = _join_maps(modes, [_error_map(mode) for mode in modes])
     error_rows = error_of_plan.reshape(-1, len(factor))
     later, units = times + interval, np.eye(times.size)
-    shift = np.array([np.interp(later, times, row) for row in units]).T
+    frame_step = np.array([np.interp(later, times, row) for row in units]).T
     motion_map = LinearMap(motion, motion_of_plan @ unscale)
     error_map = LinearMap(error, error_rows @ unscale)
-    return Horizon(times, shift, modes, factor, unscale, gradient, motion_map, error_map)
+    return Horizon(times, frame_step, modes, factor, unscale, gradient, motion_map, error_map)
 
 
-def _motion(mode: Condensed, times: Matrix) -> Matrix:
+def _motion_map(mode: Condensed, times: Matrix) -> Matrix:
     """Pose of the head with two derivatives at t_1 .. t_N, as one mode moves it, of (s, U)."""
     slopes = np.diff(mode.efforts, axis=0) / np.diff(times)[:, None, None]
     motion = np.zeros((3, len(slopes), 6, mode.states.shape[-1]))
@@ -208,7 +208,7 @@ def _motion(mode: Condensed, times: Matrix) -> Matrix:
     return motion
 
 
-def _error(mode: Condensed) -> Matrix:
+def _error_map(mode: Condensed) -> Matrix:
     """Error of the force sensed over its threshold at t_1 .. t_N in one mode, of (s, U)."""
     states, axis = mode.states[1:], mode.mode.layout.axes.get("force")
     error = np.zeros((len(states), 3, states.shape[-1]))
@@ -217,7 +217,7 @@ def _error(mode: Condensed) -> Matrix:
     return error / load_senses().thresholds.si[:3, None]
 
 
-def _joined(modes: list[Condensed], maps: list[Matrix]) -> tuple[Matrix, Matrix]:
+def _join_maps(modes: list[Condensed], maps: list[Matrix]) -> tuple[Matrix, Matrix]:
     """Maps of (s, U) of each mode, as one of s and one of U of all modes in a row."""
     of_parameters, of_plans = [], []
     for mode, mode_map in zip(modes, maps, strict=True):

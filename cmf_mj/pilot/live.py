@@ -52,30 +52,30 @@ class LiveHost:
         self.rows: list[Row] = []  #: What the washout got, one a frame: extrapolated and faded.
         self.frames: list[HostFrame] = []
         self._source_format, self._washout = source_format, washout
-        self._row: Row | None = None  #: The newest sample.
-        self._arrival, self._calls = -math.inf, 0
+        self._newest_row: Row | None = None  #: The newest sample.
+        self._newest_arrival, self._call_count = -math.inf, 0
         self._motion, self._slope = np.zeros(6), np.zeros(6)  # force and rate of the newest sample
         self.socket = open_socket(port, bind)
         self.socket.setblocking(False)
 
     def attend(self, session: Session) -> int:
         """Send a frame of the newest sample; returns the control frames until the next call."""
-        now, last_arrival = session.frame / session.rate, self._arrival
+        now, last_arrival = session.frame / session.rate, self._newest_arrival
         self._receive(now)
-        if self._row is not None and now - self._arrival <= _STALE:
-            if self._arrival > last_arrival:
-                self._follow_slope(self._row, now - last_arrival)
-            self._send(self._row, self._extrapolated(now - self._arrival))
-        self._calls += 1
-        return round(self._calls * session.rate / MOST_RATE) - session.frame
+        if self._newest_row is not None and now - self._newest_arrival <= _STALE:
+            if self._newest_arrival > last_arrival:
+                self._follow_slope(self._newest_row, now - last_arrival)
+            self._send(self._newest_row, self._extrapolated(now - self._newest_arrival))
+        self._call_count += 1
+        return round(self._call_count * session.rate / MOST_RATE) - session.frame
 
     def _receive(self, now: float) -> None:
         """Read what has come; the newest sample counts."""
         with contextlib.suppress(OSError):  # nothing more has come
             for _ in range(_DATAGRAMS):
                 try:
-                    self._row = decode(self._source_format, self.socket.recv(65535))
-                    self._arrival = now
+                    self._newest_row = decode(self._source_format, self.socket.recv(65535))
+                    self._newest_arrival = now
                 except InputError:
                     self.refused += 1
 

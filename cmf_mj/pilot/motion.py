@@ -104,10 +104,10 @@ class PilotMotion:
             np.ascontiguousarray(values)
             for values in (stream.pose, stream.velocity, stream.acceleration)
         )
-        omega, alpha, force = (np.empty((len(poses), 3)) for _ in range(3))
-        _platform_motion(poses, velocities, accelerations, omega, alpha, force)
-        force -= gravity_in_body(poses[:, 3:])
-        force += at_lever_arm(omega, alpha, station)
+        omega, alpha, centroid_acceleration = (np.empty((len(poses), 3)) for _ in range(3))
+        _platform_motion(poses, velocities, accelerations, omega, alpha, centroid_acceleration)
+        centroid_force = centroid_acceleration - gravity_in_body(poses[:, 3:])
+        force = centroid_force + at_lever_arm(omega, alpha, station)
         return PilotMotion(stream.time, force, omega, poses[:, 3:])
 
     @staticmethod
@@ -163,36 +163,38 @@ def body_rates(angles, rates, accelerations, omega, alpha):  # type: ignore[no-u
 
     with R, P, Y roll, pitch, yaw; all vectors (3,).
     """
-    cr, sr = np.cos(angles[0]), np.sin(angles[0])
-    cp, sp = np.cos(angles[1]), np.sin(angles[1])
-    roll, pitch, yaw = rates[0], rates[1], rates[2]
-    omega[0] = roll - yaw * sp
-    omega[1] = pitch * cr + yaw * sr * cp
-    omega[2] = -pitch * sr + yaw * cr * cp
-    alpha[0] = accelerations[0] - accelerations[2] * sp - yaw * pitch * cp
-    alpha[1] = accelerations[1] * cr + accelerations[2] * sr * cp
-    alpha[1] += -pitch * roll * sr + yaw * (roll * cr * cp - pitch * sr * sp)
-    alpha[2] = -accelerations[1] * sr + accelerations[2] * cr * cp
-    alpha[2] += -pitch * roll * cr - yaw * (roll * sr * cp + pitch * cr * sp)
+    cos_roll, sin_roll = np.cos(angles[0]), np.sin(angles[0])
+    cos_pitch, sin_pitch = np.cos(angles[1]), np.sin(angles[1])
+    roll_rate, pitch_rate, yaw_rate = rates[0], rates[1], rates[2]
+    omega[0] = roll_rate - yaw_rate * sin_pitch
+    omega[1] = pitch_rate * cos_roll + yaw_rate * sin_roll * cos_pitch
+    omega[2] = -pitch_rate * sin_roll + yaw_rate * cos_roll * cos_pitch
+    alpha[0] = accelerations[0] - accelerations[2] * sin_pitch - yaw_rate * pitch_rate * cos_pitch
+    alpha[1] = accelerations[1] * cos_roll + accelerations[2] * sin_roll * cos_pitch
+    sine_slope = roll_rate * cos_roll * cos_pitch - pitch_rate * sin_roll * sin_pitch
+    alpha[1] += -pitch_rate * roll_rate * sin_roll + yaw_rate * sine_slope
+    alpha[2] = -accelerations[1] * sin_roll + accelerations[2] * cos_roll * cos_pitch
+    cosine_fall = roll_rate * sin_roll * cos_pitch + pitch_rate * cos_roll * sin_pitch
+    alpha[2] += -pitch_rate * roll_rate * cos_roll - yaw_rate * cosine_fall
 
 
 @allocating
 def turn_to_body(angles, vector, out):  # type: ignore[no-untyped-def]
     """Write T^T v: a vector (3,) of inertial axes in body axes."""
-    cr, sr = np.cos(angles[0]), np.sin(angles[0])
-    cp, sp = np.cos(angles[1]), np.sin(angles[1])
-    cy, sy = np.cos(angles[2]), np.sin(angles[2])
-    x, y, z = cy * vector[0] + sy * vector[1], -sy * vector[0] + cy * vector[1], vector[2]
-    x, z = cp * x - sp * z, sp * x + cp * z
-    out[0], out[1], out[2] = x, cr * y + sr * z, -sr * y + cr * z
+    cos_roll, sin_roll = np.cos(angles[0]), np.sin(angles[0])
+    cos_pitch, sin_pitch = np.cos(angles[1]), np.sin(angles[1])
+    cos_yaw, sin_yaw = np.cos(angles[2]), np.sin(angles[2])
+    x, y = cos_yaw * vector[0] + sin_yaw * vector[1], -sin_yaw * vector[0] + cos_yaw * vector[1]
+    x, z = cos_pitch * x - sin_pitch * vector[2], sin_pitch * x + cos_pitch * vector[2]
+    out[0], out[1], out[2] = x, cos_roll * y + sin_roll * z, -sin_roll * y + cos_roll * z
 
 
 @allocating
-def _platform_motion(poses, rates, accelerations, omega, alpha, centroid):  # type: ignore[no-untyped-def]
+def _platform_motion(poses, rates, accelerations, omega, alpha, centroid_acceleration):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
         angles = poses[row, 3:]
         body_rates(angles, rates[row, 3:], accelerations[row, 3:], omega[row], alpha[row])
-        turn_to_body(angles, accelerations[row, :3], centroid[row])
+        turn_to_body(angles, accelerations[row, :3], centroid_acceleration[row])
 
 
 def interpolated(

@@ -95,7 +95,7 @@ def amplitude(dof: str, frequency: float) -> float:
     return by_kind(dof, FORCE, min(ANGLE, ANGULAR_RATE / frequency))
 
 
-def measured_from(frequency: float) -> float:
+def measurement_start(frequency: float) -> float:
     """When the measured cycles of a frequency [rad/s] begin [s]."""
     return max(2.0 * np.pi / frequency, _SETTLE)
 
@@ -103,7 +103,7 @@ def measured_from(frequency: float) -> float:
 def aircraft_motion(dof: str, frequency: float) -> PilotMotion:
     """The aircraft's motion of one run at a frequency [rad/s]."""
     period, size = 2.0 * np.pi / frequency, amplitude(dof, frequency)
-    end = measured_from(frequency) + period * np.ceil(_MEASURE / period)
+    end = measurement_start(frequency) + period * np.ceil(_MEASURE / period)
     time = np.arange(int(np.ceil((end + 0.5) * MOST_RATE))) / MOST_RATE
     span = min(period, _FADE)
     share = np.clip(time / span, 0.0, 1.0)
@@ -138,7 +138,7 @@ def omct(
     the tests of others are NaN. `progress` is called with runs done and in all.
     """
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
-    loaded = [load_law(law) for law in laws]
+    loaded_laws = [load_law(law) for law in laws]
     loaded_cab = load_cab(cab)
     for dof in dofs:
         check_name("dofs", dof, sorted(DOFS))
@@ -150,11 +150,11 @@ def omct(
             raise InputError(
                 f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * MOST_RATE:.4g}"
             )
-    names = [*STAGES, *(law.name for law in loaded)]
+    names = [*STAGES, *(law.name for law in loaded_laws)]
     shape = len(TESTS), len(frequencies)
     responses = {name: np.full(shape, np.nan + 0j) for name in names}
     remainders = {name: np.full(shape, np.nan) for name in names}
-    cases = list(product(dofs, range(len(frequencies)), (None, *loaded)))
+    cases = list(product(dofs, range(len(frequencies)), (None, *loaded_laws)))
 
     def run(case: tuple[str, int, Law | None]) -> None:
         dof, column, law = case
@@ -199,7 +199,7 @@ def _dcu_demand(stream: HostStream) -> NDArray[np.float64]:
     return upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
 
 
-def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
+def aircraft_command(table: Mapping[str, Any], plant: Hexapod) -> Command:
     """The platform's demand in one test of a guide, `{ dof, frequency [rad/s], washout }`."""
     settings, rate = load_washout(str(table.get("washout", "simona"))), plant.machine.rate
     aircraft = aircraft_motion(str(table["dof"]), float(table["frequency"]))
@@ -208,7 +208,7 @@ def guided(table: Mapping[str, Any], plant: Hexapod) -> Command:
     return Command(poses[rows], PoseTable(**{**table, "rate": rate}))
 
 
-def cueing(record: Record) -> dict[str, float]:
+def cueing_responses(record: Record) -> dict[str, float]:
     """Modulus and phase of what an input drives, of a record of a guide: legs to pilot's station.
 
     The station is that of the cab that the metadata name.
@@ -230,7 +230,7 @@ def fundamentals(
     dof: str, frequency: float, motion: PilotMotion
 ) -> dict[int, tuple[complex, float]]:
     """Response and remainder of all outputs that an input drives, by row of `TESTS`."""
-    results, size, begin = {}, amplitude(dof, frequency), measured_from(frequency)
+    results, size, begin = {}, amplitude(dof, frequency), measurement_start(frequency)
     for row, (driven_dof, output) in enumerate(TESTS):
         if driven_dof == dof:
             channel = by_kind(output, motion.specific_force, motion.attitude)

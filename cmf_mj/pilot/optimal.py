@@ -249,9 +249,10 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
 @allocating
 def _move(optimal, sample, head):  # type: ignore[no-untyped-def]
     inputs, motion = np.empty(12), np.empty(18)
-    inputs[:3], inputs[3:6], inputs[6:9] = sample.euler_rates, sample.force, sample.slopes
-    inputs[5] += STANDARD_GRAVITY
-    inputs[9:] = (inputs[3:6] - optimal.filter.inputs[3:6]) / optimal.interval
+    force, last_force = inputs[3:6], optimal.filter.inputs[3:6]
+    inputs[:3], force[:], inputs[6:9] = sample.euler_rates, sample.force, sample.slopes
+    force[2] += STANDARD_GRAVITY
+    inputs[9:] = (force - last_force) / optimal.interval
     push_sample(optimal.filter, inputs, motion)
     head.angular[:] = motion[:9].reshape(3, 3)
     head.linear[:] = motion[9:].reshape(3, 3)

@@ -120,7 +120,7 @@ class ModePlan:
         self.state = self.condensed.states[1] @ signals
         efforts = np.vstack([self.efforts[:1], plan])
         self.slope = (efforts[1] - efforts[0]) / horizon.times[1]
-        self.efforts = horizon.shift @ efforts
+        self.efforts = horizon.frame_step @ efforts
 
 
 class Predictive:

@@ -34,8 +34,9 @@ from cmf_mj.pilot.washout_settings import Prediction
 
 Matrix = NDArray[np.float64]
 
-_SHIFT, _TILT = slice(0, 3), slice(3, 5)  #: Displacement, and roll and pitch, of a pose.
-_BEGIN = slice(0, 9)  #: Of the reach, what is bounded at t_0: the legs and the centroid's shift.
+_DISPLACEMENT, _TILT = slice(0, 3), slice(3, 5)  #: Displacement, and roll and pitch, of a pose.
+_REACH_SIZE = 12  #: Legs and pose.
+_BOUNDED_AT_START = slice(0, 9)  #: Of the reach at t_0: the legs and the centroid's displacement.
 _TIME_STEP = 1e-6  #: To differentiate the Jacobian along the motion [s].
 _ANGLE_STEP = 1e-4  #: To differentiate the rotation [rad].
 _SOLVED = (1, 2)  #: Exit flags of DAQP at an optimum, and at one that passes soft rows.
@@ -106,9 +107,10 @@ def _prices(settings: Prediction, times: Matrix) -> Prices:
     spans, count = np.convolve(np.diff(times), [0.5, 0.5])[1:], times.size - 1
     cue_prices = np.repeat(settings.false_price.si * spans, 3)
     cue_ease = _DOUBLING / np.maximum(cue_prices, 1e-9)
-    reach_and_tilt = (_BEGIN.stop + 36 * count, 2 * count)
-    prices = np.repeat([settings.price.si, settings.tilt_price.si], reach_and_tilt)
-    ease = np.repeat([_STEEP, _STEEP_TILT], reach_and_tilt)
+    # At t_0 acceleration alone is bounded; at each knot travel, speed and acceleration are.
+    row_counts = (_BOUNDED_AT_START.stop + 3 * _REACH_SIZE * count, 2 * count)
+    prices = np.repeat([settings.price.si, settings.tilt_price.si], row_counts)
+    ease = np.repeat([_STEEP, _STEEP_TILT], row_counts)
     return Prices(np.concatenate([prices, cue_prices]), np.concatenate([ease, cue_ease]))
 
 
@@ -131,24 +133,24 @@ class PlanLimits:
 
         self._thresholds = load_senses().thresholds.si[:3]
         motion, later = horizon.motion.of_decisions, horizon.times[1:]
-        near = settings.approach.si + settings.foresight.si * later
-        ones, zeros = np.ones_like(near), np.zeros_like(near)
-        bounded = [[ones, 2.0 * near, near**2], [zeros, ones, near], [zeros, zeros, ones]]
-        self._approach = np.array(bounded)
+        lead = settings.approach.si + settings.foresight.si * later
+        ones, zeros = np.ones_like(lead), np.zeros_like(lead)
+        bounded = [[ones, 2.0 * lead, lead**2], [zeros, ones, lead], [zeros, zeros, ones]]
+        self._bound_weights = np.array(bounded)
         """What of q, q' and q'' is bounded as travel, speed and acceleration, (3, 3, N)."""
-        self._approaching = np.einsum("ijk,jk...->ik...", self._approach, motion)
+        self._bounded_motion = np.einsum("ijk,jk...->ik...", self._bound_weights, motion)
         tilt_rates = motion[1, :, _TILT].reshape(2 * later.size, -1)
         self._tilt_matrix = tilt_rates / settings.tilt_rate.si
         self._cue_matrix = horizon.error.of_decisions
         self.prices = _prices(settings, horizon.times)
 
     def programme(
-        self, parameters: Matrix, plan: Matrix, aircraft: Matrix, sensed: Matrix, shift: Matrix
+        self, parameters: Matrix, plan: Matrix, inputs: Matrix, sensed: Matrix, acceleration: Matrix
     ) -> dict[str, Matrix]:
         """f, A and bounds of min z^T z / 2 + f^T z, linearised along the plan z.
 
-        `parameters` is s of all modes, `aircraft` its inputs at all knots, (N + 1, 6), `sensed` the
-        specific force sensed in it at t_1 .. t_N, (N, 3), `shift` the acceleration of the head at
+        `parameters` is s of all modes, `inputs` the aircraft's at all knots, (N + 1, 6), `sensed`
+        the specific force sensed in it at t_1 .. t_N, (N, 3), `acceleration` that of the head at
         t_0, (3,).
         """
         motion = self._horizon.motion
@@ -156,9 +158,9 @@ class PlanLimits:
         pose, rate, _ = resting + motion.of_decisions @ plan
         reach = reach_along(self._geometry, self._station, pose, rate)
         rows = (
-            self._begin_rows(reach, resting, rate, shift),
+            self._start_rows(reach, resting, rate, acceleration),
             self._reach_rows(reach, resting, pose, rate),
-            self._tilt_rows(resting, aircraft),
+            self._tilt_rows(resting, inputs),
             self._cue_rows(parameters, sensed),
         )
         return {
@@ -168,25 +170,25 @@ class PlanLimits:
             "bupper": np.concatenate([group.high.ravel() for group in rows]),
         }
 
-    def _begin_rows(self, reach: Reach, resting: Matrix, rate: Matrix, shift: Matrix) -> Rows:
-        """Acceleration at t_0, where that of the rotation jumps and that of the shift does not."""
-        limit = self.high[2, _BEGIN]
+    def _start_rows(self, reach: Reach, resting: Matrix, rate: Matrix, head: Matrix) -> Rows:
+        """Acceleration at t_0, where that of the rotation jumps, that of the `head` not."""
+        limit = self.high[2, _BOUNDED_AT_START]
         acceleration, jump = resting[2, 0].copy(), self._horizon.motion.of_decisions[2, 0].copy()
-        acceleration[_SHIFT], jump[_SHIFT] = shift, 0.0
+        acceleration[_DISPLACEMENT], jump[_DISPLACEMENT] = head, 0.0
         jacobian, turning = reach.jacobian[0], reach.turning[0]
-        begin = (jacobian @ acceleration + turning @ rate[0])[_BEGIN] / limit
-        matrix = (jacobian @ jump)[_BEGIN] / limit[:, None]
-        return Rows(matrix, -1.0 - begin, 1.0 - begin)
+        start = (jacobian @ acceleration + turning @ rate[0])[_BOUNDED_AT_START] / limit
+        matrix = (jacobian @ jump)[_BOUNDED_AT_START] / limit[:, None]
+        return Rows(matrix, -1.0 - start, 1.0 - start)
 
     def _reach_rows(self, reach: Reach, resting: Matrix, pose: Matrix, rate: Matrix) -> Rows:
         """Travel, speed and acceleration of legs and pose, (3, N, 12) rows."""
         values = (reach.jacobian @ resting[..., None])[..., 0]
         values[0] += reach.values - (reach.jacobian @ pose[..., None])[..., 0]
         values[2] += (reach.turning @ (2.0 * resting[1] - rate)[..., None])[..., 0]
-        values = np.einsum("ijk,jkl->ikl", self._approach, values)
+        values = np.einsum("ijk,jkl->ikl", self._bound_weights, values)
         turning = 2.0 * reach.turning @ self._horizon.motion.of_decisions[1]
-        matrix = reach.jacobian @ self._approaching
-        matrix += self._approach[:, 2, :, None, None] * turning
+        matrix = reach.jacobian @ self._bounded_motion
+        matrix += self._bound_weights[:, 2, :, None, None] * turning
         scale = self.high[:, None]
         matrix /= scale[..., None]
         low, high = ((limit[:, None] - values) / scale for limit in (self.low, self.high))

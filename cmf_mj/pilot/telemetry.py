@@ -29,7 +29,8 @@ from cmf_mj.pilot.flight import Flight, Origin, read_columns
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
 from cmf_mj.pilot.telemetry_check import Telemetry
 
-_ROW, _BEAMNG = struct.Struct("<i8f"), struct.Struct("<4s21f")
+_XPLANE_ROW, _BEAMNG = struct.Struct("<i8f"), struct.Struct("<4s21f")
+_ATTITUDE, _PATH, _ACCELERATION = 17, 21, 135  #: Numbers of the rows of X-Plane that are read.
 
 
 class Row(NamedTuple):
@@ -45,17 +46,17 @@ class Row(NamedTuple):
 
 def _xplane(data: bytes) -> Row:
     """Rows 17, 135 and perhaps 21 of a `DATA` datagram."""
-    if data[:4] != b"DATA" or (len(data) - 5) % _ROW.size:
+    if data[:4] != b"DATA" or (len(data) - 5) % _XPLANE_ROW.size:
         raise InputError(f"xplane: {data[:5]!r} and {len(data)} octets are not a DATA datagram")
-    rows = {row[0]: row[1:] for row in _ROW.iter_unpack(data[5:])}
-    if 17 not in rows or 135 not in rows:
+    rows = {row[0]: row[1:] for row in _XPLANE_ROW.iter_unpack(data[5:])}
+    if _ATTITUDE not in rows or _ACCELERATION not in rows:
         raise InputError(f"xplane: rows {sorted(rows)}; allowed: 17 and 135 at least")
-    right, up, back, *rates = rows[135][:6]
-    pitch, roll, heading = (angle * DEGREE for angle in rows[17][:3])
+    right, up, back, *rates = rows[_ACCELERATION][:6]
+    pitch, roll, heading = (angle * DEGREE for angle in rows[_ATTITUDE][:3])
     row = Row(math.nan, (-back, right, -up), tuple(rates), (roll, pitch, heading))
-    if 21 not in rows:
+    if _PATH not in rows:
         return row
-    _, height, _, *velocity = rows[21][:6]
+    _, height, _, *velocity = rows[_PATH][:6]
     return row._replace(speed=math.hypot(*velocity), height=height)
 
 

@@ -70,10 +70,10 @@ def write_scaled(running, specific_force, angular_rate, force, rate):  # type: i
 @allocating
 def write_euler_rates(roll, pitch, rate, euler_rates):  # type: ignore[no-untyped-def]
     """Write the Euler rates (3,) of an angular velocity (3,) in body axes."""
-    across = rate[1] * np.sin(roll) + rate[2] * np.cos(roll)
-    euler_rates[0] = rate[0] + across * np.tan(pitch)
+    level_yaw_rate = rate[1] * np.sin(roll) + rate[2] * np.cos(roll)
+    euler_rates[0] = rate[0] + level_yaw_rate * np.tan(pitch)
     euler_rates[1] = rate[1] * np.cos(roll) - rate[2] * np.sin(roll)
-    euler_rates[2] = across / np.cos(pitch)
+    euler_rates[2] = level_yaw_rate / np.cos(pitch)
 
 
 @allocating
@@ -82,16 +82,17 @@ def place_platform(running, motion):  # type: ignore[no-untyped-def]
     station, angular, linear = running.station, running.head.angular, running.head.linear
     omega, alpha = np.empty(3), np.empty(3)
     body_rates(angular[0], angular[1], angular[2], omega, alpha)
-    turn = rotation(angular[0, 0], angular[0, 1], angular[0, 2])
-    swing = np.cross(omega, station)
-    motion[0, :3] = linear[0] - (turn @ station - station)
-    motion[1, :3] = linear[1] - turn @ swing
-    motion[2, :3] = linear[2] - turn @ (np.cross(alpha, station) + np.cross(omega, swing))
+    to_inertial = rotation(angular[0, 0], angular[0, 1], angular[0, 2])
+    velocity = np.cross(omega, station)
+    motion[0, :3] = linear[0] - (to_inertial @ station - station)
+    motion[1, :3] = linear[1] - to_inertial @ velocity
+    acceleration = np.cross(alpha, station) + np.cross(omega, velocity)
+    motion[2, :3] = linear[2] - to_inertial @ acceleration
     motion[:, 3:] = angular
 
 
 @allocating
-def coming_attitude(running):  # type: ignore[no-untyped-def]
+def predicted_attitude(running):  # type: ignore[no-untyped-def]
     """Roll and pitch at this frame, but for terms of third order in the interval."""
     span, angular = running.interval, running.head.angular
     roll = angular[0, 0] + span * (angular[1, 0] + 0.5 * span * angular[2, 0])
@@ -100,26 +101,26 @@ def coming_attitude(running):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def take_in(running, specific_force, angular_rate):  # type: ignore[no-untyped-def]
+def write_sample(running, specific_force, angular_rate):  # type: ignore[no-untyped-def]
     """Make the sample of a specific force and an angular rate at the pilot's station, (3,)."""
     sample, rate = running.sample, np.empty(3)
     last_euler_rates = sample.euler_rates.copy()
     write_scaled(running, specific_force, angular_rate, sample.force, rate)
-    roll, pitch = coming_attitude(running)
+    roll, pitch = predicted_attitude(running)
     write_euler_rates(roll, pitch, rate, sample.euler_rates)
     sample.slopes[:] = (sample.euler_rates - last_euler_rates) / running.interval
 
 
 @allocating
-def to_inputs(running, ahead):  # type: ignore[no-untyped-def]
-    """Turn specific forces and angular rates (K, 6) in place into `Sample.inputs` of each."""
+def write_inputs(running, known):  # type: ignore[no-untyped-def]
+    """Overwrite specific forces and angular rates (K, 6) by `Sample.inputs` of each."""
     force, rate = np.empty(3), np.empty(3)
-    roll, pitch = coming_attitude(running)
-    for row in range(ahead.shape[0]):
-        write_scaled(running, ahead[row, :3], ahead[row, 3:], force, rate)
-        write_euler_rates(roll, pitch, rate, ahead[row, :3])
-        ahead[row, 3:] = force
-        ahead[row, 5] += STANDARD_GRAVITY
+    roll, pitch = predicted_attitude(running)
+    for row in range(known.shape[0]):
+        write_scaled(running, known[row, :3], known[row, 3:], force, rate)
+        write_euler_rates(roll, pitch, rate, known[row, :3])
+        force[2] += STANDARD_GRAVITY
+        known[row, 3:] = force
 
 
 class Washout:
@@ -151,13 +152,13 @@ class Washout:
         inputs = self.settings.inputs
         self.predictive: Predictive | None = None
         self._running = RunningWashout(
-            self.settings.gains,
-            inputs.force_limit.si,
-            inputs.rate_limit.si,
-            self.station,
-            interval,
-            HeadMotion(np.empty((3, 3)), np.empty((3, 3))),
-            Sample(np.empty(3), np.empty(3), np.empty(3)),
+            gain=self.settings.gains,
+            force_limit=inputs.force_limit.si,
+            rate_limit=inputs.rate_limit.si,
+            station=self.station,
+            interval=interval,
+            head=HeadMotion(np.empty((3, 3)), np.empty((3, 3))),
+            sample=Sample(np.empty(3), np.empty(3), np.empty(3)),
         )
         self._sequence: int | None = None
         self.solving = _SOLVER_SHARE
@@ -215,8 +216,8 @@ class Washout:
         What is `known` ahead, at the knots 2 .. N, (N - 1, 6), is overwritten.
         """
         if known is not None:
-            to_inputs(self._running, known)
-        take_in(self._running, station_motion[:3], station_motion[3:])
+            write_inputs(self._running, known)
+        write_sample(self._running, station_motion[:3], station_motion[3:])
         self._algorithm.move(self._running.sample._replace(known=known), self._running.head)
         place_platform(self._running, motion)
 

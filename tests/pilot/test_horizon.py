@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate, linalg
 
 from cmf_mj.core.filters import discretise
-from cmf_mj.pilot.horizon import condense, finite_problem, knots, otoliths_ahead, span_cost
+from cmf_mj.pilot.horizon import condense, finite_problem, knot_times, otoliths_ahead, span_cost
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.optimal import washout_modes
 from cmf_mj.pilot.perception import load_senses, sense
@@ -28,7 +28,7 @@ def test_unconstrained_over_a_long_horizon_it_is_the_discrete_riccati_solution(n
     q, s, r = w[: n + m, : n + m], w[: n + m, n + m :], w[n + m :, n + m :]
     p = linalg.solve_discrete_are(moved, driven, q, r, s=s)
     gain = np.linalg.solve(r + driven.T @ p @ driven, driven.T @ p @ moved + s.T)
-    whole = condense(mode, knots(count, span, 0.0))
+    whole = condense(mode, knot_times(count, span, 0.0))
     plan = -np.linalg.solve(whole.hessian, whole.gradient[:, : n + m])
     np.testing.assert_allclose(plan[:m], -gain, atol=1e-7 * np.abs(gain).max())
 
@@ -53,7 +53,7 @@ def test_cost_of_a_span_is_the_integral():
 
 
 def test_knots_begin_with_a_frame_and_end_at_the_horizon():
-    times = knots(16, 0.0125, 3.0)
+    times = knot_times(16, 0.0125, 3.0)
     assert (times[0], times[1], times[-1]) == pytest.approx((0.0, 0.0125, 3.0))
     ratio = np.diff(times)[1:] / np.diff(times)[:-1]
     np.testing.assert_allclose(ratio, ratio[0])

@@ -16,12 +16,12 @@ from cmf_mj.pilot.omct import (
     TESTS,
     Omct,
     _fundamental,
+    aircraft_command,
     aircraft_motion,
     amplitude,
-    cueing,
+    cueing_responses,
     fundamentals,
-    guided,
-    measured_from,
+    measurement_start,
     omct,
 )
 from cmf_mj.pilot.washout_settings import load_washout, save_washout
@@ -119,12 +119,12 @@ def test_a_guide_measures_on_an_ideal_machine_what_the_demand_does(dof):
     """From leg positions of legs that follow exactly: modulus within 0.5 %, phase 0.5 deg."""
     frequency = 2.512
     plant = Hexapod()
-    command = guided({"kind": "aircraft", "dof": dof, "frequency": frequency}, plant)
+    command = aircraft_command({"kind": "aircraft", "dof": dof, "frequency": frequency}, plant)
     legs = pose_to_legs(command.pose[::16], plant.machine)
     said = {"sample_rate": 128.0, "cab": plant.cab, "command": command.signal.described()}
     time = np.arange(len(legs)) / 128.0
     record = Record(time, {"leg_position": legs}, {"leg_position": "m"}, said)
-    found = cueing(record)
+    found = cueing_responses(record)
     expected = omct((), frequencies=[frequency], dofs=[dof], jobs=1).responses["ideal"]
     for place in np.flatnonzero(np.isfinite(expected[:, 0])):
         name = f"{dof} > {TESTS[place][1]} {frequency:g} rad/s"
@@ -143,7 +143,7 @@ def test_aircraft_motion_is_one_of_a_pilot():
     slope = np.gradient(motion.attitude[:, 1], motion.time)
     np.testing.assert_allclose(slope[2:-2], motion.angular_rate[2:-2, 1], atol=2e-4)
     np.testing.assert_allclose(motion.acceleration, 0.0, atol=1e-14)
-    later = motion.time >= measured_from(1.0)
+    later = motion.time >= measurement_start(1.0)
     sine = np.radians(1.0) * np.sin(motion.time[later])
     np.testing.assert_allclose(motion.attitude[later, 1], sine, atol=1e-16)
     driven = fundamentals("pitch", 1.0, motion)

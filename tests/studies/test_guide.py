@@ -9,7 +9,7 @@ from guide_files import SHORT, written
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.tables import read_table
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.pilot.omct import cueing
+from cmf_mj.pilot.omct import cueing_responses
 from cmf_mj.studies.guide import (
     FILE,
     GUIDES,
@@ -27,7 +27,7 @@ from cmf_mj.studies.measurement import MEASURES
 def test_a_shipped_guide_says_where_each_limit_comes_from(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(MEASURES, "cueing", cueing)
+    monkeypatch.setitem(MEASURES, "cueing", cueing_responses)
     guide = load_guide(name)
     for one in guide.tests.values():
         assert one.limits or one.no_limit
