@@ -80,8 +80,8 @@ class Pilot:
         if targets.pitch is not None:
             error = targets.pitch - pitch
             self._pitch_integral += error / RATE
-            pull = _PITCH * error + _PITCH_INTEGRAL * self._pitch_integral - _PITCH_RATE * q
-            self._surface_demands[0] = -scale * pull
+            nose_up = _PITCH * error + _PITCH_INTEGRAL * self._pitch_integral - _PITCH_RATE * q
+            self._surface_demands[0] = -scale * nose_up
         if targets.bank is not None:
             self._surface_demands[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
         if targets.heading is not None:
@@ -128,9 +128,9 @@ _GUSTS = {3.0: ((0.0, 0.0, -9.0), 2.0), 18.0: ((0.0, 6.0, 0.0), 2.0)}
 class _Clock(dict[str, float]):
     """Times [s] at which conditions were first met."""
 
-    def since(self, name: str, time: float, met: bool) -> float:
-        """Time since then [s]; minus infinity before."""
-        if met:
+    def since(self, name: str, time: float, is_met: bool) -> float:
+        """Time since a condition was first met [s], minus infinity before; notes it if it is."""
+        if is_met:
             self.setdefault(name, time)
         return time - self.get(name, np.inf)
 

@@ -76,7 +76,7 @@ class TelemetryVerdict(NamedTuple):
 _UNIT = np.eye(3)
 
 
-def _swap(i: int, k: int) -> Array:
+def _swap_matrix(i: int, k: int) -> Array:
     """Matrix that swaps two axes."""
     matrix = np.eye(3)
     matrix[[i, k]] = matrix[[k, i]]
@@ -90,7 +90,7 @@ def _axis_errors(channel: str, *axes: str) -> list[Correction]:
         for name, axis in zip(axes, _UNIT, strict=True)
     ]
     swaps = [
-        Correction(f"{channel} {axes[i]} and {axes[k]} are swapped", _swap(i, k))
+        Correction(f"{channel} {axes[i]} and {axes[k]} are swapped", _swap_matrix(i, k))
         for i, k in ((0, 1), (1, 2), (0, 2))
     ]
     return [Correction("", _UNIT, price=0.0), *signs, *swaps]
@@ -118,18 +118,18 @@ def check_telemetry(telemetry: Telemetry) -> TelemetryVerdict:
     """Say what is wrong with telemetry, in words, and what could not be seen."""
     errors, unit = _time_errors(telemetry.time)
     telemetry = telemetry._replace(time=to_si(unit, telemetry.time))
-    rows = _longest_rising(telemetry.time)
-    rising = Telemetry._make(values[rows] for values in telemetry)
+    is_rising = _longest_rising(telemetry.time)
+    rising = Telemetry._make(values[is_rising] for values in telemetry)
     if rising.time.size < 2 or rising.time[-1] - rising.time[0] < _SHORTEST:
         return TelemetryVerdict((*errors, f"less than {_SHORTEST:g} s of data"), ())
     misfit = _misfits(rising)
     prices = np.ix_(*([item.price for item in channel] for channel in CORRECTIONS))
     cost = misfit + _LEAST_GAIN * sum(prices)
     cheapest = [Combination(*row) for row in np.argwhere(cost < cost.min() + _LEAST_GAIN)]
-    best, *others = sorted(cheapest, key=lambda combination: cost[combination])
+    best, *runners_up = sorted(cheapest, key=lambda combination: cost[combination])
     if len(best.errors) == 1:  # what fits as well is as likely
-        alike = [item.errors for item in (best, *others) if len(item.errors) == 1]
-        errors.append(" or ".join(error for (error,) in alike))
+        equally_likely = [item.errors for item in (best, *runners_up) if len(item.errors) == 1]
+        errors.append(" or ".join(error for (error,) in equally_likely))
     else:
         errors += best.errors
     return TelemetryVerdict(tuple(errors), _unseen(misfit, best))
@@ -225,8 +225,8 @@ def _force_costs(force: Array, expected: Array, angles: Array, *, path_known: bo
     misfits = [correction.apply(force, angles) - expected for correction in CORRECTIONS[2]]
     if path_known:
         return [np.log(_rms(values) + _TOLERANCE["force"]).sum() for values in misfits]
-    to_level = Rotation.from_euler("ZYX", angles[:, ::-1])
-    sinks = (to_level.apply(values)[:, 2].mean() for values in misfits)
+    to_inertial = Rotation.from_euler("ZYX", angles[:, ::-1])
+    sinks = (to_inertial.apply(values)[:, 2].mean() for values in misfits)
     return [np.log(_TOLERANCE["vertical"] + abs(sink)) for sink in sinks]
 
 

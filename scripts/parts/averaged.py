@@ -26,7 +26,12 @@ from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.report_2014.posterior import effects
-from cmf_mj.report_2014.posterior.answers import LEVELS, chance, interval, probability_text
+from cmf_mj.report_2014.posterior.answers import (
+    LEVELS,
+    interval_text,
+    probability_interval,
+    probability_text,
+)
 from cmf_mj.report_2014.posterior.effect_run import effects_of, machines_of, run_effects
 from cmf_mj.report_2014.posterior.run import Task
 from cmf_mj.report_2014.posterior.study import effect_settings, load_effects
@@ -99,7 +104,7 @@ def spans(shipped: float, values: np.ndarray) -> tuple[str, str]:
     """The shipped machine's, and median and 90 % of the values that there are."""
     there = values[np.isfinite(values)]
     found = np.quantile(there, LEVELS) if there.size else np.full(len(LEVELS), np.nan)
-    return number(shipped, ".3g"), interval(found, ".3g")
+    return number(shipped, ".3g"), interval_text(found, ".3g")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -121,7 +126,7 @@ def run(options: argparse.Namespace) -> None:
                 (law.name, cab, column, *spans(base[k], found[:, k]))
                 for k, column in enumerate(columns)
             ]
-            unstable = chance(1.0 - found[:, -1].mean(), min(len(every), counted))
+            unstable = probability_interval(1.0 - found[:, -1].mean(), min(len(every), counted))
             shares = "no" if base[-1] else "yes", probability_text(unstable)
             rows.append((law.name, cab, "unstable", *shares))
         print(law.name, flush=True)

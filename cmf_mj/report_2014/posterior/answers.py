@@ -33,13 +33,13 @@ _TITLES = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "
 """Titles of `GROUPS`."""
 
 
-def interval(span: Array, form: str = ".2f") -> str:
+def interval_text(span: Array, form: str = ".2f") -> str:
     """A median and a 90 % interval as text."""
     low, middle, high = (number(float(value), form) for value in span)
     return middle if middle == "-" else f"{middle} ({low} to {high})"
 
 
-def percent(share: float) -> str:
+def percent_text(share: float) -> str:
     """A share as per cent, without rounding to certainty."""
     text = number(100.0 * share, ".0f %")
     if share < 1.0 and text == "100 %":
@@ -47,7 +47,7 @@ def percent(share: float) -> str:
     return "under 1 %" if share > 0.0 and text == "0 %" else text
 
 
-def chance(share: float, count: float) -> Array:
+def probability_interval(share: float, count: float) -> Array:
     """5 %, the share itself and 95 % of a probability seen in so many machines (Jeffreys)."""
     low, high = stats.beta.ppf((0.05, 0.95), share * count + 0.5, (1.0 - share) * count + 0.5)
     return np.array([min(low, share), share, max(high, share)])
@@ -61,7 +61,7 @@ def probability_text(span: Array) -> str:
 
 def _interval_field(name: str = "", title: str | None = None, form: str = ".2f") -> Field:
     """A field of quantiles at `LEVELS`."""
-    return Field(name, title, partial(interval, form=form))
+    return Field(name, title, partial(interval_text, form=form))
 
 
 def _fields_without(form: Callable[[Array], str]) -> Iterator[Field]:
@@ -111,7 +111,7 @@ CHANGE_FIELDS = (
     _interval_field("prior", form="+.3f"),
     _interval_field("posterior", "all evidence", "+.3f"),
     Field("same_sign", form=probability_text),
-    *_fields_without(partial(interval, form="+.3f")),
+    *_fields_without(partial(interval_text, form="+.3f")),
 )
 
 
@@ -209,7 +209,7 @@ def predicted_quantiles(values: Array, deviation: float, weights: Array) -> Arra
 
 def _probability(event: Array, weights: Array) -> Array:
     """Probability of an event, and its interval."""
-    return chance(float(weights @ event) / weights.sum(), effective_size(weights))
+    return probability_interval(float(weights @ event) / weights.sum(), effective_size(weights))
 
 
 def stability(results: Results) -> Result[Stability]:

@@ -23,10 +23,10 @@ from cmf_mj.core.result import Field, Result, fields_of
 from cmf_mj.report_2014.posterior.answers import (
     LEVELS,
     REFERENCE,
-    chance,
-    interval,
-    percent,
+    interval_text,
+    percent_text,
     predicted_quantiles,
+    probability_interval,
     probability_text,
 )
 from cmf_mj.report_2014.posterior.evidence import Observation, observation_arrays, observations
@@ -46,10 +46,10 @@ class PlantEvidence(NamedTuple):
     plant: str
     evidence: Annotated[float, Field(title="ln Z over none", form="+.2f")]
     error: Annotated[float, Field(title="+-", form=".2f")]  #: Standard error of the sampling.
-    share: Annotated[float, Field(form=percent)]
+    share: Annotated[float, Field(form=percent_text)]
     """Of the plants with no effect or one."""
     size: Annotated[float, Field(title="effective machines", form=".0f")]
-    value: Annotated[Array, Field(title="effect", form=partial(interval, form=".3g"))]
+    value: Annotated[Array, Field(title="effect", form=partial(interval_text, form=".3g"))]
     """Of a single one, in the unit of the study, at `LEVELS`."""
     edge: Annotated[float, Field(title="nearest to a bound", form=".2f")]
     """Least distance of the median of an unknown from a bound, in shares of its range."""
@@ -86,7 +86,7 @@ class LeftOut(NamedTuple):
     plant: str
     number: str
     printed: Annotated[float, Field(form=".3g")]
-    predicted: Annotated[Array, Field(form=partial(interval, form=".3g"))]
+    predicted: Annotated[Array, Field(form=partial(interval_text, form=".3g"))]
     """With the deviation of printed numbers, at `LEVELS`."""
     rank: Annotated[float, Field(form=".3f")]  #: u, the number left out.
     recording: Annotated[float, Field(title="recording left out", form=".3f")]
@@ -170,7 +170,7 @@ def made_up(bank: Bank) -> Result[dict[str, Any]]:
             "gain": np.median([report.gain for report in reports]),
         }
         rows.append(row | {f"found {other}": likeliest.count(other) for other in plants})
-    shares = (Field(name, form=percent) for name in ("right", _IN_FIRST_THREE, _AS_LARGE))
+    shares = (Field(name, form=percent_text) for name in ("right", _IN_FIRST_THREE, _AS_LARGE))
     gain = Field("gain", "median ln Z over none", "+.2f")
     counts = (Field(f"found {plant}") for plant in plants)
     return Result(rows, (Field("plant"), *shares, gain, *counts))
@@ -208,7 +208,7 @@ class Verdict(NamedTuple):
         Array, Field(title="not as flown", form=probability_text)
     ]  #: Without `flown`.
     change: Annotated[
-        Array, Field(title="pair against " + REFERENCE, form=partial(interval, form="+.3f"))
+        Array, Field(title="pair against " + REFERENCE, form=partial(interval_text, form="+.3f"))
     ]
     """Of the damping ratio, at `LEVELS`."""
     same_sign: Annotated[Array, Field(form=probability_text)]  #: Probability of its median's sign.
@@ -241,7 +241,7 @@ def _verdict(
     plants = np.array([row["plant"] for row in rows])
 
     def probability(event: NDArray[np.bool_], weights: Array) -> Array:
-        return chance(float(weights @ event), min(effective_size(weights), size))
+        return probability_interval(float(weights @ event), min(effective_size(weights), size))
 
     all_weights = _mixed_weights(count, plants, shares)
     flown_weights = _mixed_weights(count * flown, plants, shares)

@@ -72,7 +72,7 @@ def bandwidth_figure(results: Results) -> Figure:
                 panel.plot([low, high], [bar, bar], color=colour, linewidth=3, alpha=0.5)
                 panel.plot([middle], [bar], "o", color=colour, markersize=5)
             panel.set_xlabel(title if dof == _ROTATIONS[-1] else "")
-        shares = [f"{law}, {answers.percent(rows[law, dof].stable[1])}" for law in laws]
+        shares = [f"{law}, {answers.percent_text(rows[law, dof].stable[1])}" for law in laws]
         panels_of_dof[0].set_ylabel(dof)
         panels_of_dof[0].set_yticks(bars, shares, fontsize=7)
     figure.suptitle(
