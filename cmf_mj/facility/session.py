@@ -29,7 +29,6 @@ from cmf_mj.facility.front import Source
 from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, make_memory
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.record_layout import RecordRows, make_layout
-from cmf_mj.plant import fit
 from cmf_mj.plant.events import Event, make_timeline, no_faults
 from cmf_mj.plant.hydraulics import open_to_hold
 from cmf_mj.plant.native import without_clock
@@ -212,7 +211,7 @@ class Session:
             loop.STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
             loop.SOLUTION: "and its supply have no solution for this step",
         }
-        text = fit.warnings_of(self.plant.data)
+        text = self.plant.warning_text()
         if not text:
             text = f"{self.plant.actuators[leg]} {text_of_bound.get(bound_left, '')}"
         with_law = f" with law {self.law_in_force.name}" if self.law_in_force else ""

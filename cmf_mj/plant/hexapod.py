@@ -22,7 +22,8 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import RigidBody
-from cmf_mj.plant import cylinder, fit
+from cmf_mj.plant import cylinder
+from cmf_mj.plant.model_checks import ROUND_OFF, check_hexapod
 from cmf_mj.plant.model_text import MACHINE_FILE, model_texts, with_floor
 from cmf_mj.plant.native import headless
 from cmf_mj.plant.parameters import HydraulicParameters, hydraulics_of
@@ -106,10 +107,10 @@ class Hexapod(Plant):
                 default as shipped.
             timestep: mechanical step [s]; default that of the `spec`, else as `set_timestep`.
         """
-        self.cab_parameters = loaded_cab = load_cab(cab, machine)
+        self.cab_parameters = loaded_cab = load_cab(cab, machine)  # for `check`, run by `super()`
         self.cab = loaded_cab.name
         try:
-            self._drawn = None if spec is None else spec.compile()
+            self._model_with_geoms = None if spec is None else spec.compile()
             model = hexapod_model(loaded_cab, has_geoms=False) if spec is None else headless(spec)
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
@@ -125,20 +126,20 @@ class Hexapod(Plant):
         at neutral, the masses those of the cab.
         """
         super().check()
-        stroke, strokes = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
-        for leg in np.flatnonzero(~(np.abs(strokes - stroke) <= fit.SAME)):
+        base_half, half = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(~(np.abs(half - base_half) <= ROUND_OFF)):
             raise InputError(
                 f"half_stroke: set {self.parameters.name!r} gives leg_{leg + 1} "
-                f"+-{strokes[leg]:.6g} m, the kinematics +-{stroke:.6g} m; allowed: both the same"
+                f"+-{half[leg]:.6g} m, the kinematics +-{base_half:.6g} m; allowed: both the same"
             )
         assert self.cab_parameters is not None
-        fit.check_hexapod(self.model, self.data, self.machine.geometry, self.cab_parameters)
+        check_hexapod(self.model, self.data, self.machine.geometry, self.cab_parameters)
 
     @property
     def drawn_model(self) -> mujoco.MjModel:
         """The model with its geoms; `model` has none, and the same state at every step."""
         assert self.cab_parameters is not None
-        return self._drawn or hexapod_model(self.cab_parameters)
+        return self._model_with_geoms or hexapod_model(self.cab_parameters)
 
     @cached_property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
@@ -167,41 +168,41 @@ class Hexapod(Plant):
     def place(self, pose: ArrayLike) -> None:
         """Set platform, gimbals and rods to a pose (6,) [m, rad], z down, all gimbals closed."""
         target, geometry = shaped("pose", pose, 6), self.machine.geometry
-        legs = kinematics.pose_to_legs(target, self.machine)
-        stroke = self.hydraulics.cylinder.half_stroke
-        for leg in np.flatnonzero(np.abs(legs) >= stroke):
+        extensions = kinematics.pose_to_legs(target, self.machine)
+        half = self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(np.abs(extensions) >= half):
             raise InputError(
-                f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke[leg]:.4f} m"
+                f"pose: puts leg {leg + 1} at {extensions[leg]:.4f} m; allowed: +-{half[leg]:.4f} m"
             )
         rotation = kinematics.rotation(*target[3:])
         world_rotation = Rotation.from_matrix(FLIP[:, None] * rotation * FLIP)
         qpos = self.data.qpos
-        position, quaternion = self._platform_places()
-        qpos[position] = target[:3] * FLIP
-        qpos[quaternion] = world_rotation.as_quat(scalar_first=True)
+        position_slice, quaternion_slice = self._platform_slices()
+        qpos[position_slice] = target[:3] * FLIP
+        qpos[quaternion_slice] = world_rotation.as_quat(scalar_first=True)
         upper = target[:3] + geometry.upper @ rotation.T
-        for i in _LEGS:
+        lines = (upper - geometry.lower) * FLIP
+        for number, line, extension in zip(_LEGS, lines, extensions, strict=True):
             # Leg direction in the frame of its lower gimbal: Rx(a) Ry(b) z = (sin b, -sin a cos b,
             # cos a cos b).
-            body = self.model.body(f"cylinder_{i}")
-            line = (upper[i - 1] - geometry.lower[i - 1]) * FLIP
+            body = self.model.body(f"cylinder_{number}")
             frame = Rotation.from_quat(body.quat, scalar_first=True)
             x, y, z = frame.inv().apply(line / np.linalg.norm(line))
-            qpos[self.model.joint(f"gimbal_{i}_x").qposadr[0]] = np.arctan2(-y, z)
-            qpos[self.model.joint(f"gimbal_{i}_y").qposadr[0]] = np.arcsin(x)
-            qpos[self.model.joint(f"leg_{i}").qposadr[0]] = legs[i - 1]
+            qpos[self.model.joint(f"gimbal_{number}_x").qposadr[0]] = np.arctan2(-y, z)
+            qpos[self.model.joint(f"gimbal_{number}_y").qposadr[0]] = np.arcsin(x)
+            qpos[self.model.joint(f"leg_{number}").qposadr[0]] = extension
         mujoco.mj_forward(self.model, self.data)
 
-    def _platform_places(self) -> tuple[slice, slice]:
-        """Where the platform's position and quaternion stand in the generalised positions."""
+    def _platform_slices(self) -> tuple[slice, slice]:
+        """Position and quaternion of the platform, as parts of the generalised positions."""
         start = self.model.joint("platform").qposadr[0]
         return slice(start, start + 3), slice(start + 3, start + 7)
 
     def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
         """Platform pose (..., 6), report axes, of generalised positions `qpos`, (..., nq)."""
-        position_place, quaternion_place = self._platform_places()
-        position = qpos[..., position_place] * FLIP
-        quaternion = qpos[..., quaternion_place] * np.array([1.0, 1.0, -1.0, -1.0])
+        position_slice, quaternion_slice = self._platform_slices()
+        position = qpos[..., position_slice] * FLIP
+        quaternion = qpos[..., quaternion_slice] * np.array([1.0, 1.0, -1.0, -1.0])
         rotation = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)
         yaw_pitch_roll = rotation.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))
         return np.concatenate([position, yaw_pitch_roll[..., ::-1]], axis=-1)

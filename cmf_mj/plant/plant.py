@@ -10,8 +10,6 @@ there are as many motors as free motions, T = N (A N)^-1 is the exact motion of 
 per unit actuator velocity, and
 
     M_leg = T' M T    reflected mass [kg],        F = T' c    static forces [N]
-
-The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
 import copy
@@ -20,7 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import mujoco
 import numpy as np
@@ -33,10 +31,18 @@ from cmf_mj.core.threads import OneAtATime
 from cmf_mj.core.units import FRAME
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.plant import fit, native
+from cmf_mj.plant import model_checks, native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 from cmf_mj.plant.native import Stepper, saved_model, without_sensors
 from cmf_mj.plant.parameters import HydraulicParameters, load_hydraulics
+
+
+class _Start(NamedTuple):
+    """A start, to be repeated under the same conditions."""
+
+    conditions: tuple[object, ...]
+    qpos: NDArray[np.float64]  #: Generalised positions, (nq,).
+    hydraulic_state: HydraulicState
 
 
 class Plant:
@@ -52,7 +58,7 @@ class Plant:
     machine: Machine
     """Motion base whose kinematics, strokes and limits a control law counts with; of a model that
     is none, the CMF, whose working stroke then bounds the demand."""
-    _drawn: mujoco.MjModel | None = None  #: The model with its geoms, where `model` is headless.
+    _model_with_geoms: mujoco.MjModel | None = None  #: Where `model` is headless.
     stops_end_strokes = False
     """Whether the model's stops are the ends of the cylinders; else they lie within the strokes."""
 
@@ -84,10 +90,8 @@ class Plant:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
-        self._quiet = without_sensors(model)  # for steps that nobody records
-        # Of the last start: model and conditions, generalised positions, hydraulic state.
-        self._last_start: tuple[tuple[object, ...], NDArray[np.float64], HydraulicState] | None
-        self._last_start = None
+        self._model_without_sensors = without_sensors(model)  # for steps that nobody records
+        self._last_start: _Start | None = None
         self.started = 0
         """How often the state has been reset: a run goes on only while nobody does."""
         self.alone = OneAtATime("plant: another thread runs it; allowed: a plant for each thread")
@@ -100,7 +104,7 @@ class Plant:
         for name in self.actuators:
             if name not in names:
                 raise InputError(f"motors: {name!r} is not one of {', '.join(names)}")
-            fit.check_motor(model, name)
+            model_checks.check_motor(model, name)
         self._motors = np.array([model.actuator(name).id for name in self.actuators])
         self._payload = np.array([model.body(name).id for name in payload], dtype=np.int64)
         self.parameters = load_hydraulics(hydraulics)
@@ -139,7 +143,7 @@ class Plant:
     @property
     def drawn_model(self) -> mujoco.MjModel:
         """The model to draw the machine with; its joints, bodies and sites are those of `model`."""
-        return self.model if self._drawn is None else self._drawn
+        return self.model if self._model_with_geoms is None else self._model_with_geoms
 
     @property
     def gimbal_sites(self) -> NDArray[np.int64]:
@@ -154,7 +158,7 @@ class Plant:
 
     def check(self) -> None:
         """Refuse a model that does not fit its hydraulics, with `data` in `qpos0`, before a run."""
-        fit.check_stops(
+        model_checks.check_stops(
             self.model,
             self.actuators,
             self.neutral,
@@ -184,33 +188,32 @@ class Plant:
     def _free_motions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """N (nv, m), the motions closed loops allow, and A N (n, m), what the cylinders see."""
         loops, _, moment = self._jacobians()
-        null = linalg.null_space(loops, rcond=1e-9) if loops.size else np.eye(self.model.nv)
-        return null, moment @ null
+        motions = linalg.null_space(loops, rcond=1e-9) if loops.size else np.eye(self.model.nv)
+        return motions, moment @ motions
 
     def _jacobians(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Jacobian (rows, nv) and gaps (rows,) of the closed loops; moment arms (n, nv)."""
-        model, data = self.model, self.data
-        rows = data.nefc
-        jacobian, moment = np.zeros((rows, model.nv)), np.zeros((model.nu, model.nv))
+        model, data, count = self.model, self.data, self.data.nefc
+        jacobian, moment = np.zeros((count, model.nv)), np.zeros((model.nu, model.nv))
         if mujoco.mj_isSparse(model):
-            sparse = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-            mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *sparse)
+            layout = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+            mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *layout)
         else:
-            jacobian[:] = data.efc_J.reshape(rows, model.nv)
-        sparse = (data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel())
-        mujoco.mju_sparse2dense(moment, data.actuator_moment.ravel(), *sparse)
-        loops = data.efc_type[:rows] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        return jacobian[loops], data.efc_pos[:rows][loops], moment[self._motors]
+            jacobian[:] = data.efc_J.reshape(count, model.nv)
+        moment_layout = (data.moment_rownnz, data.moment_rowadr, data.moment_colind.ravel())
+        mujoco.mju_sparse2dense(moment, data.actuator_moment.ravel(), *moment_layout)
+        is_loop = data.efc_type[:count] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        return jacobian[is_loop], data.efc_pos[:count][is_loop], moment[self._motors]
 
     def leg_motion(self) -> NDArray[np.float64]:
         """T, (nv, n): motion of all joints per unit actuator velocity, in the present state."""
-        null, arms = self._free_motions()
+        motions, arms = self._free_motions()
         if arms.shape[0] != arms.shape[1] or np.linalg.cond(arms) > 1e12:
             raise InputError(
                 f"motors: {arms.shape[0]} cylinders do not determine the machine's "
                 f"{arms.shape[1]} free motions; there must be as many, independent"
             )
-        return null @ np.linalg.inv(arms)
+        return motions @ np.linalg.inv(arms)
 
     def configuration(self, extensions: ArrayLike) -> NDArray[np.float64]:
         """Generalised positions (nq,) with extensions (n,) [m] and all loops closed, for `start`.
@@ -230,13 +233,13 @@ class Plant:
         for _ in range(200):
             mujoco.mj_forward(self.model, self.data)
             loops, gap, moment = self._jacobians()
-            change = target - self.extensions()
-            error = float(np.abs(np.concatenate([gap, change])).max())
+            travel = target - self.extensions()
+            error = float(np.abs(np.concatenate([gap, travel])).max())
             if error < 1e-12:
                 return self.data.qpos.copy()
-            change *= min(1.0, 0.1 / max(float(np.abs(change).max()), 1e-12))
-            rows, changes = np.vstack([loops, moment]), np.concatenate([-gap, change])
-            motion, *_ = np.linalg.lstsq(rows, changes, rcond=1e-9)
+            travel *= min(1.0, 0.1 / max(float(np.abs(travel).max()), 1e-12))
+            jacobian, changes = np.vstack([loops, moment]), np.concatenate([-gap, travel])
+            motion, *_ = np.linalg.lstsq(jacobian, changes, rcond=1e-9)
             mujoco.mj_integratePos(self.model, self.data.qpos, motion, 1.0)
         raise InputError(f"extensions: the machine cannot be closed at {target.tolist()} m")
 
@@ -250,9 +253,9 @@ class Plant:
         self.data.qvel[:] = 0.0
         self.data.ctrl[self._motors] = 0.0
         mujoco.mj_forward(self.model, self.data)
-        null, arms = self._free_motions()
+        motions, arms = self._free_motions()
         data = self.data
-        load = null.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
+        load = motions.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
         forces, *_ = np.linalg.lstsq(arms.T, load, rcond=1e-9)
         return forces
 
@@ -275,28 +278,40 @@ class Plant:
         """
         with self.alone:
             self._reset()
-            tables = b"".join(part.tobytes() for part in (*self.hydraulics[:3], self.neutral))
-            numbers = None if pose is None else real("pose", pose).tobytes()
-            conditions = saved_model(self.model), numbers, tables, self.hydraulics[3:]
-            if self._last_start is not None:
-                last_conditions, qpos, state = self._last_start
-                if conditions == last_conditions:
-                    self.data.qpos[:] = qpos
-                    mujoco.mj_forward(self.model, self.data)
-                    return copy_block(state)
-            self._quiet = without_sensors(self.model)
+            conditions = self._start_conditions(pose)
+            if self._last_start is not None and conditions == self._last_start.conditions:
+                self.data.qpos[:] = self._last_start.qpos
+                mujoco.mj_forward(self.model, self.data)
+                return copy_block(self._last_start.hydraulic_state)
+            self._model_without_sensors = without_sensors(self.model)
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
             if pose is not None:
                 self.place(pose)
             mujoco.mj_forward(self.model, self.data)
-            fit.check_closed(self.model, self.data)
+            model_checks.check_closed(self.model, self.data)
             load = self.static_load()
-            if warnings := fit.warnings_of(self.data):
+            if warnings := self.warning_text():
                 raise InputError(f"start: {warnings}; allowed: a state without warnings")
             state = rest(self.hydraulics, load, self.extensions())
-            self._last_start = conditions, self.data.qpos.copy(), copy_block(state)
+            self._last_start = _Start(conditions, self.data.qpos.copy(), copy_block(state))
             return state
+
+    def _start_conditions(self, pose: ArrayLike | None) -> tuple[object, ...]:
+        """What the state of a start follows from: model, pose and hydraulics, to compare."""
+        pose_bytes = None if pose is None else real("pose", pose).tobytes()
+        valve, cylinder, friction, *scalars = self.hydraulics
+        array_bytes = [array.tobytes() for array in (valve, cylinder, friction, self.neutral)]
+        return saved_model(self.model), pose_bytes, array_bytes, scalars
+
+    def warning_text(self) -> str:
+        """MuJoCo's warnings since the state was reset, by name; empty for none."""
+        kinds = [mujoco.mjtWarning(i) for i in np.flatnonzero(self.data.warning.number)]
+        return ", ".join(
+            f"MuJoCo warns of {kind.name.removeprefix('mjWARN_')} "
+            f"({mujoco.mju_warningText(kind, self.data.warning[kind].lastinfo).strip(' .')})"
+            for kind in kinds
+        )
 
     def _reset(self) -> None:
         mujoco.mj_resetData(self.model, self.data)
@@ -320,7 +335,7 @@ class Plant:
         """Views and addresses for the compiled loop; valid from a `start` to the next."""
         return Stepper(
             model=self.model._address,
-            quiet=self._quiet._address,
+            quiet=self._model_without_sensors._address,
             data=self.data._address,
             position_stage=native.address("mj_step1"),
             force_stage=native.address("mj_step2"),

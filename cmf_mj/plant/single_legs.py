@@ -40,13 +40,14 @@ def design_point(machine: Machine) -> DesignPoint:
 
     So the CMF's GFD would have 7199.5 lbm and 5992 lbf; the report states 7200 lbm and 7200 lbf.
     """
-    shape, single = machine.geometry, machine.single_leg
-    upward = (shape.lower[:, 2] - shape.upper[:, 2]) / shape.neutral
-    payload = load_cab(None, machine).payload.mass
-    mass, load = single.effective_mass, single.static_load
+    geometry, payload_mass = machine.geometry, load_cab(None, machine).payload.mass
+    upward = (geometry.lower[:, 2] - geometry.upper[:, 2]) / geometry.neutral
+    effective_mass = payload_mass / float(upward @ upward)
+    static_load = payload_mass * units.STANDARD_GRAVITY / float(upward.sum())
+    stated = machine.single_leg
     return DesignPoint(
-        payload / float(upward @ upward) if mass is None else mass.si,
-        payload * units.STANDARD_GRAVITY / float(upward.sum()) if load is None else load.si,
+        effective_mass if stated.effective_mass is None else stated.effective_mass.si,
+        static_load if stated.static_load is None else stated.static_load.si,
     )
 
 
@@ -79,27 +80,27 @@ class SingleLegs(Plant):
             static_load: constant axial load pressing each leg together [N]; default likewise.
             timestep: mechanical step [s]; default as `set_timestep`.
         """
-        carrier = load_machine(machine)
-        point = design_point(carrier)
-        mass = point.effective_mass if effective_mass is None else effective_mass
-        load = point.static_load if static_load is None else static_load
+        motion_base = load_machine(machine)
+        default = design_point(motion_base)
+        mass = default.effective_mass if effective_mass is None else effective_mass
+        load = default.static_load if static_load is None else static_load
         if not 0.0 < mass < np.inf:
             raise InputError(f"effective_mass: {mass} kg must be greater than 0 and finite")
         if not np.isfinite(load):
             raise InputError(f"static_load: {load} N must be finite")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
-        set_timestep(spec.option, timestep, carrier.frame)
+        set_timestep(spec.option, timestep, motion_base.frame)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
         spec.option.gravity[2] = -load / mass
-        for leg in range(1, 7):
-            spec.body(f"leg_{leg}").mass = mass
-            spec.joint(f"leg_{leg}").range = np.array([-1.0, 1.0]) * carrier.half_stroke
-        self._drawn = spec.compile()
-        bodies = [f"leg_{leg}" for leg in range(1, 7)]
-        super().__init__(
-            headless(spec), hydraulics_of(carrier, hydraulics), payload=bodies, machine=carrier
-        )
+        names = [f"leg_{leg}" for leg in range(1, 7)]  # of bodies and joints
+        for name in names:
+            spec.body(name).mass = mass
+            spec.joint(name).range = np.array([-1.0, 1.0]) * motion_base.half_stroke
+        model_with_geoms = spec.compile()
+        parameters = hydraulics_of(motion_base, hydraulics)
+        super().__init__(headless(spec), parameters, payload=names, machine=motion_base)
+        self._model_with_geoms = model_with_geoms
 
     def place(self, pose: ArrayLike) -> None:
-        """Set each leg to its extension at the pose."""
+        """Put the legs at rest at their extensions, which are `qpos`, at a pose (6,), z down."""
         super().place(pose_to_legs(pose, self.machine))

@@ -16,19 +16,9 @@ from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP, Geometry
 from cmf_mj.machine.models import Payload
 
-SAME = 1e-9  #: Values this close are the same [m, kg, kg m^2], in proportion where above 1.
-
-CLOSED = 1e-6  #: Largest gap of a closed loop at the start [m]; shipped models close to 1e-12 m.
-
+ROUND_OFF = 1e-9  #: Values this close are the same [m, kg, kg m^2], in proportion where above 1.
+LARGEST_GAP = 1e-6  #: Of a closed loop at the start [m]; shipped models close to 1e-12 m.
 _LEGS = range(1, 7)
-
-_PARTS = {
-    "site": ("upper_#", "rod_end_#"),
-    "body": ("cylinder_#", "rod_#"),
-    "joint": ("gimbal_#_x", "gimbal_#_y", "leg_#"),
-    "equality": ("gimbal_#",),
-}
-"""Elements of a hexapod that each leg, in the place of #, has."""
 
 
 def check_motor(model: mujoco.MjModel, name: str) -> None:
@@ -73,7 +63,7 @@ def check_stops(
             has_stops, ends = model.jnt_limited[target], model.jnt_range[target]
         low, high = ends - middle
         excess = (abs(low + half), abs(high - half)) if equal else (-half - low, high - half)
-        if has_stops and not np.max(excess) <= SAME:
+        if has_stops and not np.max(excess) <= ROUND_OFF:
             raise InputError(
                 f"half_stroke: set {hydraulics!r} gives {name} +-{half:.6g} m, the model stops it "
                 f"at {low:.6g} and {high:.6g} m from neutral; allowed: "
@@ -83,69 +73,27 @@ def check_stops(
 
 def check_closed(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Refuse a configuration in which a closed loop (an equality constraint) is open."""
-    loops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-    gaps = np.where(loops, np.abs(data.efc_pos), 0.0)
-    if gaps.size and not gaps.max() <= CLOSED:
+    is_loop = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    gaps = np.where(is_loop, np.abs(data.efc_pos), 0.0)
+    if gaps.size and not gaps.max() <= LARGEST_GAP:
         row = int(gaps.argmax())
         name = model.eq(int(data.efc_id[row])).name
         raise InputError(
-            f"start: the loop {name!r} is open by {gaps[row]:.3g} m; allowed: {CLOSED:g} m; "
+            f"start: the loop {name!r} is open by {gaps[row]:.3g} m; allowed: {LARGEST_GAP:g} m; "
             "`Plant.configuration` closes it"
         )
 
 
-def warnings_of(data: mujoco.MjData) -> str:
-    """MuJoCo's warnings since the state was reset, by name; empty for none."""
-    kinds = [mujoco.mjtWarning(i) for i in np.flatnonzero(data.warning.number)]
-    texts = (mujoco.mju_warningText(kind, data.warning[kind].lastinfo) for kind in kinds)
-    return ", ".join(
-        f"MuJoCo warns of {kind.name.removeprefix('mjWARN_')} ({text.strip(' .')})"
-        for kind, text in zip(kinds, texts, strict=True)
-    )
-
-
 def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, cab: Cab) -> None:
     """Compare gimbals, pins, leg axes and masses, all at `qpos0`, with kinematics and cab."""
-    ids = {
-        part: [_id(model, element, part.replace("#", str(leg))) for leg in _LEGS]
-        for element, parts in _PARTS.items()
-        for part in parts
-    }
-    upper, lower = geometry.upper * FLIP, geometry.lower * FLIP
-    axes = (upper - lower) / geometry.neutral[:, None]
-    for part, values, expected, unit in (
-        ("upper gimbal # on the platform", model.site_pos[ids["upper_#"]], upper, " m"),
-        ("lower gimbal #", data.xpos[ids["cylinder_#"]], lower, " m"),
-        ("joint gimbal_#_x", data.xanchor[ids["gimbal_#_x"]], lower, " m"),
-        ("joint gimbal_#_y", data.xanchor[ids["gimbal_#_y"]], lower, " m"),
-        ("upper gimbal # at neutral", data.site_xpos[ids["upper_#"]], upper, " m"),
-        ("rod end # at neutral", data.site_xpos[ids["rod_end_#"]], upper, " m"),
-        ("axis of leg # at neutral", data.xaxis[ids["leg_#"]], axes, ""),
-    ):
-        for leg in np.flatnonzero(~(np.abs(values - expected).max(axis=1) <= SAME)).tolist():
-            raise InputError(
-                f"spec: {part.replace('#', str(leg + 1))} is {_text(values[leg])}{unit} in the "
-                f"model, {_text(expected[leg])}{unit} in the kinematics; allowed: both the same"
-            )
-    pins_are_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY
-    for leg in _LEGS:
-        pin, sites = ids["gimbal_#"][leg - 1], {ids["upper_#"][leg - 1], ids["rod_end_#"][leg - 1]}
-        ends = {int(model.eq_obj1id[pin]), int(model.eq_obj2id[pin])}
-        if pins_are_off or not model.eq_active0[pin] or ends != sites:
-            raise InputError(
-                f"spec: gimbal_{leg} does not pin the rod to the platform; allowed: an active "
-                f"connect constraint of the sites rod_end_{leg} and upper_{leg}"
-            )
-    is_carried = model.body_rootid == _id(model, "body", "platform")
-    turns = data.ximat[is_carried].reshape(-1, 3, 3)
-    tensors = (turns * model.body_inertia[is_carried, None]) @ turns.transpose(0, 2, 1)
-    payload = Payload.of(model.body_mass[is_carried], data.xipos[is_carried], tensors)
-    _check_mass("mass of platform and cab", payload.mass, cab.payload.mass, "kg", cab)
-    _check_mass("centre of mass of platform and cab", payload.centre, cab.payload.centre, "m", cab)
-    _check_mass("inertia of platform and cab", payload.inertia, cab.payload.inertia, "kg m^2", cab)
-    for part, mass in (("cylinder", cab.legs.cylinder_mass.si), ("rod", cab.legs.rod_mass.si)):
-        for leg, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
-            _check_mass(f"mass of {part}_{leg}", model.body_mass[body], mass, "kg", cab)
+    _check_geometry(model, data, geometry)
+    _check_pins(model)
+    _check_masses(model, data, cab)
+
+
+def _ids(model: mujoco.MjModel, element: str, name: str) -> list[int]:
+    """Ids of an element of all legs, whose numbers fill the gap of its name."""
+    return [_id(model, element, name.format(leg)) for leg in _LEGS]
 
 
 def _id(model: mujoco.MjModel, element: str, name: str) -> int:
@@ -157,9 +105,65 @@ def _id(model: mujoco.MjModel, element: str, name: str) -> int:
         ) from None
 
 
+def _check_geometry(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry) -> None:
+    """Compare gimbals and leg axes with the kinematics."""
+    upper, lower = geometry.upper * FLIP, geometry.lower * FLIP
+    upper_sites, rod_ends = _ids(model, "site", "upper_{}"), _ids(model, "site", "rod_end_{}")
+    cylinders, slides = _ids(model, "body", "cylinder_{}"), _ids(model, "joint", "leg_{}")
+    x_joints, y_joints = (_ids(model, "joint", f"gimbal_{{}}_{axis}") for axis in "xy")
+    axes = (upper - lower) / geometry.neutral[:, None]
+    _check_vectors("upper gimbal {} on the platform", model.site_pos[upper_sites], upper)
+    _check_vectors("lower gimbal {}", data.xpos[cylinders], lower)
+    _check_vectors("joint gimbal_{}_x", data.xanchor[x_joints], lower)
+    _check_vectors("joint gimbal_{}_y", data.xanchor[y_joints], lower)
+    _check_vectors("upper gimbal {} at neutral", data.site_xpos[upper_sites], upper)
+    _check_vectors("rod end {} at neutral", data.site_xpos[rod_ends], upper)
+    _check_vectors("axis of leg {} at neutral", data.xaxis[slides], axes, unit="")
+
+
+def _check_vectors(
+    part: str, actual: NDArray[np.float64], expected: NDArray[np.float64], unit: str = " m"
+) -> None:
+    """Compare a vector of each leg, (6, 3), with that of the kinematics."""
+    for leg in np.flatnonzero(~(np.abs(actual - expected).max(axis=1) <= ROUND_OFF)).tolist():
+        raise InputError(
+            f"spec: {part.format(leg + 1)} is {_text(actual[leg])}{unit} in the "
+            f"model, {_text(expected[leg])}{unit} in the kinematics; allowed: both the same"
+        )
+
+
+def _check_pins(model: mujoco.MjModel) -> None:
+    """Refuse a rod that no active pin ties to the platform."""
+    pins_are_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    for leg in _LEGS:
+        pin = _id(model, "equality", f"gimbal_{leg}")
+        sites = {_id(model, "site", f"upper_{leg}"), _id(model, "site", f"rod_end_{leg}")}
+        ends = {int(model.eq_obj1id[pin]), int(model.eq_obj2id[pin])}
+        if pins_are_off or not model.eq_active0[pin] or ends != sites:
+            raise InputError(
+                f"spec: gimbal_{leg} does not pin the rod to the platform; allowed: an active "
+                f"connect constraint of the sites rod_end_{leg} and upper_{leg}"
+            )
+
+
+def _check_masses(model: mujoco.MjModel, data: mujoco.MjData, cab: Cab) -> None:
+    """Compare the masses of platform, legs and cab with those of the cab's file."""
+    is_carried = model.body_rootid == _id(model, "body", "platform")
+    turns = data.ximat[is_carried].reshape(-1, 3, 3)
+    tensors = (turns * model.body_inertia[is_carried, None]) @ turns.transpose(0, 2, 1)
+    payload = Payload.of(model.body_mass[is_carried], data.xipos[is_carried], tensors)
+    _check_mass("mass of platform and cab", payload.mass, cab.payload.mass, "kg", cab)
+    _check_mass("centre of mass of platform and cab", payload.centre, cab.payload.centre, "m", cab)
+    _check_mass("inertia of platform and cab", payload.inertia, cab.payload.inertia, "kg m^2", cab)
+    for part, mass in (("cylinder", cab.legs.cylinder_mass.si), ("rod", cab.legs.rod_mass.si)):
+        for leg in _LEGS:
+            body = _id(model, "body", f"{part}_{leg}")
+            _check_mass(f"mass of {part}_{leg}", model.body_mass[body], mass, "kg", cab)
+
+
 def _check_mass(part: str, actual: ArrayLike, stated: ArrayLike, unit: str, cab: Cab) -> None:
     difference = np.max(np.abs(np.subtract(actual, stated)))
-    if not difference <= SAME * max(1.0, np.max(np.abs(stated))):
+    if not difference <= ROUND_OFF * max(1.0, np.max(np.abs(stated))):
         raise InputError(
             f"cab: {part} is {_text(actual)} {unit} in the model, {_text(stated)} {unit} in "
             f"{cab.name!r}; allowed: both the same; other masses are a cab of their own"
