@@ -82,10 +82,10 @@ def new_command(
 @machines.command("check")
 def check_command(machine: Machine) -> None:
     """Tell whether the numbers of a machine fit together; status 1 if they do not."""
-    from cmf_mj.studies.machine_check import check_machine, check_parts
+    from cmf_mj.studies.machine_check import check_machine, report_parts
 
     check = check_machine(cmf_mj.load_machine(machine))
-    show(*check_parts(check))
+    show(*report_parts(check))
     if check.faults:
         raise typer.Exit(1)
 

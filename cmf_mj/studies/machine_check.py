@@ -9,7 +9,7 @@ neutral and a pose says that the legs pass a singular pose on the way
 static loads   leg forces at rest, over the stall force of each cylinder, A_cap Ps - A_rod Pt
 pushing and A_rod Ps - A_cap Pt pulling; raised by 1 + a/g, a the limit of heave
 acceleration, they must stay below it
-reach          leg speed with valves fully open under the static load, against the limit of leg
+leg speed      with valves fully open under the static load, against the limit of leg
 speed, and the heave speed amplitude whose mean flow is the pump's
 clearance      least distance of two leg axes over the envelope, against the diameter of a rod
 proportions    length of a leg over its stroke, and the upper gimbals' centroid from the origin
@@ -45,7 +45,7 @@ strokes, and the least slip, feet for inches, makes 18 of them."""
 LARGEST_OFFSET = 0.01  #: Of the upper gimbals' centroid from the origin, over their radius.
 
 _ROUNDING = 1e-6  #: Share of a reach by which a limit may be beyond it, for its digits.
-_STATUS_TEXTS = {"recalled": "recalled from general knowledge, not checked"}  #: Of statuses.
+_STATUS_TEXTS = {"recalled": "recalled from general knowledge, not checked"}  #: In the report.
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class CabCheck(NamedTuple):
     cab: str
     mass: float  #: Of platform and cab [kg].
     load: Array  #: Static leg forces [N], (6,).
-    share: float  #: Largest static force over the force of its cylinder in that direction.
+    share: float  #: Largest static leg force over the stall force of its cylinder in its direction.
     speed: Array  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
     sustained: float  #: Heave speed amplitude that the pump sustains [m/s].
     modes: Array  #: Hydraulic modes [Hz], (6,).
@@ -71,13 +71,13 @@ class MachineCheck(NamedTuple):
     gap: float  #: Largest gap of a gimbal over the envelope [m].
     neutral_condition: float  #: Condition number at neutral.
     worst_condition: float  #: Largest condition number over the envelope.
-    stall: Array  #: Least force of all cylinders pushing and pulling [N], (2,).
+    stall: Array  #: Least stall force of all cylinders, pushing and pulling [N], (2,).
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
     faults: tuple[str, ...]  #: What does not fit, each with its reason.
 
 
-CABS = (
+CAB_FIELDS = (
     Field("cab"),
     Field("mass", "platform,\ncab [kg]", ".0f"),
     Field("load", "static\nload [kN]", ".2f", "kN", of=lambda row: float(np.abs(row.load).max())),
@@ -88,21 +88,23 @@ CABS = (
 )
 
 
-def check_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
+def report_parts(check: MachineCheck) -> list[Table | Result[CabCheck] | str]:
     """The report: limits of each degree of freedom, each cab on its legs, and the rest in lines."""
     rows = []
-    for dof, reach, axis in zip(DOFS, check.envelope, check.limits.axes, strict=True):
+    for dof, reach, limits in zip(DOFS, check.envelope, check.limits.axes, strict=True):
         unit = by_kind(dof, "m", "deg")
-        ends = (units.from_si(unit, end) for end in (*reach, *axis.operational.si))
-        speed = units.from_si(unit, axis.velocity.si)
-        rows.append((dof, *ends, axis.operational.status, speed, f"{unit}, {unit}/s"))
-    ends_of = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
-    columns = ("dof", *ends_of, "status", ("largest rate", ".3g"), "units")
+        ends = (units.from_si(unit, end) for end in (*reach, *limits.operational.si))
+        speed = units.from_si(unit, limits.velocity.si)
+        rows.append((dof, *ends, limits.operational.status, speed, f"{unit}, {unit}/s"))
+    end_columns = ((name, ".3f") for name in ("legs reach from", "to", "limit from", "to "))
+    columns = ("dof", *end_columns, "status", ("largest rate", ".3g"), "units")
     push, pull = 1e-3 * check.stall
     neutral = check.machine.geometry.neutral
     return [
         Table(f"{check.machine.name}: envelope", columns, rows),
-        Result(check.cabs, CABS, f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"),
+        Result(
+            check.cabs, CAB_FIELDS, f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in"
+        ),
         f"neutral legs {neutral.min():.4f} to {neutral.max():.4f} m from gimbal to gimbal",
         f"gimbals closed within {1e9 * check.gap:.3g} nm over the envelope",
         f"condition number {check.neutral_condition:.2f} at neutral, "
@@ -124,7 +126,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     """
     whole("poses", poses, 1, MOST_POSES)
     plants = [Hexapod(load_cab(name, machine)) for name in machine.cabs]
-    plant = plants[0]
+    plant, *_ = plants
     bound(load_law(machine.law), plant.law_key)
     limits = load_motion_limits(None, machine)
     cabs = tuple(map(_check_cab, plants))
@@ -144,7 +146,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
             f"{_pose_text(envelope[worst])}; allowed: below {POOR_CONDITION:g}"
         )
     faults += _proportion_faults(machine, radius)
-    faults += _reach_faults(machine, limits)
+    faults += _displacement_faults(machine, limits)
     rod = plant.parameters.rod_diameter.si
     clearance, (first, second), closest = _clearance(machine, envelope)
     if clearance < rod:
@@ -221,7 +223,7 @@ def _cab_faults(cab: CabCheck, limits: MotionLimits) -> Iterator[str]:
 
 
 def _proportion_faults(machine: Machine, radius: float) -> Iterator[str]:
-    """What a slip of units or of the origin makes of gimbals and strokes."""
+    """Proportions of gimbals and strokes that only a slip of units or of the origin makes."""
     length, stroke = float(machine.geometry.neutral.max()), 2.0 * machine.half_stroke
     if length > LONGEST_LEG * stroke:
         yield (
@@ -237,8 +239,8 @@ def _proportion_faults(machine: Machine, radius: float) -> Iterator[str]:
         )
 
 
-def _reach_faults(machine: Machine, limits: MotionLimits) -> Iterator[str]:
-    """Displacements that are stated and that the legs do not reach, alone from neutral."""
+def _displacement_faults(machine: Machine, limits: MotionLimits) -> Iterator[str]:
+    """Limits of displacement that the legs do not reach from neutral, one axis at a time."""
     for kind, field in (("operational", "working_stroke"), ("mechanical", "half_stroke")):
         envelope = excursion_envelope(getattr(machine, field), machine)
         for dof, ends, reach in zip(DOFS, getattr(limits, kind), envelope, strict=True):
@@ -258,8 +260,8 @@ def _clearance(machine: Machine, poses: Array) -> tuple[float, tuple[int, int], 
     Legs are segments, see C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
     upper, lower = machine.geometry.upper, machine.geometry.lower
-    turned = np.array([rotation(*pose[3:]) @ upper.T for pose in poses]).transpose(0, 2, 1)
-    legs = poses[:, None, :3] + turned - lower  # from the lower gimbal up, (N, 6, 3)
+    offsets = np.array([rotation(*pose[3:]) @ upper.T for pose in poses]).transpose(0, 2, 1)
+    legs = poses[:, None, :3] + offsets - lower  # from the lower gimbal up, (N, 6, 3)
     i, j = np.triu_indices(6, 1)
     first, second, between = legs[:, i], legs[:, j], lower[i] - lower[j]
     a, b = (first * first).sum(axis=-1), (first * second).sum(axis=-1)
@@ -274,8 +276,9 @@ def _clearance(machine: Machine, poses: Array) -> tuple[float, tuple[int, int], 
 
 
 def _pose_text(pose: Array) -> str:
-    sizes = [f"{size:.3g}" for size in (*pose[:3], *np.degrees(pose[3:]))]
-    return f"{' '.join(sizes[:3])} m, {' '.join(sizes[3:])} deg"
+    position, angles = pose[:3], np.degrees(pose[3:])
+    texts = (" ".join(f"{value:.3g}" for value in values) for values in (position, angles))
+    return "{} m, {} deg".format(*texts)
 
 
 def _names_by_status(machine: Machine) -> dict[str, list[str]]:

@@ -1,4 +1,4 @@
-"""Study specifications: a TOML file in, a table of cases out.
+"""Study specifications, a TOML file in, a table of cases out; and the ladder of plants they name.
 
     title = "My laws, three cabs, a hundred machines"
     method = "linear"                  # or sweep, see `evaluation`
@@ -28,8 +28,8 @@ mass leaves the rotations without inertia; they follow the forces at once and co
 
     omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i)
 
-What MuJoCo cannot integrate at 2048 Hz is not zero but small: `SMALL` of the payload's inertia
-tensor (rotational modes near 100 Hz) and of the legs' inertia (their pins then gape by 3
+What MuJoCo cannot integrate at 2048 Hz is not zero but small: `SMALL_SHARE` of the payload's
+inertia tensor (rotational modes near 100 Hz) and of the legs' inertia (their pins then gape by 3
 micrometres, a tenth of that mass by 35).
 """
 
@@ -57,32 +57,36 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import Case, dof_amplitude
 
-SMALL = 0.01  #: Share of an inertia that is left where there should be none.
+SMALL_SHARE = 0.01  #: Share of an inertia that is left where there should be none.
 
-_FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
+_FRICTION_FIELDS = ("coulomb_friction", "breakaway_friction", "viscous_friction")
 
 
-def lumped_cab(
-    cab: Cab, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_mass_factor: float = SMALL
+def lump_cab(
+    cab: Cab,
+    *,
+    inertia: float = 1.0,
+    centre_of_mass: bool = True,
+    leg_mass_factor: float = SMALL_SHARE,
 ) -> Cab:
-    """A cab whose payload is one rigid body; control laws take it for the cab as it was.
+    """Make a cab's payload one rigid body; control laws take the result for the cab as it was.
 
     `inertia` is a factor on the payload's tensor about its centre of mass, which without
     `centre_of_mass` lies in the platform's centroid; `leg_mass_factor` one on cylinders and rods.
     """
     payload = cab.payload
-    place = payload.centre if centre_of_mass else np.zeros(3)
+    centre = payload.centre if centre_of_mass else np.zeros(3)
 
-    def share_of(mass: float) -> dict[str, Any]:
+    def lump(mass: float) -> dict[str, Any]:
         tensor = inertia * mass / payload.mass * payload.inertia
-        return {"mass": mass, "centre_of_mass": place, "inertia": tensor}
+        return {"mass": mass, "centre_of_mass": centre, "inertia": tensor}
 
     return cab.changed(
         f"{cab.name}, lumped",
-        platform=share_of(cab.platform.mass.si),
+        platform=lump(cab.platform.mass.si),
         leg_mass_factor=leg_mass_factor,
         nominal=cab.assumed,
-        **share_of(cab.mass.si),
+        **lump(cab.mass.si),
     )
 
 
@@ -96,26 +100,26 @@ class Rung:
     @property
     def is_linear(self) -> bool:
         """Whether a linearisation of it exists."""
-        return "delay" in self.effects and not {"friction", "electronics"} & set(self.effects)
+        return "delay" in self.effects and not _NOT_LINEAR & set(self.effects)
 
     def hydraulics(self, base: HydraulicParameters) -> HydraulicParameters:
         """The hydraulic set of the rung."""
         changes: dict[str, object] = {} if "supply" in self.effects else {"supply": "constant"}
         if "friction" in self.effects:
             lossy = load_hydraulics("lossy")
-            changes |= {name: getattr(lossy, name) for name in _FRICTION}
+            changes |= {name: getattr(lossy, name) for name in _FRICTION_FIELDS}
         return base.model_copy(update=changes)
 
     def build(self, cab: str | Path | Cab, hydraulics: HydraulicParameters) -> Plant:
         """The plant of the rung with a cab and a hydraulic set."""
-        whole_cab, parameters = load_cab(cab), self.hydraulics(hydraulics)
+        loaded_cab, parameters = load_cab(cab), self.hydraulics(hydraulics)
         if "point_mass" not in self.effects:
-            return SingleLegs(parameters, machine=whole_cab.machine)
+            return SingleLegs(parameters, machine=loaded_cab.machine)
         if "leg_inertia" in self.effects:
-            return Hexapod(whole_cab, parameters)
-        inertia = 1.0 if "payload_inertia" in self.effects else SMALL
+            return Hexapod(loaded_cab, parameters)
+        inertia = 1.0 if "payload_inertia" in self.effects else SMALL_SHARE
         centre = "centre_of_mass" in self.effects
-        return Hexapod(lumped_cab(whole_cab, inertia=inertia, centre_of_mass=centre), parameters)
+        return Hexapod(lump_cab(loaded_cab, inertia=inertia, centre_of_mass=centre), parameters)
 
 
 EFFECTS = (
@@ -127,13 +131,14 @@ EFFECTS = (
 LADDER = tuple(Rung(name, EFFECTS[: i + 1]) for i, name in enumerate(EFFECTS))
 """All rungs, in the order of climbing."""
 
-MACHINE = Rung("machine", tuple(e for e in EFFECTS if e not in ("friction", "electronics")))
+_NOT_LINEAR = {"friction", "electronics"}  #: Effects that have no linearisation.
+MACHINE_RUNG = Rung("machine", tuple(name for name in EFFECTS if name not in _NOT_LINEAR))
 """The hexapod as `cmf compare` runs it: ideal sensors, no friction, one frame of delay."""
 
 
 def rung_named(name: str) -> Rung:
     """A rung of the ladder, or `machine`."""
-    rungs = {rung.name: rung for rung in (*LADDER, MACHINE)}
+    rungs = {rung.name: rung for rung in (*LADDER, MACHINE_RUNG)}
     return rungs[check_name("rungs", name, rungs)]
 
 
@@ -155,8 +160,7 @@ class StudySettings(Settings):
     cabs: list[str] = []  #: Names or TOML files, `all` alone; default the machine's first.
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; `linear` gives all at once."""
-    rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
-    """Plants: rungs of the ladder, or `machine`."""
+    rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]  #: Of the ladder, or `machine`.
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
     """Poses [in, deg], z down, that the motion is about."""
     machine: str = CMF  #: Motion base by name or TOML file.
@@ -183,9 +187,9 @@ class StudyCase:
     def columns(self) -> dict[str, int | str | float]:
         """The case in the table of results."""
         case = self.case
-        study = {"case": self.number, "method": self.settings.method, "rung": self.rung}
+        head = {"case": self.number, "method": self.settings.method, "rung": self.rung}
         pose = {f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)}
-        return study | {"cab": case.cab_name} | pose | {"draw": self.draw, "law": case.law.name}
+        return head | {"cab": case.cab_name} | pose | {"draw": self.draw, "law": case.law.name}
 
 
 @dataclass(frozen=True)
@@ -200,15 +204,15 @@ class Study:
     @property
     def cases(self) -> list[StudyCase]:
         """All cases, numbered from 0."""
-        settings, amplitude = self.settings, self.settings.amplitude * units.INCH
+        settings, translation = self.settings, self.settings.amplitude * units.INCH
         dofs = settings.dofs if settings.method == "sweep" else [""]
         cases, draws = list[StudyCase](), range(NOMINAL, settings.draws)
         for rung, cab, pose, draw in product(settings.rungs, self.cabs, settings.poses, draws):
             si_pose = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
-            how: dict[str, Any] = {"quick": settings.quick, "pose": si_pose}
+            options: dict[str, Any] = {"quick": settings.quick, "pose": si_pose}
             for law, dof in product(self.laws, dofs):
-                size = dof_amplitude(dof, amplitude) if dof else None
-                case = Case("hexapod", cab, self.hydraulics, law, dof, size, **how)
+                amplitude = dof_amplitude(dof, translation) if dof else None
+                case = Case("hexapod", cab, self.hydraulics, law, dof, amplitude, **options)
                 cases.append(StudyCase(len(cases), rung, draw, case, settings))
         return cases
 
@@ -234,14 +238,14 @@ def load_study(
     `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
     laws, `changes` replace its fields.
     """
-    table, where = study_table(source)
+    table, origin = study_table(source)
     table |= changes or {}
-    with within(where):
+    with within(origin):
         machine = load_machine(table.get("machine", CMF))
         own_laws = tuple(load_law(law, machine) for law in laws or ())
         if laws is not None:
             table["laws"] = [law.name for law in own_laws]
-        settings = validated(StudySettings, table, where)
+        settings = validated(StudySettings, table, origin)
         _check_settings(settings)
         loaded_laws = own_laws or tuple(load_law(law, machine) for law in settings.laws)
         cabs = load_cabs(settings.cabs, machine)
@@ -253,15 +257,15 @@ def load_study(
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:
     """The table of a specification with that of its base, and what errors call it."""
     if isinstance(source, dict):
-        where, table = "study", dict(source)
+        origin, table = "study", dict(source)
     else:
-        where, shipped = str(source), _READY / f"{source}.toml"
-        is_shipped = where in STUDIES
+        origin, shipped = str(source), _READY / f"{source}.toml"
+        is_shipped = origin in STUDIES
         table = read_toml(shipped if is_shipped else user_file("study", STUDIES, source))
     while "base" in table:
-        base = check_name(f"{where}: base", str(table.pop("base")), STUDIES)
+        base = check_name(f"{origin}: base", str(table.pop("base")), STUDIES)
         table = read_toml(_READY / f"{base}.toml") | table
-    return table, where
+    return table, origin
 
 
 def _check_settings(settings: StudySettings) -> None:
@@ -271,7 +275,8 @@ def _check_settings(settings: StudySettings) -> None:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
     is_linear = settings.method == "linear"
-    for name, path in ((name, unknown.path) for name, unknown in settings.mismatch.items()):
+    for name, unknown in settings.mismatch.items():
+        path = unknown.path
         if path.startswith("machine."):
             raise InputError(f"mismatch.{name}: {path}: a study varies all but the machine")
         is_electronic = path.startswith("electronics.") and not path.endswith(".gain_errors.*")

@@ -28,7 +28,7 @@ from cmf_mj.plant.attach import attach_hydraulics
 from cmf_mj.plant.parameters import HYDRAULICS, load_hydraulics
 from cmf_mj.report_2014.posterior.run import acceleration_law
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.settings import STUDIES, lumped_cab
+from cmf_mj.studies.settings import STUDIES, lump_cab
 
 BAD = {
     "up": "../../x",
@@ -135,7 +135,7 @@ def test_all_shipped_and_generated_names_pass() -> None:
     hydraulics = with_valve_gains(load_hydraulics(), 17)
     names = [*law_names("all"), *CABS, *HYDRAULICS, *scenario_names(), *STUDIES]
     names += [acceleration_law(gain, 0.5).name for gain in (-1e-12, 3e8, -0.25)]
-    names += [hydraulics.name, lumped_cab(load_cab()).name]
+    names += [hydraulics.name, lump_cab(load_cab()).name]
     assert [checked_name(name) for name in names] == names
 
 

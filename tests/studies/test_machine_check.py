@@ -16,7 +16,7 @@ from cmf_mj.machine.kinematics import rotation
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.models import directory
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.machine_check import _clearance, check_machine, check_parts
+from cmf_mj.studies.machine_check import _clearance, check_machine, report_parts
 
 POSES = 20
 
@@ -144,7 +144,7 @@ def test_a_payload_ten_times_too_large_is_found(factor: float, faults: int, tmp_
     assert cab.share == pytest.approx(np.abs(cab.load).max() / check.stall[0])
     rise = 1.0 + check.limits.axes[2].acceleration.si / 9.80665
     assert (cab.share * rise > 1.0) == bool(faults)
-    said = [part for part in check_parts(check) if isinstance(part, str)]
+    said = [part for part in report_parts(check) if isinstance(part, str)]
     assert sum("its static load is" in line for line in said) == faults
     assert (said[-1] == "verdict: mine fits together") == (not faults)
 

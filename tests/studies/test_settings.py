@@ -18,7 +18,7 @@ from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant import cylinder
 from cmf_mj.studies.engine import RESULTS
-from cmf_mj.studies.settings import LADDER, MACHINE, SMALL, lumped_cab, rung_named
+from cmf_mj.studies.settings import LADDER, MACHINE_RUNG, SMALL_SHARE, lump_cab, rung_named
 
 HARDWARE = load_hydraulics("hardware")
 
@@ -47,12 +47,14 @@ def test_payload_is_the_sum_of_platform_and_cab() -> None:
 
 
 def test_the_edited_model_with_nothing_left_out_is_the_machine() -> None:
-    whole = Hexapod(lumped_cab(load_cab("rfd"), leg_mass_factor=1.0))
+    whole = Hexapod(lump_cab(load_cab("rfd"), leg_mass_factor=1.0))
     assert whole.reflected_mass() == pytest.approx(Hexapod("rfd").reflected_mass(), rel=1e-9)
     assert whole.static_load() == pytest.approx(Hexapod("rfd").static_load(), rel=1e-9)
 
 
-@pytest.mark.parametrize(("inertia", "centre_of_mass"), [(SMALL, False), (1.0, False), (1.0, True)])
+@pytest.mark.parametrize(
+    ("inertia", "centre_of_mass"), [(SMALL_SHARE, False), (1.0, False), (1.0, True)]
+)
 @pytest.mark.parametrize("pose", [np.zeros(6), [0.2, -0.1, -0.3, 0.1, 0.05, -0.2]])
 def test_reflected_mass_without_legs_is_that_of_the_payload(
     inertia: float, centre_of_mass: bool, pose: np.ndarray
@@ -60,25 +62,27 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
     """M_leg = J^-T M J^-1. The legs' part is linear in their inertia and is taken out so."""
     few, many = (
         Hexapod(
-            lumped_cab(
+            lump_cab(
                 load_cab("gfd"),
                 inertia=inertia,
                 centre_of_mass=centre_of_mass,
                 leg_mass_factor=share,
             )
         ).reflected_mass(pose)
-        for share in (SMALL, 1.0)
+        for share in (SMALL_SHARE, 1.0)
     )
-    legs = (many - few) / (1.0 - SMALL)
+    legs = (many - few) / (1.0 - SMALL_SHARE)
     geometry = load_machine().geometry
     # At a turned pose M turns with the payload and J takes body rates: checked at neutral and, in
     # translation, at the Jacobian of the pose.
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), geometry))
     expected = inverse.T @ payload_matrix(inertia, centre_of_mass=centre_of_mass) @ inverse
     if not np.any(pose):
-        assert few - SMALL * legs == pytest.approx(expected, rel=1e-6, abs=1e-6 * expected.max())
+        assert few - SMALL_SHARE * legs == pytest.approx(
+            expected, rel=1e-6, abs=1e-6 * expected.max()
+        )
     shift = pose_jacobian(pose, geometry)[:, :3]
-    weight = shift.T @ (few - SMALL * legs) @ shift
+    weight = shift.T @ (few - SMALL_SHARE * legs) @ shift
     assert weight == pytest.approx(
         payload_matrix(1.0, centre_of_mass=False)[0, 0] * np.eye(3), rel=1e-6, abs=1e-3
     )
@@ -86,9 +90,7 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
 
 def test_point_mass_modes_from_compliance() -> None:
     """omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i) of surge, sway and heave; 5.23, 5.23, 11.3 Hz."""
-    plant = Hexapod(
-        lumped_cab(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass_factor=1e-6)
-    )
+    plant = Hexapod(lump_cab(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass_factor=1e-6))
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), plant.machine.geometry))
     stiffness = cylinder.stiffness(
         plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6)
@@ -129,7 +131,7 @@ def test_each_rung_differs_from_the_one_before_in_one_thing() -> None:
         assert set(rung.effects) - set(before.effects) == {rung.name}
         assert set(before.effects) < set(rung.effects)
     top = LADDER[-1]
-    assert MACHINE.is_linear
+    assert MACHINE_RUNG.is_linear
     assert not top.is_linear
     assert not LADDER[0].is_linear
 
@@ -149,7 +151,7 @@ def test_what_is_left_of_the_legs_keeps_pins_closed_and_the_step_fine_enough() -
     command = signals.step("surge", units.INCH, duration=6.5)
     runs = []
     for step in (None, 1.0 / 4096.0):
-        cab = lumped_cab(load_cab("gfd"), inertia=SMALL, centre_of_mass=False)
+        cab = lump_cab(load_cab("gfd"), inertia=SMALL_SHARE, centre_of_mass=False)
         plant = Hexapod(cab, rung.hydraulics(HARDWARE), timestep=step)
         runs.append(simulate(plant, "velocity", command, record_every=8))
     assert runs[0]["gimbal_error"].max() < 10e-6
@@ -166,7 +168,7 @@ def test_a_lumped_cab_weighs_as_much_and_is_known_by_its_name() -> None:
     """Laws in hydraulic modes run in those of the cab that the DCL was made for."""
     cab = load_cab("ifd")
     plant = rung_named("point_mass").build("ifd", HARDWARE)
-    legs = 6.0 * SMALL * (cab.legs.cylinder_mass.si + cab.legs.rod_mass.si)
+    legs = 6.0 * SMALL_SHARE * (cab.legs.cylinder_mass.si + cab.legs.rod_mass.si)
     assert plant.model.body_mass.sum() == pytest.approx(cab.payload.mass + legs, rel=1e-12)
     assert plant.law_key == cab
     assert plant.cab == "ifd, lumped"
