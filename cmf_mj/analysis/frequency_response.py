@@ -82,10 +82,10 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         """Complex response, (K,)."""
         return np.asarray(self.frdata[0, 0])
 
-    def at(self, is_chosen: NDArray[np.bool_]) -> "FrequencyResponse":
-        """The response at some of its lines, chosen by a mask (K,)."""
+    def at(self, mask: NDArray[np.bool_]) -> "FrequencyResponse":
+        """The response at some of its lines, chosen by a `mask` (K,)."""
         arrays = (self.response, np.asarray(self.omega), self.coherence, self.bound)
-        return FrequencyResponse(*(np.asarray(array)[is_chosen] for array in arrays))
+        return FrequencyResponse(*(np.asarray(array)[mask] for array in arrays))
 
     @property
     def gain_db(self) -> Real:

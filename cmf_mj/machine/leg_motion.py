@@ -140,7 +140,7 @@ class TrackedPose(NamedTuple):
     """A pose as tracked, and where its legs lie."""
 
     pose: NDArray[np.float64]  #: (6,) [m, rad].
-    rotation: NDArray[np.float64]  #: T at the pose, (3, 3).
+    rotation_matrix: NDArray[np.float64]  #: T at the pose, (3, 3).
     length: NDArray[np.float64]  #: Pin-to-pin lengths [m], (6,).
     direction: NDArray[np.float64]  #: n, (6, 3), report tracker.
 
@@ -163,7 +163,7 @@ def tracked_pose(tracker: PoseTracker, legs: NDArray[np.float64]) -> TrackedPose
 @compiled
 def _write_legs_of_pose(tracker, tracked):  # type: ignore[no-untyped-def]
     """Write rotation, lengths and directions of all legs at the tracked pose, Eq C.6."""
-    pose, rotation_matrix = tracked.pose, tracked.rotation
+    pose, rotation_matrix = tracked.pose, tracked.rotation_matrix
     kinematics.write_rotation(pose[3], pose[4], pose[5], rotation_matrix)
     for j in range(6):
         squared_length = 0.0

@@ -6,8 +6,8 @@
 #define SPRING @dcl.plan.inverse.spring@ /* K of a leg at neutral [N/m], or 1 for masses over it */
 #define LEAK_RATE @dcl.plan.inverse.leak_rate@ /* lambda [1/s] */
 /* Corners a and b of drive and valve are @law.plan.drive_lag@ and @law.plan.valve_lag@ Hz. */
-#define LAGS @dcl.plan.inverse.lags@ /* 1/a + 1/b [s] */
-#define LAGS_PRODUCT @dcl.plan.inverse.lags_product@ /* 1/(a b) [s^2] */
+#define LAGS @dcl.plan.inverse.lag_sum@ /* 1/a + 1/b [s] */
+#define LAGS_PRODUCT @dcl.plan.inverse.lag_product@ /* 1/(a b) [s^2] */
 #if STALLS
 #define STALL @dcl.plan.inverse.stall@ /* F_s [N] @law.plan.stall@ klbf */
 #define NEAR_STALL @near_stall@ /* share of it to which loads are bent */

@@ -3,8 +3,8 @@
  * through the chosen poles: x[k+1] = A x[k] + B r[k] of position and four derivatives.
  */
 #define ORDER 5
-#define PLAN_SMOOTH @dcl.plan.smooth@ /* of the acceleration, a frame: @law.plan.smooth@ Hz */
-#define PLAN_PULL @dcl.plan.pull@ /* p, a frame: @law.plan.approach@ Hz */
+#define PLAN_SMOOTH @dcl.plan.bend_share@ /* of the acceleration, a frame: @law.plan.smooth@ Hz */
+#define PLAN_PULL @dcl.plan.approach@ /* p, a frame: @law.plan.approach@ Hz */
 
 /* A and B: poles of @law.plan.pairs@ [Hz, damping ratio] and @law.plan.pole@ Hz. */
 static const cmf_real PLAN_TRANSITION[ORDER][ORDER] = @dcl.plan.transition@;
