@@ -26,7 +26,7 @@ def test_published_values_are_of_the_facility_alone() -> None:
 def test_a_case_runs_on_the_machine_that_is_named() -> None:
     for plant in ("hexapod", "single_legs"):
         case = make_case("velocity", plant=plant, machine="lab")
-        assert case.on.name == case.build().machine.name == "lab"
+        assert case.motion_base.name == case.build().machine.name == "lab"
     with pytest.raises(ValueError, match="cab: 'gfd' is one of machine 'cmf', not of 'lab'"):
         make_case("velocity", cab=load_cab("gfd"), machine="lab")
 
