@@ -32,6 +32,15 @@ server = viser.ViserServer(host="127.0.0.1", port=8048, verbose=False)
 model = hexapod_model(run.loaded_cab)
 data = mujoco.MjData(model)
 scene = ViserMujocoScene(server, model, num_envs=1)
+scene.camera_tracking_enabled = False
+
+
+@server.on_client_connect
+def look_at_machine(client: viser.ClientHandle) -> None:
+    """Show the whole machine from the right front."""
+    x, y, z = (float(model.stat.extent * share) for share in (1.6, -1.6, 0.3))
+    client.camera.position, client.camera.look_at = (x, y, z), (0.0, 0.0, -0.1 * x)
+
 
 gui, changes = server.gui, queue.SimpleQueue()
 status = gui.add_markdown("starting")
