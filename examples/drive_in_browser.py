@@ -14,10 +14,12 @@ import viser
 from mjviser import ViserMujocoScene
 
 from cmf_mj import CmfError, law_names
+from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.changes import change_of
 from cmf_mj.facility.scenario import scenario_of
 from cmf_mj.facility.signal_session import SignalSession
 from cmf_mj.machine.geometry import DOFS, dof_unit
+from cmf_mj.machine.motion_limits import relative_travel
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hexapod import hexapod_model
 
@@ -44,20 +46,24 @@ def look_at_machine(client: viser.ClientHandle) -> None:
 
 gui, changes = server.gui, queue.SimpleQueue()
 status = gui.add_markdown("starting")
-law = gui.add_dropdown("law", law_names("all"), initial_value=session.law_in_force.name)
+first_law, cab = session.law_in_force.name, run.loaded_cab
+laws = tuple(dict.fromkeys((first_law, *law_names("all"))))  # a machine may have its own
+law = gui.add_dropdown("law", laws, initial_value=first_law)
 dof = gui.add_dropdown("degree of freedom", DOFS, initial_value="heave")
-amplitude = gui.add_number("amplitude [in or deg]", 2.0, min=0.0, max=40.0, step=0.5)
+size = round(2.0 * relative_travel(cab.machine, "heave"), 2)
+amplitude = gui.add_number("amplitude [in or deg]", size, min=0.0, max=40.0, step=0.05)
 frequency = gui.add_number("frequency [Hz]", 0.5, min=0.05, max=10.0, step=0.05)
-push = gui.add_slider("push to the right [kN]", 0.0, 50.0, 1.0, 0.0)
+weight = STANDARD_GRAVITY * cab.payload.mass
+push = gui.add_slider("push to the right [% of the weight]", 0.0, 75.0, 1.0, 0.0)
 failure = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
 move, rest, fail = (gui.add_button(name) for name in ("move", "rest", "fail now"))
 
 
 def sine() -> dict[str, object]:
     """The demand as a scenario file has it."""
-    size = [amplitude.value, dof_unit(dof.value)]
+    amplitude_with_unit = [amplitude.value, dof_unit(dof.value)]
     shape = {"frequency": frequency.value, "cycles": round(3000 * frequency.value)}
-    return {"kind": "sine", "dof": dof.value, "amplitude": size, **shape}
+    return {"kind": "sine", "dof": dof.value, "amplitude": amplitude_with_unit, **shape}
 
 
 def failed() -> dict[str, object]:
@@ -67,7 +73,7 @@ def failed() -> dict[str, object]:
 
 
 law.on_update(lambda _: changes.put({"law": law.value}))
-push.on_update(lambda _: changes.put({"push": {"force": [0.0, -1e3 * push.value, 0.0]}}))
+push.on_update(lambda _: changes.put({"push": {"force": [0.0, -0.01 * weight * push.value, 0.0]}}))
 move.on_click(lambda _: changes.put({"signal": [sine()]}))
 rest.on_click(lambda _: changes.put({"signal": []}))
 fail.on_click(lambda _: changes.put({"failure": [failed()]}))

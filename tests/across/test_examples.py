@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from cmf_mj import load_machine
+from cmf_mj.machine.motion_limits import relative_travel
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -81,15 +84,19 @@ def test_the_crane_rises_to_its_stop_and_is_pressed_on_it(
     assert table[7.0] == pytest.approx([0.7164, 76.0, 1.0, 37795.0], rel=2e-3)
 
 
-def test_the_page_drives_the_machine_by_its_sine(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("machine", ["cmf", "simona", "lab"])
+def test_the_page_drives_a_machine_by_its_sine(
+    machine: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """2 in at 0.5 Hz in heave; the response has 3 % more, and begins with a fade."""
-    monkeypatch.setattr(sys, "argv", ["drive_in_browser.py", "--seconds", "4"])
+    """0.5 Hz in heave, 2 in on the CMF and in proportion to the travel of others, with a fade."""
+    arguments = ["drive_in_browser.py", "--machine", machine, "--seconds", "4"]
+    monkeypatch.setattr(sys, "argv", arguments)
     text = printed("drive_in_browser", capsys)
     assert re.search(r"http://127\.0\.0\.1:\d+", text)
     low, high = (float(value) for value in re.findall(r"-?\d\.\d{3}", text))
-    assert -0.06 < low < -0.03 and 0.03 < high < 0.06
+    size = 0.0254 * 2.0 * relative_travel(load_machine(machine), "heave")
+    assert low == pytest.approx(-size, rel=0.2, abs=0.001)
+    assert high == pytest.approx(size, rel=0.2, abs=0.001)
 
 
 @pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
